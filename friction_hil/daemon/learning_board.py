@@ -45,6 +45,13 @@ class LearningBoard:
         self._memory[_HEAD.size : _HEAD.size + len(text)] = text
         _HEAD.pack_into(self._memory, 0, number + 1, cycle, len(text))
 
+    def end(self, reason: str) -> None:
+        """Say that nothing is learned any more, for a process that cannot."""
+        report = self.report()
+        for axis in report.get("axes", {}).values():
+            axis |= {"doing": "ended", "reason": reason}
+        self.say(self.done_cycle, report)
+
     def report(self) -> dict[str, Any]:
         """Return what has happened; empty before the first rows."""
         return read_report(self.descriptor)

@@ -45,6 +45,14 @@ class LearningService(TendedProcess):
             severity="notice",
         )
 
+    def tend(self) -> list[str]:
+        """Start the process again if it has died; return what is to be reported. It never waits."""
+        was_given_up = self.is_given_up
+        problems = super().tend()
+        if self.is_given_up and not was_given_up:
+            self._board.end("its process died")
+        return problems
+
     def await_tick(self, cycle: int, has_news: Callable[[], bool], tend: Callable[[], None]) -> None:
         """Wait in simulated time until the rows up to the end of a tick are dealt with, or a change is handed over."""
         if not self._is_awaited or (cycle + 1) % self._every:

@@ -24,9 +24,11 @@ from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import FrictionHilError
 from friction_hil.friction.model import as_dict
-from friction_hil.learning.estimate import Mechanics
+from friction_hil.identification.least_squares import NUMERICAL
+from friction_hil.learning.estimate import Mechanics, estimate
 from friction_hil.learning.learner import COLUMNS, Learner, Proposal, Step
 from friction_hil.learning.proven import Proven, digest, recall, store
+from friction_hil.learning.window import Window
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
 
@@ -38,6 +40,8 @@ _NICENESS = 5
 _FOREVER = 2**62  # cycle that no run reaches
 _MOST_NAMED, _NAMED = 3, 0.005  # parameters in a notice, and their least relative change
 _ALIKE = 0.05  # differences of a proposal from the former one that are not worth another notice
+_COMPILED_S = 0.5
+_STARTING = "its process starts, and for the first time on a machine it compiles its code"
 _IDLE = "the axis is not in compensated motion"
 _BUSY = "this process has used its share of the processor"
 _NO_TORQUE = "its drive does not report the torque"
@@ -74,7 +78,7 @@ class AxisLearning:
             is_gain_fixed=given.gain_negative is not None,
         )
         self.unit = "rad" if config.model.axis == "rotary" else "m"
-        self._is_paused, self._why_paused = True, _IDLE
+        self._is_paused, self._why_paused = True, _STARTING
         self._file = None if folder is None or not self.is_tried else folder / f"{name}.json"
         self._model = digest(config.model.model_dump(mode="json", exclude={"fit"}))
         self._kept = self.learner.proven
@@ -83,6 +87,14 @@ class AxisLearning:
         self._last = ""  # text of what has happened last
         self._proposed: dict[str, Any] | None = None
         self.why_ended = ""
+
+    def compile(self, resolution: float) -> None:
+        """Compile what an estimate needs: for the first time on a machine, rows would be lost meanwhile."""
+        time_s = np.arange(round(_COMPILED_S / self.period_s)) * self.period_s
+        position, nothing = np.sin(math.tau * time_s), np.zeros(time_s.size)
+        window = Window(self.period_s, position, nothing, position, nothing, np.full(time_s.size, math.nan))
+        with contextlib.suppress(*NUMERICAL):  # of this motion, which no axis makes, the result does not matter
+            estimate(window, self.learner.belief, resolution)
 
     def take(self, rows: Mapping[str, Array]) -> Proposal | None:
         """Take the rows of a tick; those of an axis that is not compensated in motion only end a trial."""
@@ -222,6 +234,9 @@ class Learning:
                 self._tell(f"{name}: nothing is learned: {_NO_TORQUE}")
             else:
                 self._axes[number] = one
+        board.say(-1, {"axes": self._reports(), "cpu_share": 0.0})
+        for one in self._axes.values():
+            one.compile(facts[one.name].position_resolution)
         names, width = list(answer["columns"]), len(answer["columns"]) + answer["state_width"]
         fields = STATE.fields
         assert fields is not None

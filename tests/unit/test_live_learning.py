@@ -3,6 +3,8 @@
 import json
 import os
 import struct
+import subprocess
+import sys
 import threading
 from dataclasses import asdict
 
@@ -16,6 +18,7 @@ from friction_hil.daemon import learning_words
 from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.control.names import find
 from friction_hil.daemon.learning_board import LearningBoard, read_report
+from friction_hil.daemon.learning_service import LearningService
 from friction_hil.live import LiveFigures, attach
 from friction_hil.live.web.content import _values
 from friction_hil.live.web.metrics import metrics_text
@@ -140,3 +143,22 @@ def test_an_axis_that_only_proposes_says_what_it_would_do():
     assert learning_words.result(proposing) == "learning would try nothing"
     proposing["proposed"] = {"parameters": LEARNED["parameters"], "gain": 0.97, "text": words}
     assert learning_words.result(proposing) == words
+
+
+def test_a_process_that_is_not_started_any_more_is_not_shown_as_learning():
+    board = LearningBoard()
+    board.say(250, {"axes": {"x": LEARNED}, "cpu_share": 0.01})
+    wrong = [sys.executable, "-c", "raise SystemExit(2)"]  # so that another start would fail in the same way
+
+    def spawn(command, descriptors, stdout):
+        return subprocess.Popen(wrong, stdin=subprocess.PIPE)
+
+    service = LearningService(spawn, board, "mill.sock", 1e-3, is_simulated=False)
+    service._process.wait()
+    assert "nothing is learned any more" in service.tend()[0]
+    assert service.tend() == []
+    found = board.report()["axes"]["x"]
+    assert (found["doing"], found["reason"], found["re_identified"]) == ("ended", "its process died", 3)
+    assert board.done_cycle == 250
+    service.close()
+    board.close()

@@ -10,6 +10,7 @@ from friction_hil.daemon.companion.job import Job
 from friction_hil.recordings import columns
 from friction_hil.recordings.recording import Array
 
+_KEPT = 8  # changes: those that rows of the ring may have
 _NEEDED = (columns.CHANGE, columns.UNCERTAINTY, "velocity_estimate")
 
 
@@ -61,6 +62,8 @@ class UncertaintyColumn:
     def _settings(self, number: int) -> "dict[str, _Settings | None]":
         """Return the settings of each axis after a change; 0: those of the start."""
         if number not in self._in_force:
+            while len(self._in_force) >= _KEPT:
+                del self._in_force[next(iter(self._in_force))]
             self._in_force[number] = self._read(number)
         return self._in_force[number]
 
