@@ -4,6 +4,7 @@ import ctypes
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -88,6 +89,16 @@ def test_clang_has_nothing_to_say_either(tmp_path):
     write(tmp_path, [subject(one.model, "axis", one)])
     for options in ([], ["-DAXIS_SINGLE"]):
         check([tmp_path / "axis.c"], *options, compiler="clang")
+
+
+def test_the_example_of_the_readme_compiles(tmp_path):
+    readme = Path(c.__file__).with_name("README.md").read_text()
+    (example,) = re.findall(r"```c\n(.*?)```", readme, re.DOTALL)
+    one = COMPENSATORS["tracking"]
+    write(tmp_path, [subject(one.model, "axis_x", one)])
+    (tmp_path / "example.c").write_text(example)
+    for options in ([], ["-DAXIS_X_SINGLE"]):
+        check([tmp_path / "example.c"], *options)
 
 
 NAMES = ("int", "r", "p", "m", "model", "a" * 40)
