@@ -64,7 +64,7 @@ class LearningBoard:
 
 
 def first_report(mode: str, unit: str, gain: float) -> dict[str, Any]:
-    """Return the report on an axis before its process has said anything; all reports have these keys.
+    """Return the report on an axis before its process has said anything; all reports have these keys at least.
 
     Parameters
     ----------
