@@ -11,7 +11,9 @@ _SAME = 1e-3  # relative difference of an estimate from the value in use that is
 
 
 def result(report: Mapping[str, Any]) -> str:
-    """Return what learning has changed so far: ``re-identified 3 times, error 5.10 mrad -> 1.90 mrad``.
+    """Return what learning has changed so far.
+
+    For example ``re-identified 3 times, error 5.10 mrad -> 1.90 mrad; residual layer: no gain, off``.
 
     Parameters
     ----------
@@ -30,7 +32,17 @@ def result(report: Mapping[str, Any]) -> str:
         words.append(f"{report['taken_back']} taken back")
     if report["stopped"]:
         words.append(f"stopped {report['stopped']} time{'s' * (report['stopped'] != 1)}")
-    return ", ".join(words)
+    return ", ".join(words) + _layer(report["residual_layer"], report["unit"])
+
+
+def _layer(layer: Mapping[str, Any], unit: str) -> str:
+    """Return what the residual layer has done; nothing before it was looked for."""
+    if not layer["state"]:
+        return ""
+    if layer["state"] != "on":
+        return f"; residual layer: {layer['state']}, off"
+    before, after = (quantity(layer[key], unit) for key in ("error_before", "error_after"))
+    return f"; residual layer: {layer['text']}, error {before} -> {after}, on"
 
 
 def doing(report: Mapping[str, Any]) -> str:

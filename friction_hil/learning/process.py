@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +189,7 @@ class AxisLearning:
             "in_use": self._in_use,
             "parameters": self.learner.belief.parameters if figures.errors is not None else None,
             "relative_errors": figures.errors,
+            "residual_layer": asdict(figures.layer),
             "proposed": self._proposed,
         }
 

@@ -43,6 +43,7 @@ LEARNED = {
     "parameters": {"coulomb": 0.08, "sigma2": 2.01e-3},
     "relative_errors": {"coulomb": 0.012, "sigma2": 0.2},
     "proposed": None,
+    "residual_layer": {"state": ""},
 }
 SUMMARY = (
     "on: resting (no further change within 12 s of motion); re-identified 3 times, error 5.10 mrad -> 1.90 mrad, "
