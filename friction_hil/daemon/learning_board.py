@@ -64,7 +64,7 @@ class LearningBoard:
 
 
 def first_report(mode: str, unit: str, gain: float) -> dict[str, Any]:
-    """Return the report on an axis before its process has said anything; all reports have these keys at least.
+    """Return the report on an axis before its process has said anything; all reports have these keys.
 
     Parameters
     ----------
@@ -88,6 +88,7 @@ def first_report(mode: str, unit: str, gain: float) -> dict[str, Any]:
         "in_use": {},
         "parameters": None,
         "relative_errors": None,
+        "residual_layer": None,
         "proposed": None,
     }
 
