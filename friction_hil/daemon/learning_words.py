@@ -35,9 +35,9 @@ def result(report: Mapping[str, Any]) -> str:
     return ", ".join(words) + _layer(report["residual_layer"], report["unit"])
 
 
-def _layer(layer: Mapping[str, Any], unit: str) -> str:
+def _layer(layer: Mapping[str, Any] | None, unit: str) -> str:
     """Return what the residual layer has done; nothing before it was looked for."""
-    if not layer["state"]:
+    if layer is None or not layer["state"]:
         return ""
     if layer["state"] != "on":
         return f"; residual layer: {layer['state']}, off"
@@ -71,6 +71,7 @@ def parameters(report: Mapping[str, Any]) -> str:
         if name in errors:
             estimate, error = estimates.get(name, value), f"±{100.0 * errors[name]:.2g} %"
             is_same = math.isclose(estimate, value, rel_tol=max(_SAME, errors[name]))
+            is_same = is_same or brief(estimate, 3) == brief(value, 3)
             text += f" {error}" if is_same else f" (estimate {brief(estimate, 3)} {error})"
         words.append(text)
     return ", ".join(words)

@@ -25,7 +25,7 @@ from friction_hil.errors import FrictionHilError
 from friction_hil.friction.model import as_dict
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning.estimate import Mechanics, estimate
-from friction_hil.learning.learner import COLUMNS, Learner, Proposal
+from friction_hil.learning.learner import COLUMNS, Learner, Proposal, Step
 from friction_hil.learning.notices import described, fitting
 from friction_hil.learning.proven import Proven, digest, recall, store
 from friction_hil.learning.window import Window
@@ -84,6 +84,7 @@ class AxisLearning:
         self._in_use = self._of_file = self.learner.in_use
         self._last = ""  # text of what has happened last
         self._proposed: dict[str, Any] | None = None
+        self._proposals: dict[Step, dict[str, Any]] = {}  # the last of each kind
         self.why_ended = ""
 
     def compile(self, resolution: float) -> None:
@@ -150,9 +151,11 @@ class AxisLearning:
                 handed.append(text)
             else:
                 proposed = {"parameters": after, "gain": proposal.gain, "text": text}
-                if not _is_alike(proposed, self._proposed):
+                before = self._proposals.get(proposal.step)
+                # a residual layer is found anew each time: that there is one is said once
+                if before is None or not (proposal.step is Step.LAYER or _is_alike(proposed, before)):
                     notes.append(text)
-                self._proposed = proposed
+                self._proposals[proposal.step] = self._proposed = proposed
                 self.learner.refuse()
         self._in_use = self.learner.in_use
         self._last = [self._last, *notes, *handed][-1]
@@ -327,11 +330,9 @@ class Learning:
         return elapsed > 20.0 and time.process_time() - self._began_cpu_s > _LARGEST_SHARE * elapsed
 
 
-def _is_alike(proposed: Mapping[str, Any], before: Mapping[str, Any] | None) -> bool:
-    """Return True if a proposal has been made in about the same way before."""
-    if before is None or abs(proposed["gain"] - before["gain"]) > _ALIKE:
-        return False
-    return all(
+def _is_alike(proposed: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
+    """Return True if two proposals are about the same."""
+    return abs(proposed["gain"] - before["gain"]) <= _ALIKE and all(
         math.isclose(value, before["parameters"][name], rel_tol=_ALIKE)
         for name, value in proposed["parameters"].items()
     )

@@ -18,7 +18,7 @@ from friction_hil.daemon import learning_words
 from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.control.message import TEXT_BYTES
 from friction_hil.daemon.control.names import find
-from friction_hil.daemon.learning_board import LearningBoard, read_report
+from friction_hil.daemon.learning_board import STARTING, LearningBoard, first_report, read_report
 from friction_hil.daemon.learning_service import LearningService
 from friction_hil.learning.learner import Proposal, Step
 from friction_hil.learning.notices import described, fitting
@@ -138,6 +138,13 @@ def test_nobody_reads_half_of_a_report():
     board.say(300, {"text": "whole"})
     assert (read_report(board.descriptor), board.done_cycle) == ({"text": "whole"}, 300)
     board.close()
+
+
+def test_an_axis_whose_process_has_said_nothing_yet_is_shown_as_starting():
+    words = {mode: learning_words.summary(first_report(mode, "m", 0.9)) for mode in ("on", "propose")}
+    assert words["on"] == f"on: waiting ({STARTING}); re-identified 0 times; gain 0.9"
+    assert words["propose"] == f"propose: waiting ({STARTING}); learning would try nothing; gain 0.9"
+    assert learning_words.parameters(first_report("on", "m", 0.9)) == ""
 
 
 def test_an_axis_that_only_proposes_says_what_it_would_do():
