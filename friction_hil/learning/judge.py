@@ -7,10 +7,11 @@ import numpy as np
 
 from friction_hil.numerics.jit import Array
 
-_ALIKE = 0.15  # relative difference of two motions that count as the same work
+ALIKE = 0.15  # relative difference of two motions that count as the same work
 HELPS = 0.98  # errors by so much lower count as help
 _PEAK_GROWS = 1.1  # and the peak must not grow by more
-HARMS = 1.5  # times the largest error before
+# Spans, s, and how many times the largest error before is harm there. Over a longer one less is left to chance.
+_SPANS_S, _HARMS = (0.5, 1.0, 2.0, 4.0), (1.5, 1.2, 1.1, 1.05)
 _EFFORT_GROWS, _CLEARLY = 1.5, 0.8  # more effort than that takes errors that are clearly lower
 
 
@@ -27,8 +28,8 @@ class Work:
     top_speed : float
     rms, peak : float
         Of the following error, SI.
-    worst : float
-        Largest root mean square within half a second.
+    worst : tuple of float
+        Largest root mean square within each of the spans that harm is judged by.
     effort : float
         Root mean square of the compensation, N m.
     scatter : float
@@ -41,7 +42,7 @@ class Work:
     top_speed: float
     rms: float
     peak: float
-    worst: float
+    worst: tuple[float, ...]
     effort: float
     scatter: float
 
@@ -53,7 +54,7 @@ class Work:
     def is_like(self, other: "Work") -> bool:
         """True if the motion was that of ``other``."""
         return all(
-            abs(mine - theirs) <= _ALIKE * max(mine, theirs)
+            abs(mine - theirs) <= ALIKE * max(mine, theirs)
             for mine, theirs in (
                 (self.speed, other.speed),
                 (self.acceleration, other.acceleration),
@@ -71,21 +72,38 @@ def work_of(
     halves = max(round(0.5 / period_s), 1)
     squares = [np.mean(error[k : k + 2 * halves] ** 2) for k in range(0, max(error.size - halves, 1), 2 * halves)]
     return Work(
-        speed=_rms(velocity_demand),
-        acceleration=_rms(np.diff(velocity_demand)) / period_s,
+        speed=rms(velocity_demand),
+        acceleration=rms(np.diff(velocity_demand)) / period_s,
         travel=float(np.ptp(position_demand)),
         top_speed=float(np.max(np.abs(velocity_demand))),
-        rms=_rms(error),
+        rms=rms(error),
         peak=float(np.max(np.abs(error))),
-        worst=max(_rms(error[k : k + halves]) for k in range(0, error.size, max(halves // 2, 1))),
-        effort=_rms(compensation),
+        worst=tuple(_worst(error, round(span / period_s)) for span in _SPANS_S),
+        effort=rms(compensation),
         scatter=float(np.std(squares, ddof=1) / math.sqrt(len(squares))) if len(squares) > 1 else 0.0,
     )
 
 
-def is_harmful(now: Work, before: Work, resolution: float) -> bool:
-    """Return True if the errors of a moment exceed all before."""
-    return now.rms > HARMS * before.worst + 2.0 * resolution
+def is_harmful(error: Array, before: Work, resolution: float, period_s: float) -> bool:
+    """Return True if the latest errors exceed all before.
+
+    Parameters
+    ----------
+    error : (n,) array
+        Following error since a change, SI.
+    before : Work
+        Without the change.
+    resolution : float
+        Step of the position, SI.
+    period_s : float
+    """
+    for span_s, factor, worst in zip(_SPANS_S, _HARMS, before.worst, strict=True):
+        rows = round(span_s / period_s)
+        if rows > error.size:
+            break
+        if rms(error[-rows:]) > factor * worst + 0.5 * resolution:
+            return True
+    return False
 
 
 def objection(after: Work, before: Work, resolution: float) -> str:
@@ -103,5 +121,13 @@ def objection(after: Work, before: Work, resolution: float) -> str:
     return ""
 
 
-def _rms(values: Array) -> float:
+def rms(values: Array) -> float:
+    """Return the root mean square of values (n,); 0 if there are none."""
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def _worst(error: Array, rows: int) -> float:
+    """Return the largest root mean square within so many rows."""
+    sums = np.concatenate([[0.0], np.cumsum(error * error)])
+    rows = max(min(rows, error.size), 1)
+    return math.sqrt(max(float(np.max(sums[rows:] - sums[:-rows])), 0.0) / rows)

@@ -17,7 +17,8 @@ from friction_hil.compensator.load import gravity_torque
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief
-from friction_hil.learning.judge import Work, is_harmful, objection, work_of
+from friction_hil.learning.judge import Work, is_harmful, objection, rms, work_of
+from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
 from friction_hil.learning.window import Window, velocity_of
 from friction_hil.numerics.jit import Array
 
@@ -33,22 +34,27 @@ COLUMNS = (
     "gain_factor",
 )
 TICK_S = 0.25
-WINDOW_TICKS = 24  # of an estimate, and of each side of a comparison
 _WARM_TICKS = 4  # before a window: they bring the state of the model to where it was
 _SETTLING_TICKS = 3  # beyond the fade: the first strokes after a change are of neither side
-_HARMFUL_TICKS = 2  # one may be due to the change itself, in the midst of a reversal
+_UNJUDGED_TICKS = 1  # errors may be due to the change itself, in the midst of a reversal
+_MISLED_TICKS = 2
+_FIRST_PART, _FIRST_TICKS = (
+    1.0 / 3.0,
+    4,
+)  # of a change, for so long: the square of the error grows with that of the change
 _DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
 _SURPRISE = 12.0  # a change that drift does not explain
 _WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
 _GAIN_WORTH = 0.01
 _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
 _FIRST_PAUSE, _LONGEST_PAUSE = 1, 40  # windows without a trial, after one that was taken back
-_ODD = 3.0  # times what was left unexplained before: the axis is not what it was
+_ODD = 2.0  # times the most that was left unexplained before: the axis is not what it was
 _ODD_LEVEL = 0.05  # and this part of the friction level at least
 _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
 _FROZEN_TICKS, _FROZEN_LEVEL = 3, 0.2  # the compensation changed by so much meanwhile, the torque feedback not at all
 _GLITCH = 8.0  # times the largest change of the following error within a period before
 _STOPPED_TICKS = 40
+_LEAST_MOVING = 0.25  # part of a tick; a shorter motion says too little
 _UNFILTERED = 20  # last rows of a motion, which its filters do not reach
 _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
 
@@ -108,21 +114,13 @@ class Figures:
     errors: Mapping[str, float] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _Used:
-    """What the compensator has."""
-
-    x: Array
-    gain: float
-
-
 @dataclass(slots=True)
 class _Trial:
     step: Step
-    tried: _Used
+    tried: Used
     before: Work
+    is_whole: bool = False  # False: only a part of it is in force
     ticks: int = 0
-    harmful: int = 0  # ticks with more error than ever before, one after the other
 
 
 class Learner:
@@ -167,19 +165,20 @@ class Learner:
         self._is_gain_fixed = is_gain_fixed
         self._period_s, self._resolution, self._least_gain = period_s, resolution, gain
         self._belief: Belief = first_belief(model, mechanics, standard_errors)
-        self._file = self._used = self._proven = _Used(self._belief.x, gain)
-        self._resumed: _Used | None = None
+        self._file = self._used = self._kept = self._former = Used(self._belief.x, gain)
+        self._motions = Motions(self._file, _FIRST_PAUSE, period_s)
+        self._resumed: Used | None = None
         self._misled = 0  # ticks in which the model file explained the torque better, one after the other
         self._ticks: deque[dict[str, Array]] = deque(maxlen=_WARM_TICKS + WINDOW_TICKS)
         self._fresh = 0  # ticks that no estimate has used yet
         self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
         self._trial: _Trial | None = None
         self._estimate: Estimate | None = None
-        self._pause = _FIRST_PAUSE
-        self._rest = 0  # windows until the next trial
+        self._usual = 0.0  # largest torque of a tick that the estimate leaves unexplained, N m
         self._stopped = 0  # ticks until learning begins again
         self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
-        self._settling = _SETTLING_TICKS + math.ceil(fade_s / TICK_S)
+        fade = math.ceil(fade_s / TICK_S)
+        self._settling, self._first_ticks = fade + _SETTLING_TICKS, fade + _FIRST_TICKS
         self.figures = Figures(gain=gain)
         self.notes: list[str] = []
 
@@ -191,6 +190,7 @@ class Learner:
     def pause(self) -> Proposal | None:
         """Forget the rows so far, after some that are not to be learned from; return what is taken back."""
         self._ticks.clear()
+        self._motions.interrupt()
         self._fresh = self._same = 0
         if self._trial is None:
             return None
@@ -211,20 +211,22 @@ class Learner:
         x[: len(names)] = self._belief.coordinates.inverse(parameters)
         self._belief = replace(self._belief, x=x)
         is_fixed = self._is_gain_fixed or self._least_gain > 1.0
-        self._resumed = _Used(x, self._least_gain if is_fixed else min(max(gain, self._least_gain), 1.0))
+        self._resumed = Used(x, self._least_gain if is_fixed else min(max(gain, self._least_gain), 1.0))
 
     @property
     def proven(self) -> tuple[dict[str, float], float]:
         """Parameters by name, and gain, that were kept last."""
         coordinates = self._belief.coordinates
-        values = coordinates.at(self._proven.x[:-MECHANICS]).tolist()
-        return dict(zip(coordinates.names, values, strict=True)), self._proven.gain
+        values = coordinates.at(self._kept.x[:-MECHANICS]).tolist()
+        return dict(zip(coordinates.names, values, strict=True)), self._kept.gain
 
     def refuse(self) -> None:
         """Take note that the last proposal was not handed over."""
-        self._trial, self._used, self._same = None, self._proven, 0
-        self.figures.gain = self._proven.gain
-        self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
+        if self._trial is None:
+            self._motions.now.used = self._former
+        self._trial, self._used, self._same = None, self._former, 0
+        self.figures.gain = self._used.gain
+        self._wait()
 
     @property
     def belief(self) -> Belief:
@@ -235,14 +237,19 @@ class Learner:
         """Take the rows of a tick, `COLUMNS`; return what is to be handed over, which then counts as handed over."""
         tick = {name: np.asarray(rows[name]) for name in COLUMNS}
         self._belief = self._belief.older(_DRIFT, TICK_S)
+        if (reason := self._broken(tick)) is not None:
+            return self._stop(reason)
+        if self._motions.take(tick["position_demand"], tick["velocity_demand"]):
+            return self._change_motion()
         if (reason := self._oddity(tick)) is not None:
             return self._stop(reason)
         self._ticks.append(tick)
         self._fresh += 1
         self._same += 1
         if self._resumed is not None and np.any(tick["velocity_demand"]):
-            self._proven, self._resumed = self._resumed, None
-            return self._hand_over(Step.PARAMETERS, self._proven, "parameters that were kept in an earlier run")
+            self._motions.now.used = self._kept = self._resumed
+            self._resumed = None
+            return self._hand_over(Step.PARAMETERS, self._kept, "parameters that were kept in an earlier run")
         if (proposal := self._fall_back()) is not None:
             return proposal
         if self._stopped:
@@ -274,14 +281,15 @@ class Learner:
             except NUMERICAL:
                 return
         self._estimate, self._belief = found, found.belief
+        self._usual = float(np.max(self._unexplained(self._belief.x, ticks)[_WARM_TICKS:], initial=0.0))
         self.figures.errors = self._belief.errors
 
     def _propose(self) -> Proposal | None:
         """Return what is worth a trial."""
-        if self._estimate is None or self._same < WINDOW_TICKS:
+        if self._estimate is None or self._same < WINDOW_TICKS or self._motions.now.ranges is None:
             return None
-        if self._rest:
-            self._rest -= 1
+        if self._motions.now.rest:
+            self._motions.now.rest -= 1
             return None
         before = self._work(WINDOW_TICKS)
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
@@ -295,7 +303,7 @@ class Learner:
         if not is_other and abs(gain - self._used.gain) <= _GAIN_WORTH:
             self._is_gain_doubted = False
             return None
-        tried = _Used(refined if is_other else self._used.x, gain)
+        tried = Used(refined if is_other else self._used.x, gain)
         words = [f"parameters refined, which changes the torque by {100.0 * change:.1f} % of the level"] * is_other
         words += [f"gain {self._used.gain:.2f} -> {gain:.2f}"] * (gain != self._used.gain)
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
@@ -310,13 +318,14 @@ class Learner:
         doubt = math.hypot(self._estimate.torque_error, self._estimate.residual) / level
         return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
 
-    def _try(self, step: Step, tried: _Used, before: Work, text: str) -> Proposal:
+    def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:
         self._trial = _Trial(step, tried, before)
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
-        return self._hand_over(step, tried, text)
+        return self._hand_over(step, self._used.towards(tried, _FIRST_PART), text)
 
-    def _hand_over(self, step: Step, to: _Used, text: str) -> Proposal:
+    def _hand_over(self, step: Step, to: Used, text: str) -> Proposal:
+        self._former = self._used
         is_other = not np.array_equal(to.x, self._used.x)
         model = self._belief.coordinates.model_at(to.x[:-MECHANICS]) if is_other else None
         self._used, self._same = to, 0
@@ -326,12 +335,18 @@ class Learner:
     def _judge(self, trial: _Trial) -> Proposal | None:
         """Look at a trial: it goes on, or it is kept, or it is taken back."""
         trial.ticks += 1
-        now = self._work(1)
-        trial.harmful = trial.harmful + 1 if is_harmful(now, trial.before, self._resolution) else 0
-        if trial.harmful == _HARMFUL_TICKS:
-            return self._take_back(f"the error rose to {now.rms:.3g}, before {trial.before.worst:.3g} at most")
+        if trial.ticks > _UNJUDGED_TICKS:
+            rows = self._joined(list(self._ticks)[_UNJUDGED_TICKS - trial.ticks :])
+            error = rows["position_demand"] - rows["position"]
+            if is_harmful(error, trial.before, self._resolution, self._period_s):
+                return self._take_back(f"the error rose to {rms(error):.3g}, before {trial.before.rms:.3g}")
         if np.any(np.diff(self._joined(list(self._ticks)[-2:])["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
+        if not trial.is_whole:
+            if trial.ticks < self._first_ticks:
+                return None
+            trial.is_whole, trial.ticks = True, 0
+            return self._hand_over(trial.step, trial.tried, "no harm so far: the whole change")
         if trial.ticks < self._settling + WINDOW_TICKS:
             return None
         after = self._work(WINDOW_TICKS)
@@ -339,7 +354,8 @@ class Learner:
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
         if why := objection(after, trial.before, self._resolution):
             return self._take_back(f"error {trial.before.rms:.3g} -> {after.rms:.3g}: {why}")
-        self._trial, self._proven, self._pause = None, trial.tried, _FIRST_PAUSE
+        self._trial, self._kept = None, trial.tried
+        self._motions.keep(trial.tried)
         self.figures.kept += trial.step is Step.PARAMETERS
         self.figures.error = after.rms
         self.notes.append(f"{trial.step.value} kept: error {trial.before.rms:.3g} -> {after.rms:.3g}")
@@ -350,8 +366,25 @@ class Learner:
         self.figures.taken_back += not is_harmless
         if not is_harmless:
             self._is_gain_doubted = not self._is_gain_doubted
-            self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
-        return self._hand_over(Step.BACK, self._proven, reason)
+            self._wait()
+        return self._hand_over(Step.BACK, self._motions.now.used, reason)
+
+    def _wait(self) -> None:
+        """Leave the present motion without a trial for a while, longer each time."""
+        now = self._motions.now
+        now.rest, now.pause = now.pause, min(2 * now.pause, _LONGEST_PAUSE)
+
+    def _change_motion(self) -> Proposal | None:
+        """Go on with what is proven for the present motion, which is another one: the model file where nothing is."""
+        now = self._motions.now
+        self._trial = self._estimate = None
+        self._ticks.clear()
+        self._fresh = self._same = 0
+        if now.used is self._used:
+            return None
+        if now.used is self._file:
+            return self._hand_over(Step.BACK, self._file, "another motion, for which nothing is proven yet")
+        return self._hand_over(Step.PARAMETERS, now.used, "a motion that parameters were kept for")
 
     def _stop(self, reason: str) -> Proposal | None:
         """Stop learning for a while: what was recorded so far is not of the axis as it is now."""
@@ -360,12 +393,13 @@ class Learner:
             self.notes.append(f"learning stops for {_STOPPED_TICKS * TICK_S:g} s: {reason}")
         self._stopped, self._fresh = _STOPPED_TICKS, 0
         self._ticks.clear()
+        self._motions.interrupt()
         self._estimate = None
         self._belief = self._belief.doubted()
         return None if self._trial is None else self._take_back(reason, is_harmless=True)
 
-    def _oddity(self, tick: dict[str, Array]) -> str | None:
-        """Return why an axis is not what it was; None if it is."""
+    def _broken(self, tick: dict[str, Array]) -> str | None:
+        """Return why a tick is not to be used at all; None if it is."""
         finite = [name for name in COLUMNS if name not in ("load_estimate", "temperature_estimate")]
         if not all(np.isfinite(tick[name]).all() for name in finite):
             return "the record has gaps"
@@ -373,6 +407,10 @@ class Learner:
         last = self._joined([*list(self._ticks)[1 - _FROZEN_TICKS :], tick])
         if np.ptp(last["torque"]) == 0.0 and np.ptp(last["compensation"]) > _FROZEN_LEVEL * level:
             return "the torque feedback is frozen"
+        return None
+
+    def _oddity(self, tick: dict[str, Array]) -> str | None:
+        """Return why an axis is not what it was in the same motion; None if it is."""
         if len(self._ticks) < _WARM_TICKS:
             return None
         past = self._joined(list(self._ticks))
@@ -382,14 +420,18 @@ class Learner:
         if jump > _GLITCH * usual + 16.0 * self._resolution:
             return f"the position jumps by {jump:.3g}"
         if self._estimate is not None:
-            left = self._unexplained(self._belief.x, [*list(self._ticks)[-_WARM_TICKS:], tick])
-            if left > _ODD * self._estimate.misfit + _ODD_LEVEL * level:
+            left = self._unexplained(self._belief.x, [*list(self._ticks)[-_WARM_TICKS:], tick])[-1]
+            if left > _ODD * self._usual + _ODD_LEVEL * self._belief.coordinates.model.level:
                 return "the torque is not that of the model any more"
         return None
 
-    def _unexplained(self, x: Array, ticks: list[dict[str, Array]]) -> float:
-        """Return the root mean square of the last tick's torque that parameters leave unexplained, N m."""
-        window = self._window(self._joined(ticks))
+    def _unexplained(self, x: Array, ticks: list[dict[str, Array]]) -> Array:
+        """Return the root mean square of each tick's torque (n,) that parameters leave unexplained, N m.
+
+        Rows without demanded motion are left out: at rest friction has any value to break-away. 0 for a tick of rest.
+        """
+        rows = self._joined(ticks)
+        window = self._window(rows)
         belief = self._belief
         velocity = velocity_of(window, self._resolution)
         model = belief.coordinates.model_at(x[:-MECHANICS])
@@ -398,20 +440,24 @@ class Learner:
         inertia, static, _ = belief.x[-MECHANICS:]
         left = window.torque - friction - (1.0 + inertia) * belief.mechanics.inertia * acceleration
         left -= static * belief.coordinates.model.level + gravity_torque(*belief.mechanics.static, window.position)
-        rows = left[-self.rows_per_tick : -_UNFILTERED]
-        return float(np.sqrt(np.mean(rows**2)))
+        is_moving = rows["velocity_demand"] != 0.0
+        is_moving[-_UNFILTERED:] = False
+        counts = is_moving.reshape(len(ticks), -1).sum(axis=1)
+        squares = np.where(is_moving, left**2, 0.0).reshape(len(ticks), -1).sum(axis=1)
+        is_shown = counts >= _LEAST_MOVING * self.rows_per_tick
+        return np.asarray(np.where(is_shown, np.sqrt(squares / np.maximum(counts, 1)), 0.0))
 
     def _fall_back(self) -> Proposal | None:
         """Return to the model file where that explains the torque clearly better than what was kept elsewhere."""
         if self._trial is not None or np.array_equal(self._used.x, self._file.x) or len(self._ticks) < _WARM_TICKS + 1:
             return None
         ticks = list(self._ticks)[-_WARM_TICKS - 1 :]
-        used, file = (self._unexplained(each.x, ticks) for each in (self._used, self._file))
+        used, file = (self._unexplained(each.x, ticks)[-1] for each in (self._used, self._file))
         level = self._belief.coordinates.model.level
         self._misled = self._misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
-        if self._misled < _HARMFUL_TICKS:
+        if self._misled < _MISLED_TICKS:
             return None
-        self._misled, self._proven = 0, self._file
+        self._misled, self._motions.now.used = 0, self._file
         return self._hand_over(Step.BACK, self._file, "the model file explains the torque of this motion better")
 
     def _torque_change(self, before: Array, after: Array) -> float:

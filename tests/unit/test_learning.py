@@ -208,11 +208,28 @@ def test_a_limit_cycle_is_harm(tried):
     assert tried.proposals[-1][1].step is Step.BACK
 
 
-def test_another_motion_is_not_compared(tried):
-    tried.take(WINDOW_TICKS + 6, error=3e-4, amplitude=0.1)
+def test_another_motion_ends_a_trial_at_once(tried):
+    at = tried.ticks
+    tried.take(WINDOW_TICKS, until=Step.BACK, error=3e-4, amplitude=0.02)
     assert tried.proposals[-1][1].step is Step.BACK
+    assert (tried.ticks - at) * TICK_S <= 0.5
     figures = tried.learner.figures
     assert (figures.kept, figures.taken_back) == (0, 0)
+
+
+def test_another_motion_has_the_model_file_and_one_that_comes_back_what_was_kept_for_it(tried):
+    tried.take(WINDOW_TICKS + 6, error=3e-4)
+    kept = tried.proposals[-1][1].model
+    at = tried.ticks
+    tried.take(4, error=3e-4, amplitude=0.02)
+    when, back = tried.proposals[-1]
+    assert (back.step, back.gain, (when - at) * TICK_S <= 0.5) == (Step.BACK, 0.9, True)
+    np.testing.assert_array_equal(back.model.values, WRONG.values)
+    at = tried.ticks
+    tried.take(6, error=3e-4)
+    when, again = tried.proposals[-1]
+    assert (when - at) * TICK_S <= 1.5
+    np.testing.assert_array_equal(again.model.values, kept.values)
 
 
 def test_rest_teaches_nothing():
