@@ -9,7 +9,7 @@ from friction_hil.numerics.jit import Array
 
 ALIKE = 0.15  # relative difference of two motions that count as the same work
 HELPS = 0.98  # errors by so much lower count as help
-_PEAK_GROWS = 1.1  # and the peak must not grow by more
+_PEAK_GROWS, _MOST_PEAK_GROWS = 1.1, 1.5  # and the peak must not grow by more; more where the errors are far lower
 # Spans, s, and how many times the largest error before is harm there. Over a longer one less is left to chance.
 _SPANS_S, _HARMS = (0.5, 1.0, 2.0, 4.0), (1.5, 1.2, 1.1, 1.05)
 _EFFORT_GROWS, _CLEARLY = 1.5, 0.8  # more effort than that takes errors that are clearly lower
@@ -65,10 +65,15 @@ class Work:
 
 
 def work_of(
-    position: Array, position_demand: Array, velocity_demand: Array, compensation: Array, period_s: float
+    position: Array,
+    position_demand: Array,
+    velocity_demand: Array,
+    compensation: Array,
+    period_s: float,
+    unsettled: int = 0,
 ) -> Work:
-    """Return what rows (n,) of an axis show."""
-    error = position_demand - position
+    """Return what rows (n,) of an axis show; the errors of the ``unsettled`` first ones do not count."""
+    error = (position_demand - position)[unsettled:]
     halves = max(round(0.5 / period_s), 1)
     squares = [np.mean(error[k : k + 2 * halves] ** 2) for k in range(0, max(error.size - halves, 1), 2 * halves)]
     return Work(
@@ -82,6 +87,16 @@ def work_of(
         effort=rms(compensation),
         scatter=float(np.std(squares, ddof=1) / math.sqrt(len(squares))) if len(squares) > 1 else 0.0,
     )
+
+
+def is_no_help(error: Array, before: Work, period_s: float) -> bool:
+    """Return True if the latest errors since a part of a change are not below those before.
+
+    With part a of a change the mean square of the error is c - 2 b a + d a^2: if a third does not lower it, the whole
+    raises it.
+    """
+    rows = round(_SPANS_S[1] / period_s)
+    return rms(error[-rows:]) > before.worst[1]
 
 
 def is_harmful(error: Array, before: Work, resolution: float, period_s: float) -> bool:
@@ -114,7 +129,8 @@ def objection(after: Work, before: Work, resolution: float) -> str:
     needed = _CLEARLY if is_effort_higher else HELPS
     if max(after.rms, floor) >= needed * max(before.rms, floor):
         return "more effort for no less error" if is_effort_higher else "no gain"
-    if after.peak > _PEAK_GROWS * before.peak + 2.0 * resolution:
+    allowed = min(_PEAK_GROWS * math.sqrt(max(before.rms, floor) / max(after.rms, floor)), _MOST_PEAK_GROWS)
+    if after.peak > allowed * before.peak + 2.0 * resolution:
         return f"the peak rose from {before.peak:.3g} to {after.peak:.3g}"
     if gained < math.hypot(before.scatter, after.scatter):
         return "no more than chance"

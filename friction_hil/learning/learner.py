@@ -17,7 +17,7 @@ from friction_hil.compensator.load import gravity_torque
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief
-from friction_hil.learning.judge import Work, is_harmful, objection, rms, work_of
+from friction_hil.learning.judge import Work, is_harmful, is_no_help, objection, rms, work_of
 from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
 from friction_hil.learning.window import Window, velocity_of
 from friction_hil.numerics.jit import Array
@@ -335,16 +335,18 @@ class Learner:
     def _judge(self, trial: _Trial) -> Proposal | None:
         """Look at a trial: it goes on, or it is kept, or it is taken back."""
         trial.ticks += 1
-        if trial.ticks > _UNJUDGED_TICKS:
-            rows = self._joined(list(self._ticks)[_UNJUDGED_TICKS - trial.ticks :])
-            error = rows["position_demand"] - rows["position"]
-            if is_harmful(error, trial.before, self._resolution, self._period_s):
-                return self._take_back(f"the error rose to {rms(error):.3g}, before {trial.before.rms:.3g}")
+        rows = self._joined(list(self._ticks)[-max(trial.ticks - _UNJUDGED_TICKS, 1) :])
+        error = rows["position_demand"] - rows["position"]
+        is_judged = trial.ticks > _UNJUDGED_TICKS
+        if is_judged and is_harmful(error, trial.before, self._resolution, self._period_s):
+            return self._take_back(f"the error rose to {rms(error):.3g}, before {trial.before.rms:.3g}")
         if np.any(np.diff(self._joined(list(self._ticks)[-2:])["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
         if not trial.is_whole:
             if trial.ticks < self._first_ticks:
                 return None
+            if is_no_help(error, trial.before, self._period_s):
+                return self._take_back(f"error {trial.before.rms:.3g} -> {rms(error):.3g} with a third of the change")
             trial.is_whole, trial.ticks = True, 0
             return self._hand_over(trial.step, trial.tried, "no harm so far: the whole change")
         if trial.ticks < self._settling + WINDOW_TICKS:
@@ -471,10 +473,11 @@ class Learner:
         return float(np.sqrt(np.mean((torques[1] - torques[0]) ** 2)))
 
     def _work(self, ticks: int) -> Work:
+        """Return what the last ticks show; their errors from when the last change of settings or motion is over."""
         rows = self._joined(list(self._ticks)[-ticks:])
-        return work_of(
-            rows["position"], rows["position_demand"], rows["velocity_demand"], rows["compensation"], self._period_s
-        )
+        unsettled = min(max(ticks - self._same + self._settling, 0), ticks - 1) * self.rows_per_tick
+        names = ("position", "position_demand", "velocity_demand", "compensation")
+        return work_of(*(rows[name] for name in names), self._period_s, unsettled)
 
     def _window(self, rows: Mapping[str, Array]) -> Window:
         return Window(
