@@ -116,7 +116,7 @@ def is_harmful(error: Array, before: Work, resolution: float, period_s: float) -
         rows = round(span_s / period_s)
         if rows > error.size:
             break
-        if rms(error[-rows:]) > factor * worst + 0.5 * resolution:
+        if rms(error[-rows:]) > factor * max(worst, resolution / math.sqrt(12.0)):
             return True
     return False
 

@@ -48,14 +48,15 @@ _WORTH = 0.004  # of the friction level: change of the torque that is worth a tr
 _GAIN_WORTH = 0.01
 _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
 _FIRST_PAUSE, _LONGEST_PAUSE = 1, 40  # windows without a trial, after one that was taken back
-_ODD = 2.0  # times the most that was left unexplained before: the axis is not what it was
+_ODD_TICKS = 2  # one may be that of a reversal
+_ODD = 2.0  # times what was left unexplained before: the axis is not what it was
 _ODD_LEVEL = 0.05  # and this part of the friction level at least
 _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
 _FROZEN_TICKS, _FROZEN_LEVEL = 3, 0.2  # the compensation changed by so much meanwhile, the torque feedback not at all
 _GLITCH = 8.0  # times the largest change of the following error within a period before
 _STOPPED_TICKS = 40
 _LEAST_MOVING = 0.25  # part of a tick; a shorter motion says too little
-_UNFILTERED = 20  # last rows of a motion, which its filters do not reach
+_UNFILTERED = 20  # last rows of a record, which its filters do not reach
 _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
 
 
@@ -174,7 +175,7 @@ class Learner:
         self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
         self._trial: _Trial | None = None
         self._estimate: Estimate | None = None
-        self._usual = 0.0  # largest torque of a tick that the estimate leaves unexplained, N m
+        self._usual = 0.0  # torque that the estimate leaves unexplained, N m
         self._stopped = 0  # ticks until learning begins again
         self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
         fade = math.ceil(fade_s / TICK_S)
@@ -281,7 +282,7 @@ class Learner:
             except NUMERICAL:
                 return
         self._estimate, self._belief = found, found.belief
-        self._usual = float(np.max(self._unexplained(self._belief.x, ticks)[_WARM_TICKS:], initial=0.0))
+        self._usual = rms(self._unexplained(self._belief.x, ticks)[_WARM_TICKS:])
         self.figures.errors = self._belief.errors
 
     def _propose(self) -> Proposal | None:
@@ -422,8 +423,8 @@ class Learner:
         if jump > _GLITCH * usual + 16.0 * self._resolution:
             return f"the position jumps by {jump:.3g}"
         if self._estimate is not None:
-            left = self._unexplained(self._belief.x, [*list(self._ticks)[-_WARM_TICKS:], tick])[-1]
-            if left > _ODD * self._usual + _ODD_LEVEL * self._belief.coordinates.model.level:
+            left = self._unexplained(self._belief.x, [*list(self._ticks)[-_WARM_TICKS:], tick])[-_ODD_TICKS:]
+            if np.min(left) > _ODD * self._usual + _ODD_LEVEL * self._belief.coordinates.model.level:
                 return "the torque is not that of the model any more"
         return None
 
@@ -442,10 +443,10 @@ class Learner:
         inertia, static, _ = belief.x[-MECHANICS:]
         left = window.torque - friction - (1.0 + inertia) * belief.mechanics.inertia * acceleration
         left -= static * belief.coordinates.model.level + gravity_torque(*belief.mechanics.static, window.position)
-        is_moving = rows["velocity_demand"] != 0.0
-        is_moving[-_UNFILTERED:] = False
-        counts = is_moving.reshape(len(ticks), -1).sum(axis=1)
-        squares = np.where(is_moving, left**2, 0.0).reshape(len(ticks), -1).sum(axis=1)
+        counted = slice(0, -_UNFILTERED)  # in each tick, so that an old one compares with the latest
+        is_moving = (rows["velocity_demand"] != 0.0).reshape(len(ticks), -1)[:, counted]
+        counts = is_moving.sum(axis=1)
+        squares = np.where(is_moving, left.reshape(len(ticks), -1)[:, counted] ** 2, 0.0).sum(axis=1)
         is_shown = counts >= _LEAST_MOVING * self.rows_per_tick
         return np.asarray(np.where(is_shown, np.sqrt(squares / np.maximum(counts, 1)), 0.0))
 
@@ -476,8 +477,14 @@ class Learner:
         """Return what the last ticks show; their errors from when the last change of settings or motion is over."""
         rows = self._joined(list(self._ticks)[-ticks:])
         unsettled = min(max(ticks - self._same + self._settling, 0), ticks - 1) * self.rows_per_tick
-        names = ("position", "position_demand", "velocity_demand", "compensation")
-        return work_of(*(rows[name] for name in names), self._period_s, unsettled)
+        return work_of(
+            rows["position"],
+            rows["position_demand"],
+            rows["velocity_demand"],
+            rows["compensation"],
+            self._period_s,
+            unsettled,
+        )
 
     def _window(self, rows: Mapping[str, Array]) -> Window:
         return Window(

@@ -34,7 +34,7 @@ def test_parameters_are_handed_over_and_every_bit_is_reproduced(tmp_path):
     assert found["mode"] == "on"
     assert abs(found["parameters"]["coulomb"] / TRUE_FRICTION["coulomb"] - 1.0) < 0.05  # it was 0.3
     recording = fh.recordings.read(record, "x")
-    assert set(np.unique(recording["change"])) == {0.0, 1.0}
+    assert set(np.unique(recording["change"])) == {0.0, 1.0, 2.0}
     told = [event.text for event in recording.events if event.name == "change"]
     assert "x: learning: parameters refined" in told[0]
     result = verify(recording)

@@ -1,4 +1,4 @@
-"""Kinds of motion: told apart by the demand at once, whatever the phase, and recognised with what was proven for them."""
+"""Kinds of motion: told apart by the demand at once, whatever the phase, and recognised."""
 
 import math
 
@@ -21,22 +21,22 @@ class Moved:
         self.motions, self.left = Motions(FILE, 1, PERIOD_S), np.empty((2, 0))
 
     def move(self, seconds, amplitude, frequency, rest=0):
-        """Move by whole periods of a sine after a rest of any number of rows; return when the kind was another one, s."""
+        """Move by whole periods after a rest of any number of rows; return when the kind was another one, s."""
         period = round(1.0 / (frequency * PERIOD_S))
         angle = math.tau / period * np.arange(period * math.ceil(seconds / (period * PERIOD_S)))
         position = np.concatenate([np.zeros(rest), amplitude * (1.0 - np.cos(angle))])
         velocity = np.concatenate([np.zeros(rest), amplitude * math.tau / (period * PERIOD_S) * np.sin(angle)])
         rows = np.concatenate([self.left, np.stack([position, velocity])], axis=1)
-        found, ends = [], rows.shape[1] // TICK * TICK
+        ends = rows.shape[1] // TICK * TICK
         self.left = rows[:, ends:]
-        for k in range(0, ends, TICK):
-            if self.motions.take(*rows[:, k : k + TICK]):
-                found.append((k + TICK) * PERIOD_S)
-        return found
+        return [(k + TICK) * PERIOD_S for k in range(0, ends, TICK) if self.motions.take(*rows[:, k : k + TICK])]
 
 
 @given(
-    frequency=st.floats(0.5, 20.0), amplitude=st.floats(1e-4, 10.0), factor=st.floats(0.9, 1.1), rest=st.integers(0, 999)
+    frequency=st.floats(0.5, 20.0),
+    amplitude=st.floats(1e-4, 10.0),
+    factor=st.floats(0.9, 1.1),
+    rest=st.integers(0, 999),
 )
 @settings(max_examples=10, deadline=None)
 def test_the_same_motion_is_the_same_kind_at_any_phase_and_after_any_rest(frequency, amplitude, factor, rest):
