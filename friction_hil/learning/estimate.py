@@ -81,6 +81,17 @@ class Belief:
         return dict(zip(self.coordinates.names, deviations.tolist(), strict=False))
 
     @property
+    def uncertainty(self) -> tuple[dict[str, float], list[tuple[str, str, float]]]:
+        """Standard error of each parameter of the friction, in its unit, and the correlation of each pair."""
+        names, m = self.coordinates.names, len(self.coordinates.names)
+        slopes = self.coordinates.slopes(self.x[:-MECHANICS])
+        covariance = self.covariance[:m, :m] * np.outer(slopes, slopes)
+        errors = np.sqrt(np.diag(covariance))
+        correlations = covariance / np.outer(errors, errors)
+        pairs = [(names[i], names[j], float(correlations[i, j])) for i in range(m) for j in range(i)]
+        return dict(zip(names, errors.tolist(), strict=True)), pairs
+
+    @property
     def parameters(self) -> dict[str, float]:
         """Parameters of the friction by name."""
         values = self.coordinates.at(self.x[:-MECHANICS])

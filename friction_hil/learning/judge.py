@@ -131,7 +131,7 @@ def objection(after: Work, before: Work, resolution: float) -> str:
         return "more effort for no less error" if is_effort_higher else "no gain"
     allowed = min(_PEAK_GROWS * math.sqrt(max(before.rms, floor) / max(after.rms, floor)), _MOST_PEAK_GROWS)
     if after.peak > allowed * before.peak + 2.0 * resolution:
-        return f"the peak rose from {before.peak:.3g} to {after.peak:.3g}"
+        return f"the peak rose to {after.peak / before.peak:.1f} times what it was" if before.peak else "the peak rose"
     if gained < math.hypot(before.scatter, after.scatter):
         return "no more than chance"
     return ""

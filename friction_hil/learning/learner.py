@@ -21,6 +21,7 @@ from friction_hil.learning.judge import Work, is_harmful, is_no_help, objection,
 from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
 from friction_hil.learning.window import Window, velocity_of
 from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import quantity
 
 COLUMNS = (
     "cycle",
@@ -66,6 +67,7 @@ class Step(Enum):
     PARAMETERS = "parameters"
     GAIN = "gain"
     BACK = "back"
+    KNOWN = "known"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +122,7 @@ class _Trial:
     step: Step
     tried: Used
     before: Work
+    text: str = ""
     is_whole: bool = False  # False: only a part of it is in force
     ticks: int = 0
 
@@ -176,7 +179,7 @@ class Learner:
         self._trial: _Trial | None = None
         self._estimate: Estimate | None = None
         self._usual = 0.0  # torque that the estimate leaves unexplained, N m
-        self._stopped = 0  # ticks until learning begins again
+        self._stopped, self._why_stopped = 0, ""  # ticks until learning begins again
         self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
         fade = math.ceil(fade_s / TICK_S)
         self._settling, self._first_ticks = fade + _SETTLING_TICKS, fade + _FIRST_TICKS
@@ -217,9 +220,29 @@ class Learner:
     @property
     def proven(self) -> tuple[dict[str, float], float]:
         """Parameters by name, and gain, that were kept last."""
-        coordinates = self._belief.coordinates
-        values = coordinates.at(self._kept.x[:-MECHANICS]).tolist()
-        return dict(zip(coordinates.names, values, strict=True)), self._kept.gain
+        return self._named(self._kept), self._kept.gain
+
+    @property
+    def in_use(self) -> dict[str, float]:
+        """Parameters by name that the compensator has."""
+        return self._named(self._used)
+
+    @property
+    def wanted(self) -> tuple[dict[str, float], float]:
+        """The same, and the gain, once all of what is on trial is handed over."""
+        used = self._used if self._trial is None else self._trial.tried
+        return self._named(used), used.gain
+
+    @property
+    def doing(self) -> tuple[str, str]:
+        """What learning does now: ``watching``, ``trying``, ``resting`` or ``stopped``; and why, empty for watching."""
+        if self._stopped:
+            return "stopped", self._why_stopped
+        if self._trial is not None:
+            return "trying", self._trial.text
+        if self._motions.now.rest:
+            return "resting", f"no further change within {self._motions.now.rest * WINDOW_TICKS * TICK_S:g} s of motion"
+        return "watching", ""
 
     def refuse(self) -> None:
         """Take note that the last proposal was not handed over."""
@@ -263,6 +286,15 @@ class Learner:
             return None if self._trial is not None else self._propose()
         return None
 
+    def _size(self, length: float) -> str:
+        """Return a position or an error in words."""
+        return quantity(length, "rad" if self._belief.coordinates.model.axis == "rotary" else "m")
+
+    def _named(self, used: Used) -> dict[str, float]:
+        """Return the parameters of coordinates by name."""
+        coordinates = self._belief.coordinates
+        return dict(zip(coordinates.names, coordinates.at(used.x[:-MECHANICS]).tolist(), strict=True))
+
     def _refine(self) -> None:
         """Refine the belief by the last window."""
         self._fresh = 0
@@ -305,8 +337,9 @@ class Learner:
             self._is_gain_doubted = False
             return None
         tried = Used(refined if is_other else self._used.x, gain)
-        words = [f"parameters refined, which changes the torque by {100.0 * change:.1f} % of the level"] * is_other
-        words += [f"gain {self._used.gain:.2f} -> {gain:.2f}"] * (gain != self._used.gain)
+        words = [f"torque changes by {100.0 * change:.1f} % of the friction level"] * is_other
+        gains = f"{self._used.gain:.2f}", f"{gain:.2f}"
+        words += [f"gain {gains[0]} -> {gains[1]}"] * (gains[0] != gains[1])
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
 
     def _known_gain(self) -> float:
@@ -320,7 +353,7 @@ class Learner:
         return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
 
     def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:
-        self._trial = _Trial(step, tried, before)
+        self._trial = _Trial(step, tried, before, text)
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
         return self._hand_over(step, self._used.towards(tried, _FIRST_PART), text)
@@ -340,28 +373,30 @@ class Learner:
         error = rows["position_demand"] - rows["position"]
         is_judged = trial.ticks > _UNJUDGED_TICKS
         if is_judged and is_harmful(error, trial.before, self._resolution, self._period_s):
-            return self._take_back(f"the error rose to {rms(error):.3g}, before {trial.before.rms:.3g}")
+            return self._take_back(f"the error rose from {self._size(trial.before.rms)} to {self._size(rms(error))}")
         if np.any(np.diff(self._joined(list(self._ticks)[-2:])["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
         if not trial.is_whole:
             if trial.ticks < self._first_ticks:
                 return None
             if is_no_help(error, trial.before, self._period_s):
-                return self._take_back(f"error {trial.before.rms:.3g} -> {rms(error):.3g} with a third of the change")
+                shown = f"{self._size(trial.before.rms)} -> {self._size(rms(error))}"
+                return self._take_back(f"error {shown} with a third of the change")
             trial.is_whole, trial.ticks = True, 0
-            return self._hand_over(trial.step, trial.tried, "no harm so far: the whole change")
+            return self._hand_over(trial.step, trial.tried, "the whole of a change of which a third did no harm")
         if trial.ticks < self._settling + WINDOW_TICKS:
             return None
         after = self._work(WINDOW_TICKS)
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
         if why := objection(after, trial.before, self._resolution):
-            return self._take_back(f"error {trial.before.rms:.3g} -> {after.rms:.3g}: {why}")
+            return self._take_back(f"error {self._size(trial.before.rms)} -> {self._size(after.rms)}: {why}")
         self._trial, self._kept = None, trial.tried
         self._motions.keep(trial.tried)
         self.figures.kept += trial.step is Step.PARAMETERS
         self.figures.error = after.rms
-        self.notes.append(f"{trial.step.value} kept: error {trial.before.rms:.3g} -> {after.rms:.3g}")
+        shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
+        self.notes.append(f"learning keeps the {trial.step.value}: error {shown}")
         return None
 
     def _take_back(self, reason: str, *, is_harmless: bool = False) -> Proposal:
@@ -387,14 +422,14 @@ class Learner:
             return None
         if now.used is self._file:
             return self._hand_over(Step.BACK, self._file, "another motion, for which nothing is proven yet")
-        return self._hand_over(Step.PARAMETERS, now.used, "a motion that parameters were kept for")
+        return self._hand_over(Step.KNOWN, now.used, "what was kept for this motion")
 
     def _stop(self, reason: str) -> Proposal | None:
         """Stop learning for a while: what was recorded so far is not of the axis as it is now."""
         if not self._stopped:
             self.figures.stopped += 1
             self.notes.append(f"learning stops for {_STOPPED_TICKS * TICK_S:g} s: {reason}")
-        self._stopped, self._fresh = _STOPPED_TICKS, 0
+        self._stopped, self._why_stopped, self._fresh = _STOPPED_TICKS, reason, 0
         self._ticks.clear()
         self._motions.interrupt()
         self._estimate = None
@@ -421,7 +456,7 @@ class Learner:
         usual = float(np.max(np.abs(np.diff(errors[0]))))
         jump = float(np.max(np.abs(np.diff(errors[1], prepend=errors[0][-1]))))
         if jump > _GLITCH * usual + 16.0 * self._resolution:
-            return f"the position jumps by {jump:.3g}"
+            return f"the position jumps by {self._size(jump)}"
         if self._estimate is not None:
             left = self._unexplained(self._belief.x, [*list(self._ticks)[-_WARM_TICKS:], tick])[-_ODD_TICKS:]
             if np.min(left) > _ODD * self._usual + _ODD_LEVEL * self._belief.coordinates.model.level:

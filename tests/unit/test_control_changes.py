@@ -2,7 +2,7 @@
 
 import copy
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -458,6 +458,15 @@ def test_models_that_cannot_take_the_place_of_the_present_one_are_refused(change
     config = self_contained(configuration(x=offset))
     with pytest.raises(UsageError, match=r"because compensation\.transmission is on"):
         prepare(config, "test", {"x.model": str(other)}, changed.facts[:1], {}, has_network=False)
+
+
+def test_compensation_is_not_enabled_where_no_torque_gets_to_the_drive(changed):
+    config = self_contained(configuration(x=quick(compensation={"enabled": False})))
+    facts = [replace(changed.facts[0], takes_torque=False)]
+    with pytest.raises(UsageError, match=r"x\.enabled: must be false, because this drive takes no torque .*mode cst "):
+        prepare(config, "test", {"x.enabled": True}, facts, {}, has_network=False)
+    (change,) = prepare(config, "test", {"x.enabled": False}, facts, {}, has_network=False).axes
+    assert change.is_enabled is False
 
 
 def test_gravity_follows_each_change_within_the_fade(models, tmp_path):

@@ -3,7 +3,7 @@
 import copy
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from friction_hil.daemon.assembly import make_compensator
 from friction_hil.daemon.axis import check_torque
 from friction_hil.daemon.control.message import AxisChange
 from friction_hil.daemon.static_torque import static_torque
+from friction_hil.daemon.uncertainty import Table, uncertainty_table
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import ConfigurationError, FrictionHilError, OptionError, UsageError, choices
 from friction_hil.models.files import load_model_file
@@ -47,11 +48,14 @@ class Prepared:
     axes : list of AxisChange or None
     models : dict of str
         File of the new model of each axis that gets one from a file.
+    uncertainty : dict
+        `friction_hil.daemon.uncertainty.uncertainty_table` of each axis that gets a model with known errors.
     """
 
     configuration: dict[str, Any]
     axes: list[AxisChange | None]
     models: dict[str, str]
+    uncertainty: dict[str, Table] = field(default_factory=dict)
 
 
 def prepare(
@@ -122,6 +126,8 @@ def prepare(
                 before = configuration["axes"][fact.name]["model"] if is_other else None
                 one = _change(after, new, fact, rows.get(fact.name), before)
             is_enabled = after.compensation.enabled if fact.name in switched else None
+            if is_enabled:
+                _check_takes_torque(fact)
             one = AxisChange(is_enabled, one.record, one.friction, static_torque(after))
         except OptionError as error:
             problems.append(f"{error.axis}.{error.key}: {error.text}")
@@ -130,7 +136,9 @@ def prepare(
         changes.append(one if fact.name in changed | switched else None)
     if problems:
         raise UsageError("\n".join(problems))
-    return Prepared(self_contained(new), changes, {name: file for name, file in models.items() if file is not None})
+    files = {name: file for name, file in models.items() if file is not None}
+    uncertainty = {name: table for name in models if (table := uncertainty_table(new.axes[name]))}
+    return Prepared(self_contained(new), changes, files, uncertainty)
 
 
 def _place(key: str, axes: Mapping[str, Any]) -> tuple[str, list[str]]:
@@ -199,6 +207,20 @@ def _check_kind(name: str, path: Any, kind: str) -> None:
         return  # the check of the whole configuration says what is wrong with the file
     if given != kind:
         raise UsageError(f"{name}.model: is for a {given} axis, but {name} is {kind}")
+
+
+def _check_takes_torque(fact: AxisFacts) -> None:
+    """Refuse compensation where no torque gets to the drive.
+
+    Raises
+    ------
+    UsageError
+    """
+    if not fact.takes_torque:
+        raise UsageError(
+            f"{fact.name}.enabled: must be false, because this drive takes no torque beside the set-points of its mode "
+            f"(mode cst compensates without that): {_ELSEWHERE}"
+        )
 
 
 def _check_model(name: str, after: AxisConfig, *, has_network: bool) -> None:
@@ -297,6 +319,8 @@ def entry_of(number: int, prepared: Prepared, models_of: Mapping[str, int], text
         axes[name] = {"compensation": axis["compensation"], "is_adopted": is_adopted, "model_of": models_of[name]}
         if change is not None and change.friction is not None:
             axes[name] |= {"model_of": number, "model": axis["model"], "friction": _trimmed(change.friction)}
+            if name in prepared.uncertainty:
+                axes[name]["uncertainty"] = prepared.uncertainty[name]
     return {"number": number, "text": text, "axes": axes}
 
 
