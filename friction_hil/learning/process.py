@@ -145,13 +145,13 @@ class AxisLearning:
         notes: list[str] = list(self.learner.notes)
         handed: list[str] = []
         self.learner.notes.clear()
-        after = self.learner.in_use
         if proposal is not None:
+            after, gain = self.learner.wanted
             text = _described(proposal, self._in_use, after, is_tried=self.is_tried)
             if self.is_tried:
                 handed.append(text)
             else:
-                proposed = {"parameters": after, "gain": proposal.gain, "text": text}
+                proposed = {"parameters": after, "gain": gain, "text": text}
                 if not _is_alike(proposed, self._proposed):
                     notes.append(text)
                 self._proposed = proposed
@@ -336,6 +336,8 @@ def _described(proposal: Proposal, before: Mapping[str, float], after: Mapping[s
     """Return what a proposal changes and why, as a notice of the run says it."""
     if proposal.step is Step.BACK:
         return f"learning takes back: {proposal.text}"
+    if proposal.step is Step.KNOWN:
+        return f"learning goes on with {proposal.text}"
     words = "learning tries" if is_tried else "learning would try"
     shown = _changes(before, after)
     return f"{words} {shown}: {proposal.text}" if shown else f"{words} {proposal.text}"

@@ -108,7 +108,7 @@ def test_a_layer_that_helps_is_kept_and_told():
     _, last = driven.proposals[-1]
     assert last.step is Step.LAYER
     assert {7.0, 24.0} <= {each["order"] for each in last.model.modifiers["ripple"]}
-    driven.take(WINDOW_TICKS + 6, until=Step.BACK, error=3e-4, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
+    driven.take(WINDOW_TICKS + 14, until=Step.BACK, error=3e-4, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
     figures = driven.learner.figures.layer
     assert figures.state == "on"
     assert figures.error_after < 0.5 * figures.error_before
@@ -116,7 +116,7 @@ def test_a_layer_that_helps_is_kept_and_told():
 
 def test_a_layer_without_a_gain_is_off():
     driven = rippled(1e-3)
-    driven.take(WINDOW_TICKS + 6, until=Step.BACK, error=1e-3, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
+    driven.take(WINDOW_TICKS + 14, until=Step.BACK, error=1e-3, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
     _, back = driven.proposals[-1]
     assert (back.step, dict(back.model.modifiers)) == (Step.BACK, {})
     assert driven.learner.figures.layer.state == "no gain"
@@ -147,7 +147,7 @@ def test_the_last_line_of_a_run_names_the_layer(figures, words):
 
 def test_a_layer_is_off_at_once_where_the_position_jumps():
     driven = rippled(1e-3)
-    driven.take(WINDOW_TICKS + 6, error=3e-4, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
+    driven.take(WINDOW_TICKS + 14, error=3e-4, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
     at, before = driven.ticks, len(driven.proposals)
 
     def slip(rows):
