@@ -16,9 +16,12 @@ from friction_hil.cli.work.control import _lines
 from friction_hil.cli.work.monitor_screen import brief_line, screen
 from friction_hil.daemon import learning_words
 from friction_hil.daemon.control.ask import ask
+from friction_hil.daemon.control.message import TEXT_BYTES
 from friction_hil.daemon.control.names import find
 from friction_hil.daemon.learning_board import LearningBoard, read_report
 from friction_hil.daemon.learning_service import LearningService
+from friction_hil.learning.learner import Proposal, Step
+from friction_hil.learning.notices import described, fitting
 from friction_hil.live import LiveFigures, attach
 from friction_hil.live.web.content import _values
 from friction_hil.live.web.metrics import metrics_text
@@ -162,3 +165,19 @@ def test_a_process_that_is_not_started_any_more_is_not_shown_as_learning():
     assert board.done_cycle == 250
     service.close()
     board.close()
+
+
+def test_a_notice_names_as_many_parameters_as_it_has_room_for_and_never_loses_the_gain():
+    proposal = Proposal(Step.PARAMETERS, None, 0.97, "torque changes by 8.3 % of the friction level, gain 0.90 -> 0.97")
+    before = {f"direction.{side}.{name}": 1.0 for side in ("positive", "negative") for name in ("coulomb", "static")}
+    after = dict(zip(before, (1.2, 0.7, 1.001, 1.1), strict=True))
+    text = described(proposal, before, after, "x", is_tried=True)
+    whole = "learning tries direction.positive.static -30 %, direction.positive.coulomb +20 %, 1 more: "
+    assert text == whole + proposal.text
+    text = described(proposal, before, after, "a_long_name_of_an_axis", is_tried=False)
+    assert text == f"learning would try direction.positive.static -30 %, 2 more: {proposal.text}"
+    assert described(proposal, before, before, "x", is_tried=True) == f"learning tries {proposal.text}"
+    kept = [f"{axis}: learning keeps the gain: error 1.23 mrad -> 1.11 mrad" for axis in ("y", "z")]
+    texts = [f"x: {text}", *kept]
+    assert [fitting(texts), fitting(texts), texts] == [f"x: {text}", "; ".join(kept), []]
+    assert len("; ".join(kept).encode()) <= TEXT_BYTES < len("; ".join([text, kept[0]]).encode())
