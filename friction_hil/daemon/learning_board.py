@@ -90,6 +90,14 @@ def first_report(mode: str, unit: str, gain: float) -> dict[str, Any]:
         "relative_errors": None,
         "residual_layer": None,
         "proposed": None,
+        "residual_layer": {
+            "state": "",
+            "explained": 0.0,
+            "tried": 0,
+            "error_before": None,
+            "error_after": None,
+            "text": "",
+        },
     }
 
 

@@ -25,6 +25,8 @@ def described(
     """
     if proposal.step is Step.BACK:
         return f"learning takes back: {proposal.text}"
+    if proposal.step is Step.KNOWN:
+        return f"learning goes on with {proposal.text}"
     words = "learning tries" if is_tried else "learning would try"
     for most in range(_MOST_NAMED, 0, -1):
         shown = _changes(before, after, most)

@@ -144,13 +144,13 @@ class AxisLearning:
         notes: list[str] = list(self.learner.notes)
         handed: list[str] = []
         self.learner.notes.clear()
-        after = self.learner.in_use
         if proposal is not None:
+            after, gain = self.learner.wanted
             text = described(proposal, self._in_use, after, self.name, is_tried=self.is_tried)
             if self.is_tried:
                 handed.append(text)
             else:
-                proposed = {"parameters": after, "gain": proposal.gain, "text": text}
+                proposed = {"parameters": after, "gain": gain, "text": text}
                 before = self._proposals.get(proposal.step)
                 # a residual layer is found anew each time: that there is one is said once
                 if before is None or not (proposal.step is Step.LAYER or _is_alike(proposed, before)):
