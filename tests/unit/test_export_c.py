@@ -1,6 +1,8 @@
 """Exports to C do, compiled, what this library does: every model, and the whole compensator."""
 
 import ctypes
+import math
+import random
 import re
 import shutil
 import subprocess
@@ -67,6 +69,24 @@ def test_after_a_gap_of_any_length_the_compensator_goes_on_as_this_library(libra
         each.state[:] = state
         error = np.abs(compensator_steps(library[single], name, rows, single=single) - wanted) / each.model.level
         assert np.quantile(error, 0.97 if single else 1.0) < (1e-5 if single else 1e-12), name
+
+
+def test_no_input_does_what_the_language_leaves_undefined(tmp_path, capfd):
+    """Numbers of any size, also those that are none, and gaps of any length; UBSan writes what it finds."""
+    sanitized = ("-fsanitize=undefined,float-cast-overflow,bounds-strict", "-O0")
+    chosen, values = random.Random(0), (0.0, 1e-300, -1e-12, 1.0, -1e3, 9e15, -1e30, math.nan, math.inf, -math.inf)
+    tried = {name: COMPENSATORS[name] for name in ("geared", "kalman")}
+    write(tmp_path, [subject(one.model, name, one) for name, one in tried.items()])
+    made = ctypes.CDLL(str(shared(tmp_path, [tmp_path / f"{name}.c" for name in tried], *sanitized)))
+    for name, one in tried.items():
+        rows, cycle = [], 0
+        for _ in range(300):
+            cycle += chosen.choice((0, 1, 1, 2, 30, 2**31, 2**32 - 1))
+            rows.append([float(cycle), *(chosen.choice(values) for _ in INPUTS[1:])])
+            for flag in ("is_fresh", "is_enabled"):
+                rows[-1][INPUTS.index(flag)] = float(chosen.random() > 0.1)
+        assert np.abs(compensator_steps(made, name, rows)).max() <= one.settings.torque_limit
+    assert "runtime error" not in capfd.readouterr().err
 
 
 def test_the_header_states_the_sizes_that_the_compiler_finds(library):
