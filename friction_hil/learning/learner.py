@@ -16,8 +16,10 @@ import numpy as np
 from friction_hil.compensator.load import gravity_torque
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
-from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief
+from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief, left_over
+from friction_hil.learning.figures import Figures
 from friction_hil.learning.judge import Work, is_harmful, objection, work_of
+from friction_hil.learning.residual import Finding, Layer, Residual
 from friction_hil.learning.window import Window, velocity_of
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import quantity
@@ -59,6 +61,7 @@ class Step(Enum):
 
     PARAMETERS = "parameters"
     GAIN = "gain"
+    LAYER = "residual layer"
     BACK = "back"
 
 
@@ -83,38 +86,13 @@ class Proposal:
     text: str
 
 
-@dataclass(slots=True)
-class Figures:
-    """What has happened so far.
-
-    Attributes
-    ----------
-    kept, taken_back, stopped : int
-        Hand-overs of parameters that were kept; changes that were taken back; times that learning stopped because the
-        axis was not what it was.
-    gain : float
-        In force.
-    first_error, error : float or None
-        Root mean square of the following error with the model file, and with what was kept last, of the same work.
-    errors : dict
-        Relative standard errors of the parameters.
-    """
-
-    kept: int = 0
-    taken_back: int = 0
-    stopped: int = 0
-    gain: float = 1.0
-    first_error: float | None = None
-    error: float | None = None
-    errors: Mapping[str, float] | None = None
-
-
 @dataclass(frozen=True, slots=True)
 class _Used:
     """What the compensator has."""
 
     x: Array
     gain: float
+    layer: Layer | None = None
 
 
 @dataclass(slots=True)
@@ -146,6 +124,8 @@ class Learner:
         Time over which a change is blended.
     is_gain_fixed : bool
         The gain stays that of the configuration.
+    has_layer : bool
+        A residual layer is looked for; see `friction_hil.learning.residual`.
 
     Attributes
     ----------
@@ -165,10 +145,12 @@ class Learner:
         gain: float,
         fade_s: float,
         is_gain_fixed: bool = False,
+        has_layer: bool = True,
     ) -> None:
         self._is_gain_fixed = is_gain_fixed
         self._period_s, self._resolution, self._least_gain = period_s, resolution, gain
         self._belief: Belief = first_belief(model, mechanics, standard_errors)
+        self._has_layer, self._residual = has_layer, Residual(model)
         self._file = self._used = self._proven = _Used(self._belief.x, gain)
         self._resumed: _Used | None = None
         self._misled = 0  # ticks in which the model file explained the torque better, one after the other
@@ -177,6 +159,8 @@ class Learner:
         self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
         self._trial: _Trial | None = None
         self._estimate: Estimate | None = None
+        self._is_turn_of_layer = False  # parameters and layer take turns
+        self._finding: Finding | None = None  # what the last window shows of a residual layer
         self._pause = _FIRST_PAUSE
         self._rest = 0  # windows until the next trial
         self._stopped, self._why_stopped = 0, ""  # ticks until learning begins again
@@ -238,9 +222,12 @@ class Learner:
 
     def refuse(self) -> None:
         """Take note that the last proposal was not handed over."""
+        if self._trial is not None and self._trial.step is Step.LAYER:
+            self._residual.was_refused(self._proven.layer, self.figures.layer, "refused")
+        else:
+            self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
         self._trial, self._used, self._same = None, self._proven, 0
         self.figures.gain = self._proven.gain
-        self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
 
     @property
     def belief(self) -> Belief:
@@ -268,7 +255,11 @@ class Learner:
             return proposal
         if self._fresh >= WINDOW_TICKS:
             self._refine()
-            return None if self._trial is not None else self._propose()
+            if self._trial is not None:
+                return None
+            if self._is_turn_of_layer:
+                return self._propose_layer() or self._propose()
+            return self._propose() or self._propose_layer()
         return None
 
     def _size(self, length: float) -> str:
@@ -282,24 +273,27 @@ class Learner:
 
     def _refine(self) -> None:
         """Refine the belief by the last window."""
-        self._fresh = 0
+        self._fresh, self._finding = 0, None
         ticks = list(self._ticks)
         joined = self._joined(ticks)
         if not np.any(joined["velocity_demand"]):
             return
         warm_s = TICK_S * max(len(ticks) - WINDOW_TICKS, 0) if len(ticks) > WINDOW_TICKS else 2.0 * TICK_S
         try:
-            found = estimate(self._window(joined), self._belief, self._resolution, warm_s)
+            found = estimate(self._window(joined, self._used.layer), self._belief, self._resolution, warm_s)
         except NUMERICAL:
             return
         if found.surprise > _SURPRISE:
             self._belief = self._belief.doubted()
             try:
-                found = estimate(self._window(joined), self._belief, self._resolution, warm_s)
+                found = estimate(self._window(joined, self._used.layer), self._belief, self._resolution, warm_s)
             except NUMERICAL:
                 return
         self._estimate, self._belief = found, found.belief
         self.figures.errors = self._belief.errors
+        if self._has_layer:
+            left = left_over(self._window(joined), self._belief, self._resolution, warm_s)
+            self._finding = self._residual.look(left, self._used.layer)
 
     def _propose(self) -> Proposal | None:
         """Return what is worth a trial."""
@@ -320,11 +314,26 @@ class Learner:
         if not is_other and abs(gain - self._used.gain) <= _GAIN_WORTH:
             self._is_gain_doubted = False
             return None
-        tried = _Used(refined if is_other else self._used.x, gain)
+        tried = replace(self._used, x=refined if is_other else self._used.x, gain=gain)
         words = [f"torque changes by {100.0 * change:.1f} % of the friction level"] * is_other
         gains = f"{self._used.gain:.2f}", f"{gain:.2f}"
         words += [f"gain {gains[0]} -> {gains[1]}"] * (gains[0] != gains[1])
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
+
+    def _propose_layer(self) -> Proposal | None:
+        """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
+        found, figures = self._finding, self.figures.layer
+        if found is None or self._same < WINDOW_TICKS:
+            return None
+        if self._used.layer is not None and found.is_spent:
+            self._proven = replace(self._used, layer=None)
+            return self._hand_over(Step.BACK, self._proven, "the residual layer explains nothing any more: off")
+        before = self._work(WINDOW_TICKS)
+        is_seen = before.is_moving and before.rms >= _LEAST_COUNTS * self._resolution
+        if not (self._residual.is_worth(found, self._used.layer, figures) and is_seen):
+            return None
+        self._residual.was_tried(found, self._used.layer, figures, before.rms)
+        return self._try(Step.LAYER, replace(self._used, layer=found.layer), before, found.text)
 
     def _known_gain(self) -> float:
         """Return the share of the friction that may be commanded: the less is known of the torque, the less.
@@ -338,13 +347,19 @@ class Learner:
 
     def _try(self, step: Step, tried: _Used, before: Work, text: str) -> Proposal:
         self._trial = _Trial(step, tried, before, text)
+        self._is_turn_of_layer = step is not Step.LAYER
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
         return self._hand_over(step, tried, text)
 
     def _hand_over(self, step: Step, to: _Used, text: str) -> Proposal:
-        is_other = not np.array_equal(to.x, self._used.x)
+        is_other = not np.array_equal(to.x, self._used.x) or to.layer != self._used.layer
         model = self._belief.coordinates.model_at(to.x[:-MECHANICS]) if is_other else None
+        if model is not None and to.layer is not None:
+            model = to.layer.on(model)
+        is_trial = self._trial is not None and self._trial.step is Step.LAYER
+        if to.layer is None and self._used.layer is not None and not is_trial:
+            self._residual.end(self.figures.layer)
         self._used, self._same = to, 0
         self.figures.gain = to.gain
         return Proposal(step, model, to.gain, text)
@@ -366,6 +381,8 @@ class Learner:
         if why := objection(after, trial.before, self._resolution):
             return self._take_back(f"error {self._size(trial.before.rms)} -> {self._size(after.rms)}: {why}")
         self._trial, self._proven, self._pause = None, trial.tried, _FIRST_PAUSE
+        if trial.step is Step.LAYER:
+            self._residual.was_kept(trial.tried.layer, self.figures.layer, after.rms)
         self.figures.kept += trial.step is Step.PARAMETERS
         self.figures.error = after.rms
         shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
@@ -373,12 +390,16 @@ class Learner:
         return None
 
     def _take_back(self, reason: str, *, is_harmless: bool = False) -> Proposal:
-        self._trial = None
-        self.figures.taken_back += not is_harmless
-        if not is_harmless:
+        if self._trial is not None and self._trial.step is Step.LAYER:
+            why = "without a verdict" if is_harmless else "no gain"
+            self._residual.was_refused(self._proven.layer, self.figures.layer, why)
+        elif not is_harmless:
+            self.figures.taken_back += 1
             self._is_gain_doubted = not self._is_gain_doubted
             self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
-        return self._hand_over(Step.BACK, self._proven, reason)
+        proposal = self._hand_over(Step.BACK, self._proven, reason)
+        self._trial = None
+        return proposal
 
     def _stop(self, reason: str) -> Proposal | None:
         """Stop learning for a while: what was recorded so far is not of the axis as it is now."""
@@ -389,7 +410,11 @@ class Learner:
         self._ticks.clear()
         self._estimate = None
         self._belief = self._belief.doubted()
-        return None if self._trial is None else self._take_back(reason, is_harmless=True)
+        if is_layered := self._used.layer is not None:  # its phase is lost where the position has jumped
+            self._proven = replace(self._proven, layer=None)
+        if self._trial is not None:
+            return self._take_back(reason, is_harmless=True)
+        return self._hand_over(Step.BACK, self._proven, reason) if is_layered else None
 
     def _oddity(self, tick: dict[str, Array]) -> str | None:
         """Return why an axis is not what it was; None if it is."""
@@ -409,17 +434,18 @@ class Learner:
         if jump > _GLITCH * usual + 16.0 * self._resolution:
             return f"the position jumps by {self._size(jump)}"
         if self._estimate is not None:
-            left = self._unexplained(self._belief.x, [*list(self._ticks)[-_WARM_TICKS:], tick])
+            own = replace(self._used, x=self._belief.x)
+            left = self._unexplained(own, [*list(self._ticks)[-_WARM_TICKS:], tick])
             if left > _ODD * self._estimate.misfit + _ODD_LEVEL * level:
                 return "the torque is not that of the model any more"
         return None
 
-    def _unexplained(self, x: Array, ticks: list[dict[str, Array]]) -> float:
-        """Return the root mean square of the last tick's torque that parameters leave unexplained, N m."""
-        window = self._window(self._joined(ticks))
+    def _unexplained(self, used: _Used, ticks: list[dict[str, Array]]) -> float:
+        """Return the root mean square of the last tick's torque that a model leaves unexplained, N m."""
+        window = self._window(self._joined(ticks), used.layer)
         belief = self._belief
         velocity = velocity_of(window, self._resolution)
-        model = belief.coordinates.model_at(x[:-MECHANICS])
+        model = belief.coordinates.model_at(used.x[:-MECHANICS])
         friction = model.simulate(velocity, self._period_s, **window.inputs())
         acceleration = np.append(np.diff(velocity), 0.0) / self._period_s
         inertia, static, _ = belief.x[-MECHANICS:]
@@ -430,10 +456,11 @@ class Learner:
 
     def _fall_back(self) -> Proposal | None:
         """Return to the model file where that explains the torque clearly better than what was kept elsewhere."""
-        if self._trial is not None or np.array_equal(self._used.x, self._file.x) or len(self._ticks) < _WARM_TICKS + 1:
+        is_file = np.array_equal(self._used.x, self._file.x) and self._used.layer is None
+        if self._trial is not None or is_file or len(self._ticks) < _WARM_TICKS + 1:
             return None
         ticks = list(self._ticks)[-_WARM_TICKS - 1 :]
-        used, file = (self._unexplained(each.x, ticks) for each in (self._used, self._file))
+        used, file = (self._unexplained(each, ticks) for each in (self._used, self._file))
         level = self._belief.coordinates.model.level
         self._misled = self._misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
         if self._misled < _HARMFUL_TICKS:
@@ -457,11 +484,12 @@ class Learner:
             rows["position"], rows["position_demand"], rows["velocity_demand"], rows["compensation"], self._period_s
         )
 
-    def _window(self, rows: Mapping[str, Array]) -> Window:
+    def _window(self, rows: Mapping[str, Array], layer: Layer | None = None) -> Window:
+        """Return the motion of rows, and their torque without that of a layer."""
         return Window(
             self._period_s,
             rows["position"],
-            rows["torque"],
+            rows["torque"] - (0.0 if layer is None else layer.torque(rows["position"])),
             rows["position_demand"],
             rows["load_estimate"],
             rows["temperature_estimate"],
