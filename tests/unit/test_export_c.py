@@ -142,7 +142,9 @@ def test_a_name_that_hides_a_file_or_type_of_the_language_is_refused(to, name):
         fh.export.files("coulomb:coulomb=1", to=to, name=name)
 
 
-@pytest.mark.parametrize(("name", "wanted"), [("a__b", "a_b"), ("a_", "a"), ("9", "axis_9"), ("b" * 41, "b" * 40)])
+@pytest.mark.parametrize(
+    ("name", "wanted"), [("a__b", "a_b"), ("a_", "a"), ("AxisX", "axis_x"), ("9", "axis_9"), ("b" * 41, "b" * 40)]
+)
 def test_a_name_that_some_language_refuses_is_refused(name, wanted):
     with pytest.raises(UsageError, match=f"such as {wanted}$"):
         fh.export.files("coulomb:coulomb=1", to="st", name=name)
