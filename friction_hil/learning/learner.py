@@ -17,7 +17,7 @@ from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning import oddity
 from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief
-from friction_hil.learning.judge import Work, is_harmful, is_no_help, objection, rms, work_of
+from friction_hil.learning.judge import CHANCE, Work, is_harmful, is_no_help, objection, rms, work_of
 from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.window import COLUMNS, joined, velocity_of, window_of
@@ -37,6 +37,8 @@ _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away fr
 _FIRST_PAUSE, _LONGEST_PAUSE = 1, 40  # windows without a trial, after one that was taken back
 _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
 _STOPPED_TICKS = 40
+_EXPLAINS = 0.8  # times the unexplained torque of former parameters
+_WORSE = 1.2  # times the error at the last trial: another one does not wait any longer
 _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
 
 
@@ -229,7 +231,7 @@ class Learner:
             self._motions.now.used = self._former
         self._trial, self._used, self._same = None, self._former, 0
         self.figures.gain = self._used.gain
-        self._wait()
+        self._wait(math.inf)
 
     @property
     def belief(self) -> Belief:
@@ -301,10 +303,11 @@ class Learner:
         """Return what is worth a trial."""
         if self._estimate is None or self._same < WINDOW_TICKS or self._motions.now.ranges is None:
             return None
-        if self._motions.now.rest:
-            self._motions.now.rest -= 1
+        before, now = self._work(WINDOW_TICKS), self._motions.now
+        if now.rest and before.rms <= _WORSE * now.refused_error:
+            now.rest -= 1
             return None
-        before = self._work(WINDOW_TICKS)
+        now.rest = 0
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
         level = self._belief.coordinates.model.level
@@ -369,7 +372,8 @@ class Learner:
         after = self._work(WINDOW_TICKS)
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
-        if why := objection(after, trial.before, self._resolution):
+        why = objection(after, trial.before, self._resolution)
+        if why and not (why == CHANCE and self._explains_more(trial.tried)):
             return self._take_back(f"error {self._size(trial.before.rms)} -> {self._size(after.rms)}: {why}")
         self._trial, self._kept = None, trial.tried
         self._motions.keep(trial.tried)
@@ -379,18 +383,28 @@ class Learner:
         self.notes.append(f"learning keeps the {trial.step.value}: error {shown}")
         return None
 
+    def _explains_more(self, tried: Used) -> bool:
+        """Return True if a trial explains the torque since then, which it was not estimated from, clearly better.
+
+        Where friction drifts, the error with the former parameters would have risen meanwhile: no gain over before may
+        be one over what would be now.
+        """
+        left = [rms(self._unexplained(x, list(self._ticks))[WARM_TICKS:]) for x in (tried.x, self._motions.now.used.x)]
+        return left[0] < _EXPLAINS * left[1]
+
     def _take_back(self, reason: str, *, is_harmless: bool = False) -> Proposal:
-        self._trial = None
+        trial, self._trial = self._trial, None
+        assert trial is not None
         self.figures.taken_back += not is_harmless
         if not is_harmless:
             self._is_gain_doubted = not self._is_gain_doubted
-            self._wait()
+            self._wait(trial.before.rms)
         return self._hand_over(Step.BACK, self._motions.now.used, reason)
 
-    def _wait(self) -> None:
-        """Leave the present motion without a trial for a while, longer each time."""
+    def _wait(self, error: float) -> None:
+        """Leave the present motion without a trial for a while, longer each time, or until it has a larger error."""
         now = self._motions.now
-        now.rest, now.pause = now.pause, min(2 * now.pause, _LONGEST_PAUSE)
+        now.rest, now.pause, now.refused_error = now.pause, min(2 * now.pause, _LONGEST_PAUSE), error
 
     def _change_motion(self) -> Proposal | None:
         """Go on with what is proven for the present motion, which is another one: the model file where nothing is."""
