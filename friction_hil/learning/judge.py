@@ -90,14 +90,14 @@ def work_of(
     )
 
 
-def is_no_help(error: Array, before: Work, period_s: float) -> bool:
-    """Return True if the latest errors since a part of a change are not below those before.
+def no_help(error: Array, before: Work, period_s: float) -> tuple[float, float] | None:
+    """Return the errors before and since a part of a change if the latest are not below those before, else None.
 
     With part a of a change the mean square of the error is c - 2 b a + d a^2: if a third does not lower it, the whole
     raises it.
     """
-    rows = round(_SPANS_S[1] / period_s)
-    return rms(error[-rows:]) > before.worst[1]
+    now = rms(error[-round(_SPANS_S[1] / period_s) :])
+    return (before.worst[1], now) if now > before.worst[1] else None
 
 
 def is_harmful(error: Array, before: Work, resolution: float, period_s: float) -> bool:

@@ -17,7 +17,7 @@ from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning import oddity
 from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief
-from friction_hil.learning.judge import CHANCE, Work, is_harmful, is_no_help, objection, rms, work_of
+from friction_hil.learning.judge import CHANCE, Work, is_harmful, no_help, objection, rms, work_of
 from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.window import COLUMNS, joined, velocity_of, window_of
@@ -38,7 +38,9 @@ _FIRST_PAUSE, _LONGEST_PAUSE = 1, 40  # windows without a trial, after one that 
 _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
 _STOPPED_TICKS = 40
 _EXPLAINS = 0.8  # times the unexplained torque of former parameters
-_WORSE = 1.2  # times the error at the last trial: another one does not wait any longer
+# What does not wait after a trial that was taken back: an error so many times larger, or a torque that differs by this
+# part of the level from what was refused.
+_WORSE, _OTHER = 1.2, 0.03
 _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
 
 
@@ -304,14 +306,16 @@ class Learner:
         if self._estimate is None or self._same < WINDOW_TICKS or self._motions.now.ranges is None:
             return None
         before, now = self._work(WINDOW_TICKS), self._motions.now
+        level = self._belief.coordinates.model.level
+        refined = self._belief.shown(self._used.x)
         if now.rest and before.rms <= _WORSE * now.refused_error:
-            now.rest -= 1
-            return None
+            other = 0.0 if now.refused is None else self._torque_change(now.refused[:-MECHANICS], refined[:-MECHANICS])
+            if other <= _OTHER * level:
+                now.rest -= 1
+                return None
         now.rest = 0
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
-        level = self._belief.coordinates.model.level
-        refined = self._belief.shown(self._used.x)
         change = self._torque_change(self._used.x[:-MECHANICS], refined[:-MECHANICS]) / level
         is_fixed = self._is_gain_fixed or self._is_gain_doubted
         gain = self._used.gain if is_fixed else self._known_gain()
@@ -362,8 +366,8 @@ class Learner:
         if not trial.is_whole:
             if trial.ticks < self._first_ticks:
                 return None
-            if is_no_help(error, trial.before, self._period_s):
-                shown = f"{self._size(trial.before.rms)} -> {self._size(rms(error))}"
+            if (both := no_help(error, trial.before, self._period_s)) is not None:
+                shown = " -> ".join(map(self._size, both))
                 return self._take_back(f"error {shown} with a third of the change")
             trial.is_whole, trial.ticks = True, 0
             return self._hand_over(trial.step, trial.tried, "the whole of a change of which a third did no harm")
@@ -398,13 +402,14 @@ class Learner:
         self.figures.taken_back += not is_harmless
         if not is_harmless:
             self._is_gain_doubted = not self._is_gain_doubted
-            self._wait(trial.before.rms)
+            self._wait(trial.before.rms, trial.tried.x)
         return self._hand_over(Step.BACK, self._motions.now.used, reason)
 
-    def _wait(self, error: float) -> None:
-        """Leave the present motion without a trial for a while, longer each time, or until it has a larger error."""
+    def _wait(self, error: float, refused: Array | None = None) -> None:
+        """Leave the present motion without a trial for a while, longer each time, unless for something else."""
         now = self._motions.now
-        now.rest, now.pause, now.refused_error = now.pause, min(2 * now.pause, _LONGEST_PAUSE), error
+        now.rest, now.pause = now.pause, min(2 * now.pause, _LONGEST_PAUSE)
+        now.refused_error, now.refused = error, refused
 
     def _change_motion(self) -> Proposal | None:
         """Go on with what is proven for the present motion, which is another one: the model file where nothing is."""

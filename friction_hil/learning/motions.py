@@ -52,6 +52,8 @@ class Kind:
         Windows until the next trial.
     refused_error : float
         Root mean square of the following error before the last trial that was taken back, SI.
+    refused : (m + 3,) array or None
+        Coordinates that were taken back then.
     ranges : (2, spans, 3) array or None
         Least and most top speed, travel and mean square of the acceleration, of each span; NaN where none was so long.
         None: the motion has just begun.
@@ -61,6 +63,7 @@ class Kind:
     pause: int
     rest: int = 0
     refused_error: float = math.inf
+    refused: Array | None = None
     ranges: Array | None = None
 
 
