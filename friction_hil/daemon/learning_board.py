@@ -6,6 +6,7 @@ import os
 import struct
 from typing import Any
 
+STARTING = "its process starts, and for the first time on a machine it compiles its code"
 _BYTES = 1 << 16
 _HEAD = struct.Struct("<qqq")  # number of the writing, odd while it is written; done cycle; length of the report
 _TRIES = 100  # of a reader, who meets a writer once in a thousand times
@@ -60,6 +61,44 @@ class LearningBoard:
         """Give the memory back."""
         self._memory.close()
         os.close(self.descriptor)
+
+
+def first_report(mode: str, unit: str, gain: float) -> dict[str, Any]:
+    """Return the report on an axis before its process has said anything; all reports have these keys.
+
+    Parameters
+    ----------
+    mode : {"on", "propose"}
+    unit : {"rad", "m"}
+    gain : float
+        Of the configuration.
+    """
+    return {
+        "mode": mode,
+        "unit": unit,
+        "doing": "waiting",
+        "reason": STARTING,
+        "last": "",
+        "re_identified": 0,
+        "taken_back": 0,
+        "stopped": 0,
+        "gain": gain,
+        "error_before": None,
+        "error_after": None,
+        "in_use": {},
+        "parameters": None,
+        "relative_errors": None,
+        "residual_layer": None,
+        "proposed": None,
+        "residual_layer": {
+            "state": "",
+            "explained": 0.0,
+            "tried": 0,
+            "error_before": None,
+            "error_after": None,
+            "text": "",
+        },
+    }
 
 
 def read_report(descriptor: int) -> dict[str, Any]:

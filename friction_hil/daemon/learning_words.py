@@ -11,7 +11,9 @@ _SAME = 1e-3  # relative difference of an estimate from the value in use that is
 
 
 def result(report: Mapping[str, Any]) -> str:
-    """Return what learning has changed so far: ``re-identified 3 times, error 5.10 mrad -> 1.90 mrad``.
+    """Return what learning has changed so far.
+
+    For example ``re-identified 3 times, error 5.10 mrad -> 1.90 mrad; residual layer: no gain, off``.
 
     Parameters
     ----------
@@ -30,7 +32,17 @@ def result(report: Mapping[str, Any]) -> str:
         words.append(f"{report['taken_back']} taken back")
     if report["stopped"]:
         words.append(f"stopped {report['stopped']} time{'s' * (report['stopped'] != 1)}")
-    return ", ".join(words)
+    return ", ".join(words) + _layer(report["residual_layer"], report["unit"])
+
+
+def _layer(layer: Mapping[str, Any] | None, unit: str) -> str:
+    """Return what the residual layer has done; nothing before it was looked for."""
+    if layer is None or not layer["state"]:
+        return ""
+    if layer["state"] != "on":
+        return f"; residual layer: {layer['state']}, off"
+    before, after = (quantity(layer[key], unit) for key in ("error_before", "error_after"))
+    return f"; residual layer: {layer['text']}, error {before} -> {after}, on"
 
 
 def doing(report: Mapping[str, Any]) -> str:
@@ -59,6 +71,7 @@ def parameters(report: Mapping[str, Any]) -> str:
         if name in errors:
             estimate, error = estimates.get(name, value), f"±{100.0 * errors[name]:.2g} %"
             is_same = math.isclose(estimate, value, rel_tol=max(_SAME, errors[name]))
+            is_same = is_same or brief(estimate, 3) == brief(value, 3)
             text += f" {error}" if is_same else f" (estimate {brief(estimate, 3)} {error})"
         words.append(text)
     return ", ".join(words)

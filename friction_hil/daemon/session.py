@@ -23,7 +23,7 @@ from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.control.service import ControlService, Memories
 from friction_hil.daemon.figures import AxisFigures, Condition, FollowingErrors, adaptation_notice
 from friction_hil.daemon.follower import FollowerAxis
-from friction_hil.daemon.learning_board import LearningBoard
+from friction_hil.daemon.learning_board import LearningBoard, first_report
 from friction_hil.daemon.learning_service import LearningService
 from friction_hil.daemon.live_service import LiveService
 from friction_hil.daemon.log import LoopResult, Sink
@@ -254,10 +254,10 @@ def _prepare(
     companion = Companion.start(job, journal, spawner.spawn)
     stack.callback(companion.close)
     board = None
-    if settings.control is not None and any(
-        axis.compensation.learning != "off" for axis in configuration.axes.values()
-    ):
+    learning_axes = {name: axis for name, axis in configuration.axes.items() if axis.compensation.learning != "off"}
+    if settings.control is not None and learning_axes:
         board = LearningBoard()
+        board.say(-1, {"axes": {name: _first_report(axis) for name, axis in learning_axes.items()}})
         stack.callback(board.close)
     control = None
     if settings.control is not None:
@@ -390,6 +390,12 @@ def _recording_path(configuration: "Configuration", settings: SessionSettings, s
     if settings.record is None and configuration.recording is not None and configuration.recording.path is not None:
         return free_path(configuration.recording.path, started_ns)
     return settings.record
+
+
+def _first_report(axis: "AxisConfig") -> dict[str, Any]:
+    """Return what is known of the learning of an axis before its process runs."""
+    given = axis.compensation
+    return first_report(given.learning, "rad" if axis.model.axis == "rotary" else "m", given.gain)
 
 
 def _place_in_state(name: str) -> int:

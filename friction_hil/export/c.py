@@ -147,7 +147,9 @@ class _Part:
             lines.append(f"    const {_C[each.type]} {each.name} = {value};")
         lines.append(f"    const real torque_ = {self._entry()};")
         lines.append(f"    if (s->cycle >= R({REBASED}.0)) {{")
-        lines.append(f"        const real whole = R({REBASED}.0) * (real)((int32_t)(s->cycle / R({REBASED}.0)));")
+        lines.append(f"        const real times = s->cycle / R({REBASED}.0);")
+        lines.append("        const int32_t whole_times = (int32_t)times;")
+        lines.append(f"        const real whole = R({REBASED}.0) * (real)whole_times;")
         lines += [f"        s->{field} -= whole;" for field, _ in self.fields if field in CYCLES]
         return f"{self.head()}\n{{\n" + "\n".join([*lines, "    }", "    return torque_;"]) + "\n}\n"
 

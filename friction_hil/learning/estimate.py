@@ -179,6 +179,46 @@ class Estimate:
     torque_error: float
 
 
+@dataclass(frozen=True, slots=True)
+class LeftOver:
+    """What a belief leaves of the torque of a record; arrays of rows, (k,).
+
+    Attributes
+    ----------
+    position, velocity : array
+    torque : array
+        Measured less explained torque, N m.
+    slopes : (k, m + 3) array
+        Derivatives of ``torque`` over the coordinates of the belief.
+    doubt : array
+        Change of the friction within a period, N m: what is not known of when in a period it happened.
+    seconds : float
+        Length of the record.
+    """
+
+    position: Array
+    velocity: Array
+    torque: Array
+    slopes: Array
+    doubt: Array
+    seconds: float
+
+
+def left_over(window: Window, belief: Belief, resolution: float, skipped_s: float = 0.0) -> LeftOver:
+    """Return what a belief leaves of the torque of a record; parameters as in `estimate`."""
+    problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
+    torque, slopes = problem.residual(belief.x)
+    k = problem.rows
+    return LeftOver(
+        window.position[k],
+        problem.velocity[k],
+        torque,
+        slopes,
+        problem.doubt(belief.x),
+        torque.size * window.period_s,
+    )
+
+
 class _Problem:
     """Residual and derivatives along one record."""
 
@@ -223,9 +263,13 @@ class _Problem:
         period_s = self.window.period_s
         near = _near(left, period_s)
         size = np.maximum(near, max(float(np.quantile(near, _EQUAL_PART)), _QUANTUM * self.level))
-        size = np.hypot(size, _TIMING * np.abs(np.gradient(self.friction(x)))[self.rows])
+        size = np.hypot(size, self.doubt(x))
         whitened = left / size
         return np.asarray(1.0 / (size * math.sqrt(_correlation_time(whitened, round(_CORRELATED_S / period_s)))))
+
+    def doubt(self, x: Array) -> Array:
+        """Return the torque (k,) that is uncertain because it changes within a period."""
+        return np.asarray(_TIMING * np.abs(np.gradient(self.friction(x)))[self.rows])
 
     def friction(self, x: Array) -> Array:
         """Return the friction torque (n,)."""

@@ -9,18 +9,20 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning import oddity
-from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief
+from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief, left_over
+from friction_hil.learning.figures import Figures
 from friction_hil.learning.judge import CHANCE, Work, is_harmful, no_help, objection, rms, work_of
 from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
-from friction_hil.learning.window import COLUMNS, joined, velocity_of, window_of
+from friction_hil.learning.proposal import Proposal, Step
+from friction_hil.learning.residual import Finding, Layer, Residual
+from friction_hil.learning.window import COLUMNS, Window, joined, velocity_of, window_of
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import quantity
 
@@ -38,66 +40,8 @@ _FIRST_PAUSE, _LONGEST_PAUSE = 1, 40  # windows without a trial, after one that 
 _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
 _STOPPED_TICKS = 40
 _EXPLAINS = 0.8  # times the unexplained torque of former parameters
-# What does not wait after a trial that was taken back: an error so many times larger, or a torque that differs by this
-# part of the level from what was refused.
-_WORSE, _OTHER = 1.2, 0.03
+_WORSE = 1.2  # times the error at the last trial: another one does not wait any longer
 _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
-
-
-class Step(Enum):
-    """What a proposal is."""
-
-    PARAMETERS = "parameters"
-    GAIN = "gain"
-    BACK = "back"
-    KNOWN = "known"
-
-
-@dataclass(frozen=True, slots=True)
-class Proposal:
-    """What is to be handed over.
-
-    Attributes
-    ----------
-    step : Step
-    model : FrictionModel or None
-        None: the model stays.
-    gain : float
-        Factor on the model's torque.
-    text : str
-        Why.
-    """
-
-    step: Step
-    model: FrictionModel | None
-    gain: float
-    text: str
-
-
-@dataclass(slots=True)
-class Figures:
-    """What has happened so far.
-
-    Attributes
-    ----------
-    kept, taken_back, stopped : int
-        Hand-overs of parameters that were kept; changes that were taken back; times that learning stopped because the
-        axis was not what it was.
-    gain : float
-        In force.
-    first_error, error : float or None
-        Root mean square of the following error with the model file, and with what was kept last, of the same work.
-    errors : dict
-        Relative standard errors of the parameters.
-    """
-
-    kept: int = 0
-    taken_back: int = 0
-    stopped: int = 0
-    gain: float = 1.0
-    first_error: float | None = None
-    error: float | None = None
-    errors: Mapping[str, float] | None = None
 
 
 @dataclass(slots=True)
@@ -129,6 +73,8 @@ class Learner:
         Time over which a change is blended.
     is_gain_fixed : bool
         The gain stays that of the configuration.
+    has_layer : bool
+        A residual layer is looked for; see `friction_hil.learning.residual`.
 
     Attributes
     ----------
@@ -148,10 +94,14 @@ class Learner:
         gain: float,
         fade_s: float,
         is_gain_fixed: bool = False,
+        has_layer: bool = True,
     ) -> None:
         self._is_gain_fixed = is_gain_fixed
         self._period_s, self._resolution, self._least_gain = period_s, resolution, gain
         self._belief: Belief = first_belief(model, mechanics, standard_errors)
+        self._has_layer, self._residual = has_layer, Residual(model)
+        self._is_turn_of_layer = False  # parameters and layer take turns
+        self._finding: Finding | None = None  # what the last window shows of a residual layer
         self._file = self._used = self._kept = self._former = Used(self._belief.x, gain)
         self._motions = Motions(self._file, _FIRST_PAUSE, period_s)
         self._resumed: Used | None = None
@@ -231,9 +181,12 @@ class Learner:
         """Take note that the last proposal was not handed over."""
         if self._trial is None:
             self._motions.now.used = self._former
+        if self._trial is not None and self._trial.step is Step.LAYER:
+            self._residual.was_refused(self._former.layer, self.figures.layer, "refused")
+        else:
+            self._wait(math.inf)
         self._trial, self._used, self._same = None, self._former, 0
         self.figures.gain = self._used.gain
-        self._wait(math.inf)
 
     @property
     def belief(self) -> Belief:
@@ -267,7 +220,11 @@ class Learner:
             return proposal
         if self._fresh >= WINDOW_TICKS:
             self._refine()
-            return None if self._trial is not None else self._propose()
+            if self._trial is not None:
+                return None
+            if self._is_turn_of_layer:
+                return self._propose_layer() or self._propose()
+            return self._propose() or self._propose_layer()
         return None
 
     def _size(self, length: float) -> str:
@@ -281,25 +238,28 @@ class Learner:
 
     def _refine(self) -> None:
         """Refine the belief by the last window."""
-        self._fresh = 0
+        self._fresh, self._finding = 0, None
         ticks = list(self._ticks)
         rows = joined(ticks)
         if not np.any(rows["velocity_demand"]):
             return
         warm_s = TICK_S * max(len(ticks) - WINDOW_TICKS, 0) if len(ticks) > WINDOW_TICKS else 2.0 * TICK_S
         try:
-            found = estimate(window_of(rows, self._period_s), self._belief, self._resolution, warm_s)
+            found = estimate(self._window(rows, self._used.layer), self._belief, self._resolution, warm_s)
         except NUMERICAL:
             return
         if found.surprise > _SURPRISE:
             self._belief = self._belief.doubted()
             try:
-                found = estimate(window_of(rows, self._period_s), self._belief, self._resolution, warm_s)
+                found = estimate(self._window(rows, self._used.layer), self._belief, self._resolution, warm_s)
             except NUMERICAL:
                 return
         self._estimate, self._belief = found, found.belief
-        self._usual = rms(self._unexplained(self._belief.x, ticks)[WARM_TICKS:])
+        self._usual = rms(self._unexplained(replace(self._used, x=self._belief.x), ticks)[WARM_TICKS:])
         self.figures.errors = self._belief.errors
+        if self._has_layer:
+            left = left_over(self._window(rows), self._belief, self._resolution, warm_s)
+            self._finding = self._residual.look(left, self._used.layer)
 
     def _propose(self) -> Proposal | None:
         """Return what is worth a trial."""
@@ -309,10 +269,8 @@ class Learner:
         level = self._belief.coordinates.model.level
         refined = self._belief.shown(self._used.x)
         if now.rest and before.rms <= _WORSE * now.refused_error:
-            other = 0.0 if now.refused is None else self._torque_change(now.refused[:-MECHANICS], refined[:-MECHANICS])
-            if other <= _OTHER * level:
-                now.rest -= 1
-                return None
+            now.rest -= 1
+            return None
         now.rest = 0
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
@@ -323,11 +281,27 @@ class Learner:
         if not is_other and abs(gain - self._used.gain) <= _GAIN_WORTH:
             self._is_gain_doubted = False
             return None
-        tried = Used(refined if is_other else self._used.x, gain)
+        tried = replace(self._used, x=refined if is_other else self._used.x, gain=gain)
         words = [f"torque changes by {100.0 * change:.1f} % of the friction level"] * is_other
         gains = f"{self._used.gain:.2f}", f"{gain:.2f}"
         words += [f"gain {gains[0]} -> {gains[1]}"] * (gains[0] != gains[1])
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
+
+    def _propose_layer(self) -> Proposal | None:
+        """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
+        found, figures = self._finding, self.figures.layer
+        if found is None or self._same < WINDOW_TICKS or self._motions.now.ranges is None:
+            return None
+        if self._used.layer is not None and found.is_spent:
+            self._residual.end(figures)
+            self._motions.now.used = replace(self._used, layer=None)
+            return self._hand_over(Step.BACK, self._motions.now.used, "the residual layer explains nothing any more")
+        before = self._work(WINDOW_TICKS)
+        is_seen = before.is_moving and before.rms >= _LEAST_COUNTS * self._resolution
+        if not (self._residual.is_worth(found, self._used.layer, figures) and is_seen):
+            return None
+        self._residual.was_tried(found, self._used.layer, figures, before.rms)
+        return self._try(Step.LAYER, replace(self._used, layer=found.layer), before, found.text)
 
     def _known_gain(self) -> float:
         """Return the share of the friction that may be commanded: the less is known of the torque, the less.
@@ -341,14 +315,17 @@ class Learner:
 
     def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:
         self._trial = _Trial(step, tried, before, text)
+        self._is_turn_of_layer = step is not Step.LAYER
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
         return self._hand_over(step, self._used.towards(tried, _FIRST_PART), text)
 
     def _hand_over(self, step: Step, to: Used, text: str) -> Proposal:
         self._former = self._used
-        is_other = not np.array_equal(to.x, self._used.x)
+        is_other = not np.array_equal(to.x, self._used.x) or to.layer != self._used.layer
         model = self._belief.coordinates.model_at(to.x[:-MECHANICS]) if is_other else None
+        if model is not None and to.layer is not None:
+            model = to.layer.on(model)
         self._used, self._same = to, 0
         self.figures.gain = to.gain
         return Proposal(step, model, to.gain, text)
@@ -381,6 +358,8 @@ class Learner:
             return self._take_back(f"error {self._size(trial.before.rms)} -> {self._size(after.rms)}: {why}")
         self._trial, self._kept = None, trial.tried
         self._motions.keep(trial.tried)
+        if trial.step is Step.LAYER:
+            self._residual.was_kept(trial.tried.layer, self.figures.layer, after.rms)
         self.figures.kept += trial.step is Step.PARAMETERS
         self.figures.error = after.rms
         shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
@@ -393,28 +372,32 @@ class Learner:
         Where friction drifts, the error with the former parameters would have risen meanwhile: no gain over before may
         be one over what would be now.
         """
-        left = [rms(self._unexplained(x, list(self._ticks))[WARM_TICKS:]) for x in (tried.x, self._motions.now.used.x)]
+        left = [rms(self._unexplained(x, list(self._ticks))[WARM_TICKS:]) for x in (tried, self._motions.now.used)]
         return left[0] < _EXPLAINS * left[1]
 
     def _take_back(self, reason: str, *, is_harmless: bool = False) -> Proposal:
         trial, self._trial = self._trial, None
-        assert trial is not None
-        self.figures.taken_back += not is_harmless
-        if not is_harmless:
+        if trial is not None and trial.step is Step.LAYER:
+            why = "without a verdict" if is_harmless else "no gain"
+            self._residual.was_refused(self._motions.now.used.layer, self.figures.layer, why)
+        elif not is_harmless:
+            assert trial is not None
+            self.figures.taken_back += 1
             self._is_gain_doubted = not self._is_gain_doubted
-            self._wait(trial.before.rms, trial.tried.x)
+            self._wait(trial.before.rms)
         return self._hand_over(Step.BACK, self._motions.now.used, reason)
 
-    def _wait(self, error: float, refused: Array | None = None) -> None:
-        """Leave the present motion without a trial for a while, longer each time, unless for something else."""
+    def _wait(self, error: float) -> None:
+        """Leave the present motion without a trial for a while, longer each time, or until it has a larger error."""
         now = self._motions.now
         now.rest, now.pause = now.pause, min(2 * now.pause, _LONGEST_PAUSE)
-        now.refused_error, now.refused = error, refused
+        now.refused_error = error
 
     def _change_motion(self) -> Proposal | None:
         """Go on with what is proven for the present motion, which is another one: the model file where nothing is."""
         now = self._motions.now
         self._trial = self._estimate = None
+        self._residual.changed_motion(now.used.layer, self.figures.layer)
         self._ticks.clear()
         self._fresh = self._same = 0
         if now.used is self._used:
@@ -433,7 +416,9 @@ class Learner:
         self._motions.interrupt()
         self._estimate = None
         self._belief = self._belief.doubted()
-        return None if self._trial is None else self._take_back(reason, is_harmless=True)
+        if is_layered := self._motions.drop_layers():  # their phase is lost where the position has jumped
+            self._residual.end(self.figures.layer)
+        return self._take_back(reason, is_harmless=True) if is_layered or self._trial is not None else None
 
     def _oddity(self, tick: dict[str, Array]) -> str | None:
         """Return why an axis is not what it was in the same motion; None if it is."""
@@ -442,31 +427,35 @@ class Learner:
         if jump := oddity.jump(joined(list(self._ticks)), tick, self._resolution):
             return f"the position jumps by {self._size(jump)}"
         if self._estimate is not None:
-            left = self._unexplained(self._belief.x, [*list(self._ticks)[-WARM_TICKS:], tick])
+            own = replace(self._used, x=self._belief.x)
+            left = self._unexplained(own, [*list(self._ticks)[-WARM_TICKS:], tick])
             if oddity.is_other_axis(left, self._usual, self._belief.coordinates.model.level):
                 return "the torque is not that of the model any more"
         return None
 
-    def _unexplained(self, x: Array, ticks: list[dict[str, Array]]) -> Array:
-        """Return the root mean square of each tick's torque (n,) that parameters leave unexplained, N m."""
-        return oddity.unexplained(x, ticks, self._belief, self._period_s, self._resolution)
+    def _unexplained(self, used: Used, ticks: list[dict[str, Array]]) -> Array:
+        """Return the root mean square of each tick's torque (n,) that a model leaves unexplained, N m."""
+        return oddity.unexplained(used, ticks, self._belief, self._period_s, self._resolution)
 
     def _fall_back(self) -> Proposal | None:
         """Return to the model file where that explains the torque clearly better than what was kept elsewhere."""
-        if self._trial is not None or np.array_equal(self._used.x, self._file.x) or len(self._ticks) < WARM_TICKS + 1:
+        is_file = np.array_equal(self._used.x, self._file.x) and self._used.layer is None
+        if self._trial is not None or is_file or len(self._ticks) < WARM_TICKS + 1:
             return None
         ticks = list(self._ticks)[-WARM_TICKS - 1 :]
-        used, file = (self._unexplained(each.x, ticks)[-1] for each in (self._used, self._file))
+        used, file = (self._unexplained(each, ticks)[-1] for each in (self._used, self._file))
         level = self._belief.coordinates.model.level
         self._misled = self._misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
         if self._misled < _MISLED_TICKS:
             return None
+        if self._used.layer is not None:
+            self._residual.end(self.figures.layer)
         self._misled, self._motions.now.used = 0, self._file
         return self._hand_over(Step.BACK, self._file, "the model file explains the torque of this motion better")
 
     def _torque_change(self, before: Array, after: Array) -> float:
         """Return the root mean square by which two sets of parameters differ along the last window, N m."""
-        window = window_of(joined(list(self._ticks)), self._period_s)
+        window = self._window(joined(list(self._ticks)))
         velocity = velocity_of(window, self._resolution)
         coordinates = self._belief.coordinates
         torques = [
@@ -486,3 +475,7 @@ class Learner:
             self._period_s,
             unsettled,
         )
+
+    def _window(self, rows: Mapping[str, Array], layer: Layer | None = None) -> Window:
+        """Return the motion of rows, and their torque without that of a layer."""
+        return window_of(rows, self._period_s, None if layer is None else layer.torque(rows["position"]))

@@ -10,11 +10,12 @@ out: they say nothing, and no time without motion makes a kind another one.
 import math
 from collections import deque
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from friction_hil.learning.judge import ALIKE
+from friction_hil.learning.residual import Layer, between
 from friction_hil.numerics.jit import Array
 
 WINDOW_TICKS = 24  # of motion, before it counts as a kind; the longest span
@@ -28,14 +29,16 @@ _MOST_KINDS = 8
 
 @dataclass(frozen=True, slots=True)
 class Used:
-    """What a compensator has: coordinates of its parameters, and its gain."""
+    """What a compensator has: coordinates of its parameters, its gain and its residual layer."""
 
     x: Array
     gain: float
+    layer: Layer | None = None
 
     def towards(self, other: "Used", part: float) -> "Used":
         """Return what lies a part of the way to another one."""
-        return Used(self.x + part * (other.x - self.x), self.gain + part * (other.gain - self.gain))
+        layer = between(self.layer, other.layer, part)
+        return Used(self.x + part * (other.x - self.x), self.gain + part * (other.gain - self.gain), layer)
 
 
 @dataclass(slots=True)
@@ -52,8 +55,6 @@ class Kind:
         Windows until the next trial.
     refused_error : float
         Root mean square of the following error before the last trial that was taken back, SI.
-    refused : (m + 3,) array or None
-        Coordinates that were taken back then.
     ranges : (2, spans, 3) array or None
         Least and most top speed, travel and mean square of the acceleration, of each span; NaN where none was so long.
         None: the motion has just begun.
@@ -63,7 +64,6 @@ class Kind:
     pause: int
     rest: int = 0
     refused_error: float = math.inf
-    refused: Array | None = None
     ranges: Array | None = None
 
 
@@ -119,6 +119,14 @@ class Motions:
         self.now.ranges = np.stack([np.fmin(known[0], seen[0]), np.fmax(known[1], seen[1])])
         self.now.used, self.now.pause = used, self._first_pause
         self._remember()
+
+    def drop_layers(self) -> bool:
+        """Take the residual layers of all motions away; return True if the present one had one."""
+        is_layered = self.now.used.layer is not None
+        for kind in (*self._kinds, self.now):
+            if kind.used.layer is not None:
+                kind.used = replace(kind.used, layer=None)
+        return is_layered
 
     def interrupt(self) -> None:
         """Take note that rows are missing: the next ones do not continue the motion."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from friction_hil.compensator.load import gravity_torque
 from friction_hil.learning.estimate import MECHANICS, Belief
+from friction_hil.learning.motions import Used
 from friction_hil.learning.window import COLUMNS, joined, velocity_of, window_of
 from friction_hil.numerics.jit import Array
 
@@ -62,16 +63,16 @@ def is_other_axis(left: Array, usual: float, level: float) -> bool:
 
 
 def unexplained(
-    x: Array, ticks: Sequence[Mapping[str, Array]], belief: Belief, period_s: float, resolution: float
+    used: Used, ticks: Sequence[Mapping[str, Array]], belief: Belief, period_s: float, resolution: float
 ) -> Array:
-    """Return the root mean square of each tick's torque (n,) that parameters leave unexplained, N m.
+    """Return the root mean square of each tick's torque (n,) that a model leaves unexplained, N m.
 
     Rows without demanded motion are left out: at rest friction has any value to break-away. 0 for a tick of rest.
 
     Parameters
     ----------
-    x : (m + 3,) array
-        Coordinates, of which those of the friction count; the mechanics are those of the belief.
+    used : Used
+        Of its coordinates those of the friction count; the mechanics are those of the belief.
     ticks : sequence of mapping
         `COLUMNS`, the same number of rows in each.
     belief : Belief
@@ -80,9 +81,9 @@ def unexplained(
         Step of the position, rad or m.
     """
     rows = joined(ticks)
-    window = window_of(rows, period_s)
+    window = window_of(rows, period_s, None if used.layer is None else used.layer.torque(rows["position"]))
     velocity = velocity_of(window, resolution)
-    model = belief.coordinates.model_at(x[:-MECHANICS])
+    model = belief.coordinates.model_at(used.x[:-MECHANICS])
     friction = model.simulate(velocity, period_s, **window.inputs())
     acceleration = np.append(np.diff(velocity), 0.0) / period_s
     inertia, static, _ = belief.x[-MECHANICS:]

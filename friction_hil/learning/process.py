@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,7 @@ from friction_hil.compensator import STATE
 from friction_hil.config import AxisConfig, Configuration, from_dict
 from friction_hil.daemon.companion import state_folder
 from friction_hil.daemon.control.ask import DaemonGoneError, Question, ask
-from friction_hil.daemon.control.message import TEXT_BYTES
-from friction_hil.daemon.learning_board import LearningBoard
+from friction_hil.daemon.learning_board import STARTING, LearningBoard, first_report
 from friction_hil.daemon.learning_service import TICK_S
 from friction_hil.daemon.ring import RingObserver
 from friction_hil.daemon.safety import LoopState
@@ -25,7 +25,9 @@ from friction_hil.errors import FrictionHilError
 from friction_hil.friction.model import as_dict
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning.estimate import Mechanics, estimate
-from friction_hil.learning.learner import Learner, Proposal, Step
+from friction_hil.learning.learner import Learner
+from friction_hil.learning.notices import described, fitting
+from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.learning.proven import Proven, digest, recall, store
 from friction_hil.learning.window import COLUMNS, Window
 from friction_hil.numerics.jit import Array
@@ -37,10 +39,8 @@ _SIMULATED_LOOK_S = 5e-4
 _LARGEST_SHARE = 0.25  # of a processor
 _NICENESS = 5
 _FOREVER = 2**62  # cycle that no run reaches
-_MOST_NAMED, _NAMED = 3, 0.005  # parameters in a notice, and their least relative change
 _ALIKE = 0.05  # differences of a proposal from the former one that are not worth another notice
 _COMPILED_S = 0.5
-_STARTING = "its process starts, and for the first time on a machine it compiles its code"
 _IDLE = "the axis is not in compensated motion"
 _BUSY = "this process has used its share of the processor"
 _NO_TORQUE = "its drive does not report the torque"
@@ -77,7 +77,7 @@ class AxisLearning:
             is_gain_fixed=given.gain_negative is not None,
         )
         self.unit = "rad" if config.model.axis == "rotary" else "m"
-        self._is_paused, self._why_paused = True, _STARTING
+        self._is_paused, self._why_paused = True, STARTING
         self._file = None if folder is None or not self.is_tried else folder / f"{name}.json"
         self._model = digest(config.model.model_dump(mode="json", exclude={"fit"}))
         self._kept = self.learner.proven
@@ -85,6 +85,7 @@ class AxisLearning:
         self._in_use = self._of_file = self.learner.in_use
         self._last = ""  # text of what has happened last
         self._proposed: dict[str, Any] | None = None
+        self._proposals: dict[Step, dict[str, Any]] = {}  # the last of each kind
         self.why_ended = ""
 
     def compile(self, resolution: float) -> None:
@@ -146,14 +147,16 @@ class AxisLearning:
         self.learner.notes.clear()
         if proposal is not None:
             after, gain = self.learner.wanted
-            text = _described(proposal, self._in_use, after, is_tried=self.is_tried)
+            text = described(proposal, self._in_use, after, self.name, is_tried=self.is_tried)
             if self.is_tried:
                 handed.append(text)
             else:
                 proposed = {"parameters": after, "gain": gain, "text": text}
-                if not _is_alike(proposed, self._proposed):
+                before = self._proposals.get(proposal.step)
+                # a residual layer is found anew each time: that there is one is said once
+                if before is None or not (proposal.step is Step.LAYER or _is_alike(proposed, before)):
                     notes.append(text)
-                self._proposed = proposed
+                self._proposals[proposal.step] = self._proposed = proposed
                 self.learner.refuse()
         self._in_use = self.learner.in_use
         self._last = [self._last, *notes, *handed][-1]
@@ -178,21 +181,19 @@ class AxisLearning:
         doing, reason = ("ended", self.why_ended) if self.why_ended else self.learner.doing
         if doing == "watching" and self._is_paused:
             doing, reason = "waiting", self._why_paused
-        return {
-            "mode": self.config.compensation.learning,
-            "unit": self.unit,
+        return first_report(self.config.compensation.learning, self.unit, figures.gain) | {
             "doing": doing,
             "reason": reason,
             "last": self._last,
             "re_identified": figures.kept,
             "taken_back": figures.taken_back,
             "stopped": figures.stopped,
-            "gain": figures.gain,
             "error_before": figures.first_error,
             "error_after": figures.error,
             "in_use": self._in_use,
             "parameters": self.learner.belief.parameters if figures.errors is not None else None,
             "relative_errors": figures.errors,
+            "residual_layer": asdict(figures.layer),
             "proposed": self._proposed,
         }
 
@@ -296,11 +297,11 @@ class Learning:
                 values |= axis.values(proposal)
         self._untold += notes
         if values:
-            reason = _fitting(handed)
+            reason = fitting(handed)
             self._untold += handed  # those that there was no room for
             self._hand_over(values, reason)
         elif self._untold:
-            self._tell(_fitting(self._untold))
+            self._tell(fitting(self._untold))
         share = (time.process_time() - self._began_cpu_s) / max(time.monotonic() - self._began_s, 1e-3)
         report = {"axes": self._reports(), "cpu_share": share}
         self._board.say(int(rows[-1, self._names.index("cycle")]), report)
@@ -330,39 +331,9 @@ class Learning:
         return elapsed > 20.0 and time.process_time() - self._began_cpu_s > _LARGEST_SHARE * elapsed
 
 
-def _described(proposal: Proposal, before: Mapping[str, float], after: Mapping[str, float], *, is_tried: bool) -> str:
-    """Return what a proposal changes and why, as a notice of the run says it."""
-    if proposal.step is Step.BACK:
-        return f"learning takes back: {proposal.text}"
-    if proposal.step is Step.KNOWN:
-        return f"learning goes on with {proposal.text}"
-    words = "learning tries" if is_tried else "learning would try"
-    shown = _changes(before, after)
-    return f"{words} {shown}: {proposal.text}" if shown else f"{words} {proposal.text}"
-
-
-def _changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
-    """Return by how much parameters change, the largest changes first: ``coulomb +42 %, viscous -7 %``."""
-    relative = {name: (after[name] - value) / abs(value) for name, value in before.items() if value}
-    named = sorted((name for name in relative if abs(relative[name]) >= _NAMED), key=lambda name: -abs(relative[name]))
-    words = [f"{name} {100.0 * relative[name]:+.0f} %" for name in named[:_MOST_NAMED]]
-    others = len(named) - len(words)
-    return ", ".join([*words, *([f"{others} more"] if others else [])])
-
-
-def _fitting(texts: list[str]) -> str:
-    """Take the first of some texts, and as many more as a notice has room for; return them in one."""
-    text = texts.pop(0)
-    while texts and len(f"{text}; {texts[0]}".encode()) <= TEXT_BYTES:
-        text = f"{text}; {texts.pop(0)}"
-    return text
-
-
-def _is_alike(proposed: Mapping[str, Any], before: Mapping[str, Any] | None) -> bool:
-    """Return True if a proposal has been made in about the same way before."""
-    if before is None or abs(proposed["gain"] - before["gain"]) > _ALIKE:
-        return False
-    return all(
+def _is_alike(proposed: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
+    """Return True if two proposals are about the same."""
+    return abs(proposed["gain"] - before["gain"]) <= _ALIKE and all(
         math.isclose(value, before["parameters"][name], rel_tol=_ALIKE)
         for name, value in proposed["parameters"].items()
     )

@@ -211,7 +211,8 @@ def _bam(content: bytes, path: str, joint: str | None) -> Stated:
 
     parameters = {"coulomb": value("friction_base")}
     model = "coulomb"
-    if given["model"] not in ("m1", "m3") and value("friction_stribeck", 0.0) > 0.0:
+    # BAM has a value of its own for what is absent, which is not zero
+    if given["model"] not in ("m1", "m3") and value("friction_stribeck") > 0.0:
         model = "stribeck"
         parameters |= {
             "static": value("friction_base") + value("friction_stribeck"),

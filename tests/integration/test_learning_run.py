@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 import friction_hil as fh
+from friction_hil.daemon.learning_board import first_report
 from friction_hil.replay.verify import verify
 from tests.processes import run
 from tests.servo_drives import TRUE_FRICTION, axis_dict
@@ -44,6 +45,7 @@ def done(tmp_path_factory):
 def test_parameters_are_handed_over_and_every_bit_is_reproduced(done):
     found, recording = done[0]["x"], done[1]["x"]
     assert found["mode"] == "on"
+    assert found.keys() == first_report("on", "rad", 0.9).keys()
     assert abs(found["parameters"]["coulomb"] / TRUE_FRICTION["coulomb"] - 1.0) < 0.05  # it was 0.3
     assert found["in_use"]["coulomb"] == pytest.approx(found["parameters"]["coulomb"], rel=0.02)
     assert np.unique(recording["change"]).size == 3  # the model file, a third of the change, and all of it

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from friction_hil.learning.learner import Step
+from friction_hil.learning.proposal import Step
 from friction_hil.learning.window import COLUMNS
 from tests.compensation_grids import TINY, grid_of
 from tools.benchmarks.learning import command, rows

@@ -3,6 +3,7 @@
 import csv
 import json
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,6 +29,19 @@ def written(tmp_path, **content):
     path = tmp_path / "axis.yaml"
     friction = {"model": "coulomb", "parameters": {"coulomb": 0.1, "viscous": 0.01}}
     path.write_text(yaml.safe_dump({"axis": "rotary", "friction": friction, **content}))
+    return path
+
+
+EXAMPLES = Path("config").resolve()
+CONFIG = str(EXAMPLES / "single_axis_csp.yaml")
+LINEAR = str(EXAMPLES / "machines" / "ball_screw.yaml")
+
+
+def with_kalman(folder):
+    """A configuration whose estimator needs the inertia."""
+    text = Path(CONFIG).read_text().replace("velocity: difference ", "velocity: kalman ")
+    path = folder / "kalman.yaml"
+    path.write_text(text.replace("models/", f"{EXAMPLES}/models/"))
     return path
 
 
@@ -256,13 +270,21 @@ def test_the_formats_share_no_file(tmp_path, capsys, monkeypatch):
         (["--to", "c", "--output", "Axis.c"], "such as axis"),
         (["--to", "urdf", "--speed", "0"], "above zero"),
         (["--to", "urdf", "--speed", "nan"], "above zero"),
+        (["--to", "urdf", "--speed", "1e200"], "too wide a range"),
+        (["--to", "c", "--config", CONFIG, "--resolution", "1e-300"], "--resolution 1e-300"),
+        (["--to", "c", "--config", with_kalman, "--resolution", "1e-5"], "kalman needs mechanics.inertia"),
+        (
+            ["--to", "c", "--config", LINEAR, "--resolution", "1e-5"],
+            "is for a rotary axis, and",
+        ),
         (["--to", "urdf", "--axis", "x"], "--axis belongs to --recording"),
         (["--to", "urdf", "--config", "a.yaml"], "does not hold"),
         (["--to", "c", "--speed", "1"], "loses none"),
     ],
 )
-def test_mistakes_are_answered(words, message, capsys, tmp_path, monkeypatch):
+def test_mistakes_are_answered(words, message, capsys, tmp_path, tmp_path_factory, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    words = [str(made(tmp_path_factory.mktemp("config"))) if callable(made) else made for made in words]
     assert main(["export", STRIBECK, *words]) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

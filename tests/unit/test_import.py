@@ -178,7 +178,13 @@ def test_copies_of_a_body_have_the_friction_of_the_one(tmp_path):
 
 def test_a_name_with_a_line_break_stays_in_the_comment(tmp_path, capsys):
     path, output = tmp_path / "m6.json", tmp_path / "axis.yaml"
-    given = {"model": "m6", "friction_base": 0.05, "friction_viscous": 0.01, "load_friction_a\nversion: 3\nx": 0.1}
+    given = {
+        "model": "m6",
+        "friction_base": 0.05,
+        "friction_viscous": 0.01,
+        "friction_stribeck": 0.0,
+        "load_friction_a\nversion: 3\nx": 0.1,
+    }
     path.write_text(json.dumps(given))
     assert main(["import", str(path), "--from", "bam", "--output", str(output)]) == 0
     assert load_model_file(output).friction.parameters["coulomb"] == 0.05
@@ -228,6 +234,12 @@ BOMB = """<!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;
         ('{"model": "m1", "friction_base": NaN}', "bam", None, "friction_base must be a finite number"),
         ('{"model": "m1", "friction_base": -1, "friction_viscous": 0}', "bam", None, "makes no model"),
         ('{"model": "m1"}', "bam", "x", "one actuator"),
+        (
+            '{"model": "m2", "friction_base": 1, "friction_viscous": 0}',
+            "bam",
+            None,
+            "friction_stribeck must be",
+        ),
         ("{}", "sdf", None, "no source 'sdf'"),
     ],
 )

@@ -16,9 +16,12 @@ from friction_hil.cli.work.control import _lines
 from friction_hil.cli.work.monitor_screen import brief_line, screen
 from friction_hil.daemon import learning_words
 from friction_hil.daemon.control.ask import ask
+from friction_hil.daemon.control.message import TEXT_BYTES
 from friction_hil.daemon.control.names import find
-from friction_hil.daemon.learning_board import LearningBoard, read_report
+from friction_hil.daemon.learning_board import STARTING, LearningBoard, first_report, read_report
 from friction_hil.daemon.learning_service import LearningService
+from friction_hil.learning.notices import described, fitting
+from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.live import LiveFigures, attach
 from friction_hil.live.web.content import _values
 from friction_hil.live.web.metrics import metrics_text
@@ -40,6 +43,7 @@ LEARNED = {
     "parameters": {"coulomb": 0.08, "sigma2": 2.01e-3},
     "relative_errors": {"coulomb": 0.012, "sigma2": 0.2},
     "proposed": None,
+    "residual_layer": {"state": ""},
 }
 SUMMARY = (
     "on: resting (no further change within 12 s of motion); re-identified 3 times, error 5.10 mrad -> 1.90 mrad, "
@@ -136,6 +140,13 @@ def test_nobody_reads_half_of_a_report():
     board.close()
 
 
+def test_an_axis_whose_process_has_said_nothing_yet_is_shown_as_starting():
+    words = {mode: learning_words.summary(first_report(mode, "m", 0.9)) for mode in ("on", "propose")}
+    assert words["on"] == f"on: waiting ({STARTING}); re-identified 0 times; gain 0.9"
+    assert words["propose"] == f"propose: waiting ({STARTING}); learning would try nothing; gain 0.9"
+    assert learning_words.parameters(first_report("on", "m", 0.9)) == ""
+
+
 def test_an_axis_that_only_proposes_says_what_it_would_do():
     words = "learning would try coulomb +14 %: torque changes by 9.3 % of the friction level, gain 0.90 -> 0.97"
     proposing = {**LEARNED, "mode": "propose", "doing": "watching", "reason": "", "gain": 0.9}
@@ -161,3 +172,19 @@ def test_a_process_that_is_not_started_any_more_is_not_shown_as_learning():
     assert board.done_cycle == 250
     service.close()
     board.close()
+
+
+def test_a_notice_names_as_many_parameters_as_it_has_room_for_and_never_loses_the_gain():
+    proposal = Proposal(Step.PARAMETERS, None, 0.97, "torque changes by 8.3 % of the friction level, gain 0.90 -> 0.97")
+    before = {f"direction.{side}.{name}": 1.0 for side in ("positive", "negative") for name in ("coulomb", "static")}
+    after = dict(zip(before, (1.2, 0.7, 1.001, 1.1), strict=True))
+    text = described(proposal, before, after, "x", is_tried=True)
+    whole = "learning tries direction.positive.static -30 %, direction.positive.coulomb +20 %, 1 more: "
+    assert text == whole + proposal.text
+    text = described(proposal, before, after, "a_long_name_of_an_axis", is_tried=False)
+    assert text == f"learning would try direction.positive.static -30 %, 2 more: {proposal.text}"
+    assert described(proposal, before, before, "x", is_tried=True) == f"learning tries {proposal.text}"
+    kept = [f"{axis}: learning keeps the gain: error 1.23 mrad -> 1.11 mrad" for axis in ("y", "z")]
+    texts = [f"x: {text}", *kept]
+    assert [fitting(texts), fitting(texts), texts] == [f"x: {text}", "; ".join(kept), []]
+    assert len("; ".join(kept).encode()) <= TEXT_BYTES < len("; ".join([text, kept[0]]).encode())

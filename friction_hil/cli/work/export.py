@@ -12,10 +12,13 @@ from friction_hil.cli.work.given_model import given_model
 from friction_hil.cli.work.model_text import value_text
 from friction_hil.compensator import Compensator
 from friction_hil.config import AxisConfig, Configuration, load
+from friction_hil.config.axis import compensation_mistakes
 from friction_hil.daemon.assembly import make_compensator
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import UsageError, choices
 from friction_hil.models.model_file import ModelFile
+
+_FINEST = 1e-15  # rad or m: no encoder resolves this; what is finer is a mistake
 
 
 def export(
@@ -121,8 +124,21 @@ def _compensator(
     file: ModelFile, configuration: Configuration, axis: str | None, resolution: float | None, delay_s: float | None
 ) -> Compensator:
     own = _axis(configuration, axis)
-    if resolution is None or not 0.0 < resolution < math.inf:
-        raise click.UsageError("--resolution R: the compensator needs the smallest step of the position, rad or m")
+    if resolution is None or not _FINEST <= resolution < math.inf:
+        given = "R" if resolution is None else f"{resolution:g}"
+        unit = "rad" if file.axis == "rotary" else "m"
+        raise click.UsageError(
+            f"--resolution {given}: the compensator needs the smallest step of the position, {unit}, such as 4.8e-5"
+        )
+    if own.model.axis != file.axis:
+        raise UsageError(
+            f"the model is for a {file.axis} axis, and the configuration for a {own.model.axis} one: its limits and "
+            "settings have other units"
+        )
+    without_learning = own.compensation.model_copy(update={"learning": "off"})  # which is not exported
+    adapted = own.model_copy(update={"model": file, "compensation": without_learning})
+    for steps, mistake in compensation_mistakes(adapted):
+        raise UsageError(f"the model does not suit the configuration: {'.'.join(map(str, steps))}: {mistake}")
     period_s = configuration.period_s
     if delay_s is not None:
         if not 0.0 <= delay_s < 1.0:

@@ -50,7 +50,7 @@ def _export_all(name: str | None, folder: Path, as_json: bool) -> None:
     chosen: dict[str, ModelFile] = {}
     if name is not None:
         family, own = _find(name)
-        chosen[identifier(Path(name.partition(":")[0]).stem)] = own or _example(family)
+        chosen[identifier(Path(name.partition(":")[0]).stem) or family.name] = own or _example(family)
     else:
         chosen |= {key: load_model_file(path) for key, path in example_models().items()}
         chosen |= {each: _example(models.describe(each)) for each in models.names()}

@@ -32,6 +32,7 @@ _CHANGING = (
     (60.0, GridMotion(kind="dwell", amplitude=0.2, frequency=0.5)),
     (60.0, GridMotion(amplitude=1.0, frequency=1.0)),
 )
+_COGGING = {7.0: 0.05, 24.0: 0.065}  # amplitude in friction levels, by order
 _HAPPENS_S = 30.0
 _STOP_S = 1.0
 
@@ -138,6 +139,37 @@ def _poor(grid: Grid) -> Cases:
                 f"{name} torque x {factor}",
                 partial(_reductions, changed, scored_s=POOR_SCORED_S, is_fixed_from_start=True),
             )
+
+
+def _residual(grid: Grid) -> Cases:
+    for name, of in _combinations(grid, ("exact",), AFTER_S):
+        level = of.believed.level
+        ripple = [{"order": order, "cosine": 0.0, "sine": share * level} for order, share in _COGGING.items()]
+        friction = of.plant.friction.model_copy(update={"modifiers": {**of.believed.modifiers, "ripple": ripple}})
+        plant = of.plant.model_copy(update={"friction": friction})
+        yield f"{name} cogging", partial(_layered, replace(of, plant=plant, settings=replace(of.settings, gain=0.9)))
+
+
+def _layered(of: Setup) -> dict[str, float]:
+    """Return the reduction of the following error with the model file, and after learning without and with a layer."""
+    period_s, end = of.settings.period_s, AFTER_S + SCORED_S
+    short = 2.0 * SCORED_S + 2.0
+    none = without(of, short).error(short - SCORED_S, short, period_s)
+    fixed = follow(of, short, is_learning=False).error(short - SCORED_S, short, period_s)
+    found = {"file_rms": none.rms / fixed.rms, "file_peak": none.peak / fixed.peak}
+    for name in ("learned", "layer"):
+        run = follow(of, end, is_learning=True, has_layer=name == "layer")
+        after = run.error(AFTER_S, end, period_s)
+        found |= {f"{name}_rms": none.rms / after.rms, f"{name}_peak": none.peak / after.peak}
+    assert run.learner is not None
+    layer = run.learner.figures.layer
+    return {
+        **found,
+        "layer_ratio_rms": found["layer_rms"] / found["learned_rms"],
+        "cpu_share": run.busy_s / end,
+        "tried": layer.tried,
+        "on": float(layer.state == "on"),
+    }
 
 
 def _drift(grid: Grid) -> Cases:
@@ -267,6 +299,7 @@ _ROWS: dict[str, Callable[[Grid], Cases]] = {
     "drift": _drift,
     "changing": _changing,
     "poor": _poor,
+    "residual": _residual,
     "catastrophes": _catastrophes,
 }
 __all__ = ["AFTER_S", "Figure", "Followed", "cases_of", "names", "summary"]
