@@ -88,7 +88,6 @@ def first_report(mode: str, unit: str, gain: float) -> dict[str, Any]:
         "in_use": {},
         "parameters": None,
         "relative_errors": None,
-        "residual_layer": None,
         "proposed": None,
         "residual_layer": {
             "state": "",
