@@ -169,7 +169,7 @@ class Residual:
                 return Finding(None, is_spent=True)
         speed = np.abs(left.velocity)
         is_moving = speed > _MOVING * float(np.max(speed, initial=0.0))
-        if np.count_nonzero(is_moving) < _STRETCHES * _PARTS:
+        if np.count_nonzero(is_moving) < _STRETCHES * _PARTS or not np.isfinite(left.torque).all():
             return Finding(None)
         weights = is_moving / np.hypot(_typical(left.torque[is_moving]), left.doubt)
         if not self._orders:
