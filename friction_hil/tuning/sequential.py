@@ -1,8 +1,9 @@
 """An experiment in parts, which ends when what is unknown of the friction does not matter any more. Pure.
 
-The parameters of one friction model and their covariance are estimated from each part by itself
-(`friction_hil.learning.estimate`), and combined with those of the parts before. The covariance gives the standard
-deviation of the compensation along the axis's own motion. It does not contain what an axis changes by from part to
+The parameters of LuGre's model and their covariance are estimated from each part by itself
+(`friction_hil.learning.estimate`), and combined with those of the parts before; without presliding, those of Stribeck's
+model are identified from where the axis slides. The covariance gives the standard deviation of the compensation along
+the axis's own motion. It does not contain what an axis changes by from part to
 part, e.g. because it warms up; by how much the last part differs from those before does. The larger of both is what is
 unknown.
 
@@ -11,6 +12,7 @@ counts of the encoder. Errors add up as squares, so that what is a seventh of th
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -22,11 +24,12 @@ from friction_hil.config import Configuration
 from friction_hil.config.trajectories import Circle, Sine, Strokes, Triangle
 from friction_hil.daemon.assembly import experiment_sweeps, periodic_path
 from friction_hil.errors import FrictionHilError
+from friction_hil.friction import FrictionModel
 from friction_hil.identification import Fit, IdentificationSettings, identify
 from friction_hil.identification.data import RegressionSegment, prepare
 from friction_hil.identification.inference import experiment as motion_that_shows
 from friction_hil.identification.least_squares import NUMERICAL
-from friction_hil.learning.coordinates import value_of
+from friction_hil.learning.coordinates import Coordinates, coordinates_of, value_of
 from friction_hil.learning.estimate import MECHANICS, Belief, Mechanics, estimate, first_belief
 from friction_hil.learning.window import Window
 from friction_hil.motion.experiment import LEAST_S, sliding_s
@@ -38,7 +41,7 @@ from friction_hil.tuning.motions import experiment_of, part_bounds, sliding_part
 
 _FIRST_S = 15.0  # the first two parts: enough for all sweeps, and two of them for a comparison
 _DIFFERENCE = 0.01  # of the following error: what is unknown may add as much to it
-_LEAST_LEFT = 0.03  # of the friction, that the best compensator leaves: its torque is late, and its model not the axis
+_LEAST_LEFT = 0.05  # of the friction, by any compensator: its torque is late, and its model not quite the axis
 _NAMED = 0.1  # of the variance: parameters with less of it are not named
 _PERIODS = 2  # of the own motion; the last one counts
 
@@ -181,9 +184,11 @@ class Observer:
 
     def __init__(self, configuration: Configuration, name: str) -> None:
         self._configuration, self._name = configuration, name
-        self._belief: Belief | None = None
-        self._left = 0.0
         self._has_presliding = False
+        self._left = 0.0
+        self._belief: Belief | None = None
+        self._slow: list[Recording] = []  # sweeps of all parts
+        self._model: FrictionModel | None = None  # of the parts so far
 
     def take(self, part: ExperimentPart) -> Unknown:
         """Return what is unknown after a further part.
@@ -203,27 +208,44 @@ class Observer:
 
     def _taken(self, part: ExperimentPart, resolution: float) -> Unknown:
         slow = sliding_part(part.recording, self._configuration, part.duration_s)
-        is_first = self._belief is None
-        if is_first:
+        if self._model is None:
             self._has_presliding = shows_presliding([part.recording])
             self._left = self._left_anyway(slow, resolution)
-        recording = part.recording if self._has_presliding else slow
-        former = self._belief or self._rough(recording)
+        former = self._model
+        take = self._take_dynamic if self._has_presliding else self._take_static
+        alone, known, covariance = take(part.recording if self._has_presliding else slow, resolution)
+        self._model = known.model
+        return self._unknown(None if former is None else (former, alone), known, covariance, resolution)
+
+    def _take_dynamic(self, recording: Recording, resolution: float) -> tuple[FrictionModel, Coordinates, Array]:
+        """Return the model that a part shows by itself, the one of all parts, and the covariance of its parameters."""
+        former = self._belief
+        if former is None:
+            kind = self._configuration.axes[self._name].model.axis
+            former = _belief(_plain_fit([recording], IdentificationSettings(families=("lugre",), axis=kind)))
         segment = max(prepare(recording), key=lambda each: len(each.torque))
         # what is known already would make a part that contradicts it look like a disturbance
         vague = replace(former, covariance=np.diag(former.first**2))
         alone = estimate(_window(segment), vague, resolution).belief
-        self._belief = alone if is_first else _combined(former, alone)
-        return self._unknown(None if is_first else (former, alone), self._belief, resolution)
+        self._belief = alone if self._belief is None else _combined(former, alone)
+        covariance = self._belief.covariance[:-MECHANICS, :-MECHANICS]
+        return alone.model, coordinates_of(self._belief.model, {}), covariance
 
-    def _rough(self, recording: Recording) -> Belief:
-        """Return parameters to begin with, which are taken to be known within a factor of two or three."""
-        if self._has_presliding:
-            kind = self._configuration.axes[self._name].model.axis
-            settings = IdentificationSettings(families=("lugre",), axis=kind)
-        else:
-            settings = sliding_settings(recording, self._configuration, ("stribeck",))
-        return _belief(identify([recording], replace(settings, has_modifiers=False, refine=False)).best)
+    def _take_static(self, slow: Recording, _: float) -> tuple[FrictionModel, Coordinates, Array]:
+        """As `_take_dynamic`, from where the axis slides."""
+        self._slow.append(slow)
+        settings = sliding_settings(slow, self._configuration, ("stribeck",))
+        fit = _plain_fit(self._slow, settings)
+        alone = fit if len(self._slow) == 1 else _plain_fit([slow], settings)
+        coordinates = coordinates_of(_model_of(fit), {})
+        found, count = fit.inference, len(coordinates.names)
+        errors, correlations = np.zeros(count), np.eye(count)
+        at = [found.names.index(name) if name in found.names else -1 for name in coordinates.names]
+        for k, i in enumerate(at):
+            if i >= 0:
+                errors[k] = min(found.standard_errors[found.names[i]] / abs(coordinates.values[k]), 1.0)
+                correlations[k] = [found.correlations[i, j] if j >= 0 else 0.0 for j in at]
+        return _model_of(alone), coordinates, correlations * np.outer(errors, errors)
 
     def _left_anyway(self, slow: Recording, resolution: float) -> float:
         """Return the share of the following error that compensation by the true model leaves."""
@@ -234,22 +256,26 @@ class Observer:
         counts = min(resolution / math.sqrt(12.0) / rms, 1.0) if rms > 0.0 else 1.0
         return math.hypot(max(1.0 - gain, _LEAST_LEFT), counts)
 
-    def _unknown(self, compared: tuple[Belief, Belief] | None, belief: Belief, resolution: float) -> Unknown:
+    def _unknown(
+        self,
+        compared: tuple[FrictionModel, FrictionModel] | None,
+        known: Coordinates,
+        covariance: Array,
+        resolution: float,
+    ) -> Unknown:
         motion, velocity, skipped = self._motion(resolution)
         dt = self._configuration.period_s
-        coordinates, x = belief.coordinates, belief.x[:-MECHANICS]
-        slopes = coordinates.simulate(x, velocity, dt)[1][skipped:]
-        level = belief.model.level
-        spread = slopes @ belief.covariance[:-MECHANICS, :-MECHANICS]
-        shares = np.mean(spread * slopes, axis=0)  # of each parameter in the mean variance
+        slopes = known.simulate(np.zeros(len(known.names)), velocity, dt)[1][skipped:]
+        level = known.model.level
+        shares = np.mean((slopes @ covariance) * slopes, axis=0)  # of each parameter in the mean variance
         variance = float(np.sum(shares))
         change = math.nan
         if compared is not None:
-            before, last = (each.model.simulate(velocity, dt)[skipped:] for each in compared)
+            before, last = (each.simulate(velocity, dt)[skipped:] for each in compared)
             change = float(np.sqrt(np.mean((last - before) ** 2))) / level
         named = {
             name: share / variance
-            for name, share in sorted(zip(coordinates.names, shares.tolist(), strict=True), key=lambda each: -each[1])
+            for name, share in sorted(zip(known.names, shares.tolist(), strict=True), key=lambda each: -each[1])
             if share > _NAMED * variance
         }
         negligible = self._left * math.sqrt((1.0 + _DIFFERENCE) ** 2 - 1.0)
@@ -274,11 +300,18 @@ class Observer:
         return experiment_of(self._name, self._configuration.axes[self._name]).duration_s
 
 
+def _plain_fit(recordings: Sequence[Recording], settings: IdentificationSettings) -> Fit:
+    return identify(recordings, replace(settings, has_modifiers=False, refine=False)).best
+
+
+def _model_of(fit: Fit) -> FrictionModel:
+    parameters, modifiers = fit.friction
+    return friction.create(fit.structure.family, modifiers=modifiers, axis=fit.structure.axis, **parameters)
+
+
 def _belief(fit: Fit) -> Belief:
     """Return the parameters of a fit, with errors as large as they are."""
-    parameters, modifiers = fit.friction
-    model = friction.create(fit.structure.family, modifiers=modifiers, axis=fit.structure.axis, **parameters)
-    found = fit.mechanics
+    model, found = _model_of(fit), fit.mechanics
     static = (
         found.get("offset", 0.0) + found.get("gravity.constant", 0.0),
         found.get("gravity.sine", 0.0),

@@ -212,7 +212,7 @@ class _Tuner:
             if unknown.is_negligible:
                 break
             if number < len(lengths):
-                self._dialog.report(f"{name}: after {length_s:g} s more: {unknown.text}")
+                self._dialog.report(f"{name}: after {sum(lengths[:number]):g} s: {unknown.text}")
         result = ExperimentResult(tuple(each.duration_s for each in parts), bounds.duration_s, unknown, problem)
         self._experiments[name] = result
         for text in (*dict.fromkeys(each for part in parts for each in part.recording.problems), result.text):

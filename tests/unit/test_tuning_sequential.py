@@ -90,7 +90,7 @@ def test_what_is_unknown_is_the_error_of_the_torque_and_falls_from_part_to_part(
     assert second.deviation < first.deviation
     assert second.is_negligible
     assert second.motion == "own"
-    off = own_torque(observer._belief.model) - own_torque(LUGRE)
+    off = own_torque(observer._model) - own_torque(LUGRE)
     assert float(np.sqrt(np.mean(off**2))) / LUGRE.level < max(3.0 * second.deviation, 0.01)
 
 
