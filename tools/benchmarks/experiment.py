@@ -1,9 +1,11 @@
 """What the experiment of `tune` loses by ending early: axes identified from all of it, and from its first parts.
 
-Each simulated axis makes both experiments without a bus. The model that is best in the rehearsal, which tune would try
-first, compensates the simulated axis on motions of other speeds and strokes.
+Each simulated axis makes both experiments without a bus. The models that tune would try compensate the simulated axis
+on motions of other speeds and strokes. The best one is shown, by the figures with which a trial decides: own motion,
+and with the same weight all others together.
 """
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -39,7 +41,7 @@ from friction_hil.tuning.two_steps import label
 from tools.benchmarks.report import machine
 from tools.benchmarks.tune import OWN as AXES
 from tools.benchmarks.tune.axes import read_axes
-from tools.benchmarks.tune.judge import Reduction, Rehearsals
+from tools.benchmarks.tune.judge import OWN, Reduction, Rehearsals
 
 _MODES = {"csp": 8, "csv": 9}
 _SHOWN = ("own", "fast", "small", "slow", "tiny")
@@ -68,6 +70,7 @@ class Row:
     experiment_s: float
     unknown: float | None
     model: str
+    tried: tuple[str, ...]
     reductions: dict[str, Reduction]
     identification_s: float
     estimates_s: float
@@ -134,26 +137,39 @@ def _compared(name: str, content: dict[str, Any], families: Sequence[str]) -> It
                 if unknown.is_negligible:
                     break
         begin = time.process_time()
-        best = _best(parts, configuration, families)
+        tried = _to_try(parts, configuration, families)
         identification_s = time.process_time() - begin
+        found = {
+            label(*each): rehearsals.reductions(ModelFile.model_validate(model_content(*each, axis))) for each in tried
+        }
+        best = max(found, key=lambda name: _score(found[name]))
         yield Row(
             name,
             is_sequential,
             sum(each.duration_s for each in parts),
             None if unknown is None else max(unknown.deviation, unknown.change),
-            label(*best),
-            rehearsals.reductions(ModelFile.model_validate(model_content(*best, axis))),
+            best,
+            tuple(found),
+            found[best],
             identification_s,
             estimates_s,
         )
 
 
-def _best(parts: Sequence[ExperimentPart], configuration: Configuration, families: Sequence[str]) -> CandidateFit:
+def _score(reductions: dict[str, Reduction]) -> float:
+    logs = {name: math.log(each.rms * each.peak) for name, each in reductions.items()}
+    own = logs.pop(OWN)
+    return own + sum(logs.values()) / len(logs)
+
+
+def _to_try(
+    parts: Sequence[ExperimentPart], configuration: Configuration, families: Sequence[str]
+) -> list[CandidateFit]:
     found = identified(parts, configuration, families, on_fit=lambda _: None, on_problem=lambda _: None)
     try:
-        return to_try(rehearse(parts[-1].recording, configuration, found))[0]
+        return to_try(rehearse(parts[-1].recording, configuration, found))
     except RecordingError:
-        return candidates(found)[0]
+        return candidates(found)
 
 
 class _Drive:
