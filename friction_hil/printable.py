@@ -29,6 +29,15 @@ def printable(text: str) -> str:
     return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
+def on_one_line(text: str) -> str:
+    r"""Replace each line break and tab by a space, and make the rest `printable`: for a line of a comment in a file.
+
+    >>> on_one_line("run\n1.mcap")
+    'run 1.mcap'
+    """
+    return printable(re.sub(r"[\t\n\v\f\r\x85\u2028\u2029]+", " ", text))
+
+
 def own_style(text: str) -> str:
     """Mark the colours and weights in ``text``, so that a `PrintableStream` sends them to a terminal.
 

@@ -49,10 +49,25 @@ def shared(folder: Path, sources: list[Path], *options: str, compiler: str = "gc
     return library
 
 
+def check(sources: list[Path], *options: str, compiler: str = "gcc") -> None:
+    """Let a compiler read sources without making anything; it must have nothing to say."""
+    command = [compiler, *COMMAND[:-2], "-fsyntax-only", *options, *map(str, sources)]
+    assert subprocess.run(command, capture_output=True, text=True).stderr == ""
+
+
 def compiled(folder: Path, subjects: list[Subject], *, single: bool = False) -> ctypes.CDLL:
-    """Compile several exports into one library."""
+    """Compile several exports into one library, with the sizes of their states as ``size_of_NAME``."""
+    lines = []
+    for each in subjects:
+        lines.append(f'#include "{each.name}.h"')
+        for kind in ("model", "compensator") if each.compensator is not None else ("model",):
+            own = f"{each.name}_{kind}"
+            lines.append(f"unsigned long size_of_{own};\nunsigned long size_of_{own} = sizeof({own});")
+    (folder / "sizes.c").write_text("\n".join(lines) + "\n")
     options = ["-O0", *(f"-D{each.name.upper()}_SINGLE" for each in subjects)] if single else ["-O1"]
-    return ctypes.CDLL(str(shared(folder, [folder / f"{each.name}.c" for each in subjects], *options)))
+    return ctypes.CDLL(
+        str(shared(folder, [folder / f"{each.name}.c" for each in subjects] + [folder / "sizes.c"], *options))
+    )
 
 
 def model_steps(library: ctypes.CDLL, name: str, rows: Any, *, single: bool = False) -> Array:

@@ -15,9 +15,9 @@ from friction_hil.export import FORMATS
 @click.option("--to", type=click.Choice(list(FORMATS)), required=True, help="Language of the export.")
 @click.option(
     "--output",
-    type=click.Path(path_type=Path),
     metavar="PATH",
-    help="Folder, or name of the files without or with suffix. Default: the name of the model file, in this folder.",
+    help="Folder that exists, or name of the files without or with suffix. Default: the name of the model file, in "
+    "this folder; of mjcf, mjcf_lugre, bam, isaaclab and ax8000 with that of the format behind it.",
 )
 @click.option("--config", type=click.Path(path_type=Path), metavar="CONFIG", help="Export the compensator, too.")
 @click.option(

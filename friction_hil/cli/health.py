@@ -5,12 +5,12 @@ from typing import Any
 
 import click
 
-from friction_hil.cli.options import option_json
+from friction_hil.cli.options import option_daemon_pace, option_json, option_reset_fault, option_simulate
 from friction_hil.cli.recording_options import recording_options
 
 
 @click.command("health")
-@click.argument("sources", metavar="NAME|RECORDING...", nargs=-1, required=True)
+@click.argument("sources", metavar="NAME|RECORDING|CONFIG...", nargs=-1, required=True)
 @recording_options
 @click.option("--linear", "is_linear", is_flag=True, help="Linear axes: m, N. Without it: rad, N m.")
 @click.option(
@@ -64,6 +64,16 @@ from friction_hil.cli.recording_options import recording_options
     "--report", type=click.Path(path_type=Path), metavar="FILE.html", help="Write a report with figures and tables."
 )
 @click.option(
+    "--fingerprint",
+    is_flag=True,
+    help="Move the axes of the configuration file that is named, as the key 'experiment' of each says and without "
+    "compensation, and judge these motions: always the same ones compare best.",
+)
+@click.option("--yes", is_flag=True, help="With --fingerprint: do not ask for confirmation before an axis moves.")
+@option_simulate
+@option_reset_fault
+@option_daemon_pace
+@click.option(
     "--metrics",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE.prom",
@@ -74,6 +84,8 @@ def command(**options: Any) -> int:
     """Show what has changed in the friction of axes, with standard errors, and never why.
 
     NAME is a service, whose recordings are in /var/lib/friction-hil/NAME; a folder stands for the recordings in it.
+    CONFIG is a configuration file, with --fingerprint.
+
     Exit status: 0 nothing has changed, 3 something has, 1 no quantity could be judged yet.
     """
     from friction_hil.cli.work.health import show_health  # imported here: --help must not wait for numba

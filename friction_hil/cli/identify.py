@@ -38,7 +38,12 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
     metavar="NAME=VALUE",
     help="Hold a parameter at a value. May be repeated.",
 )
-@click.option("--linear", "is_linear", is_flag=True, help="A linear axis: m, N, kg. Without it: rad, N m, kg m^2.")
+@click.option(
+    "--linear",
+    "is_linear",
+    is_flag=True,
+    help="A linear axis: m, N, kg. A recording of run says it itself.",
+)
 @click.option(
     "--gravity",
     type=click.Choice(["auto", "none", "constant", "pendulum"]),

@@ -87,7 +87,7 @@ def _names(context: click.Context, parameter: click.Parameter, text: str) -> tup
     help="Model file with the mechanics of the axis and, for a residual, its friction. Without it, both are identified "
     "first.",
 )
-@click.option("--linear", "is_linear", is_flag=True, help="A linear axis; --base, if given, decides.")
+@click.option("--linear", "is_linear", is_flag=True, help="A linear axis; --base or a recording of run says it itself.")
 @recording_options
 @option_lowpass
 @result_options

@@ -268,7 +268,7 @@ def _mistakes(axis: AxisConfig) -> Iterator[Mistake]:
         yield ("trajectory", "kind"), f"'none' has no set-point, but mode {axis.mode} needs one; try kind: hold"
     yield from _controller_mistakes(axis, has_setpoint)
     yield from _limit_mistakes(axis, has_setpoint)
-    yield from _compensation_mistakes(axis)
+    yield from compensation_mistakes(axis)
     names = [shadow.name for shadow in axis.shadows]
     for index, name in enumerate(names):
         if name in names[:index]:
@@ -371,7 +371,8 @@ def _learning_obstacle(axis: AxisConfig) -> str:
     return ""
 
 
-def _compensation_mistakes(axis: AxisConfig) -> Iterator[Mistake]:
+def compensation_mistakes(axis: AxisConfig) -> Iterator[Mistake]:
+    """Yield what of the compensation the axis's model does not allow."""
     given = axis.compensation
     knows_inertia = axis.model.mechanics.inertia > 0.0
     if given.velocity == "kalman" and not knows_inertia:

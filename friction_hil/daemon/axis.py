@@ -262,14 +262,14 @@ class AxisLoop:
         except TypeError:
             return False
 
-    def _note_gap(self, feedback: Feedback, state: LoopState, *, is_usable: bool) -> None:
+    def _note_gap(self, cycle: int, feedback: Feedback, state: LoopState, *, is_usable: bool) -> None:
         """Count a cycle without usable feedback, or the end of a gap."""
         self.stale_cycles += not is_usable
         if is_usable or state in ENDING:
             self.gaps.close(is_bridged=state not in ENDING)
         elif self.supervisor.has_position:  # before the first one nothing is bridged
             reason = "its position jumps further than limits.velocity allows" if feedback.is_fresh else ""
-            self.gaps.miss(feedback.missing or reason or "no reason is known")
+            self.gaps.miss(cycle, feedback.missing or reason or "no reason is known")
 
     def _count_missed(self, cycle: int) -> int:
         """Return the number of periods between the cycle before and this one."""
@@ -298,7 +298,7 @@ class AxisLoop:
         missed = self._count_missed(cycle)
         is_usable = supervisor.take(feedback, missed)
         if not is_usable or self.gaps.is_open:
-            self._note_gap(feedback, state, is_usable=is_usable)
+            self._note_gap(cycle, feedback, state, is_usable=is_usable)
         position = supervisor.position
         velocity = feedback.velocity if is_usable else compensator.velocity_estimate
         setpoint, demand = self.motion.demand(time_s, state)

@@ -11,6 +11,7 @@ from friction_hil.friction.network_model import beyond_speed
 
 _LONGEST_GAP = 10_000  # cycles; a longer one is a fault in any configuration
 _MOST_REASONS = 20
+_NAMED_WITHIN, _NAMED_SHARE = 100, 0.2  # cycles before a fault, and the missing part of them that may have caused it
 _OTHERS = "other reasons"
 _MOST_PERIODS = 1000  # of a condition that are kept apart, the last ones
 _ROUNDING = 1e-6  # of a cycle
@@ -298,17 +299,19 @@ class FeedbackGaps:
         True while feedback is missing.
     """
 
-    __slots__ = ("_gap", "bridged", "is_open", "reasons")
+    __slots__ = ("_gap", "_last_missing", "bridged", "is_open", "reasons")
 
     def __init__(self) -> None:
+        self._last_missing: deque[int] = deque(maxlen=_NAMED_WITHIN)  # cycles
         self.bridged = 0
         self.reasons: dict[str, int] = {}
         self.is_open = False  # no property: it is read in every cycle
         self._gap: list[str] = []  # reasons of the cycles since the last usable feedback
 
-    def miss(self, reason: str) -> None:
+    def miss(self, cycle: int, reason: str) -> None:
         """Take a cycle without usable feedback."""
         self.is_open = True
+        self._last_missing.append(cycle)
         if len(self._gap) < _LONGEST_GAP:
             self._gap.append(reason)
 
@@ -321,6 +324,12 @@ class FeedbackGaps:
                 self.reasons[known] = self.reasons.get(known, 0) + 1
         self._gap.clear()
         self.is_open = False
+
+    def before(self, cycle: int) -> str:
+        """Return words on the feedback that was missing in the cycles before a fault; empty if it was a few times."""
+        missing = sum(cycle - _NAMED_WITHIN <= each < cycle for each in self._last_missing)
+        few = missing < _NAMED_SHARE * _NAMED_WITHIN
+        return "" if few else f"; feedback was missing in {missing} of the {_NAMED_WITHIN} cycles before"
 
 
 _OVER_COMPENSATED = "the axis oscillates by its own compensation (limit cycle, over-compensation)"

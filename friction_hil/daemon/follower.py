@@ -128,7 +128,7 @@ class FollowerAxis(AxisLoop):
         missed = self._count_missed(cycle)
         is_usable = supervisor.take(feedback, missed)
         if not is_usable or self.gaps.is_open:
-            self._note_gap(feedback, state, is_usable=is_usable)
+            self._note_gap(cycle, feedback, state, is_usable=is_usable)
         position = supervisor.position
         velocity = feedback.velocity if is_usable else compensator.velocity_estimate
         demand = self._demand.take(cycle, feedback.position_demand if is_operating else math.nan)

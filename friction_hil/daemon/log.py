@@ -78,33 +78,32 @@ class RunLog:
         self._missed_cycle = -1  # that followed them
         self.result = LoopResult()
 
-    def fault(self, cycle: int, text: str) -> None:
-        """Keep a fault, with the periods that were missed shortly before; the same text counts once.
+    def fault(self, cycle: int, text: str, gaps: str = "") -> None:
+        """Keep a fault, with what was missing shortly before: periods, and feedback (``gaps``).
 
-        Of many, the first ones are kept, and after a reset the first ones again.
+        The same text counts once. Of many, the first ones are kept, and after a reset the first ones again.
         """
         self.has_fault = True
         if len(self._said) < _MOST_FAULTS:
-            self._keep_fault(cycle, text)
+            self._keep_fault(cycle, text, gaps)
 
-    def _keep_fault(self, cycle: int, text: str) -> None:
+    def _keep_fault(self, cycle: int, text: str, gaps: str = "") -> None:
         if text not in self._said:
             self._said.add(text)
             self.has_fault = True
-            text = self._with_missed(cycle, text)
+            if len(self._said) == 1:
+                text = _ahead_of_code(text, self._missed_before(cycle) + gaps)
             self.result.faults.append(text)
             self._sink.event(cycle, "fault", text)
 
-    def _with_missed(self, cycle: int, text: str) -> str:
-        """Return the text of a fault with the missed periods before it, ahead of its code."""
+    def _missed_before(self, cycle: int) -> str:
+        """Return words on the periods that were missed shortly before a cycle; none: empty."""
         ago_s = (cycle - self._missed_cycle) * self._period_s
-        if not self._missed or ago_s < 0.0 or ago_s > _NAMED_S or len(self._said) > 1:
-            return text
+        if not self._missed or ago_s < 0.0 or ago_s > _NAMED_S:
+            return ""
         periods = "1 period was" if self._missed == 1 else f"{self._missed} periods were"
         when = "right" if ago_s == 0.0 else f"{1e3 * ago_s:.3g} ms"
-        said = f"; {periods} missed {when} before"
-        words, bracket, code = text.rpartition(" [FH-")
-        return f"{words}{said}{bracket}{code}" if bracket else text + said
+        return f"; {periods} missed {when} before"
 
     def failure(self, cycle: int, error: Exception) -> None:
         """Keep an exception that has ended the loop as a fault; the recording gets the calls that led to it too."""
@@ -168,3 +167,9 @@ class RunLog:
         """Keep a warning."""
         self.result.warnings.append(text)
         self._sink.event(cycle, "warning", text)
+
+
+def _ahead_of_code(text: str, more: str) -> str:
+    """Return the text of a fault with more words ahead of its code."""
+    words, bracket, code = text.rpartition(" [FH-")
+    return f"{words}{more}{bracket}{code}" if bracket else text + more

@@ -125,7 +125,7 @@ class Loop:
             if update.warning is not None:
                 self._log.warn(cycle, update.warning)
             if update.fault is not None and state is not LoopState.WAITING:  # without power nothing has to be stopped
-                self._log.fault(cycle, update.fault)
+                self._log.fault(cycle, update.fault, axis.gaps.before(cycle))
         request = (REQUESTS_AFTER_FAULT if self._log.has_fault else REQUESTS)[state]
         if state is LoopState.WAITING and not (self._is_commanded or self._run.is_stop_asked):
             request = Request.LISTEN  # nothing was enabled so far, and nobody has asked to take the power of a drive

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from friction_hil.compensator import Compensator, CompensatorSettings
+from friction_hil.compensator import STATE, Compensator, CompensatorSettings
 from friction_hil.config import RecordingConfig, self_contained
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.load import only_driver
@@ -20,9 +20,10 @@ from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.journal import make_journal
 from friction_hil.daemon.control.lock import ControlSocket
 from friction_hil.daemon.control.mailbox import MailboxReader
-from friction_hil.daemon.control.service import ControlService
+from friction_hil.daemon.control.service import ControlService, Memories
 from friction_hil.daemon.figures import AxisFigures, Condition, FollowingErrors, adaptation_notice
 from friction_hil.daemon.follower import FollowerAxis
+from friction_hil.daemon.learning_board import LearningBoard, first_report
 from friction_hil.daemon.learning_service import LearningService
 from friction_hil.daemon.live_service import LiveService
 from friction_hil.daemon.log import LoopResult, Sink
@@ -34,6 +35,7 @@ from friction_hil.daemon.spawner.client import Spawner
 from friction_hil.daemon.static_torque import static_torque_note
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.daemon.tended_process import TendedProcess
+from friction_hil.daemon.uncertainty import uncertainty_table
 from friction_hil.drive import AxisFacts, Clock, Drives, FaultCode, unit_table
 from friction_hil.drive.finding import complaints
 from friction_hil.models import create
@@ -251,24 +253,29 @@ def _prepare(
     stack.callback(spawner.close)
     companion = Companion.start(job, journal, spawner.spawn)
     stack.callback(companion.close)
+    board = None
+    learning_axes = {name: axis for name, axis in configuration.axes.items() if axis.compensation.learning != "off"}
+    if settings.control is not None and learning_axes:
+        board = LearningBoard()
+        board.say(-1, {"axes": {name: _first_report(axis) for name, axis in learning_axes.items()}})
+        stack.callback(board.close)
     control = None
     if settings.control is not None:
         control_job = _control_job(configuration, settings, drives, facts, job)
         if control_job.has_network:
             _compile_plain(configuration.period_s)
-        control = ControlService(spawner.spawn, settings.control, companion.ring_descriptor, journal, control_job)
+        memories = Memories(companion.ring_descriptor, journal, None if board is None else board.descriptor)
+        control = ControlService(spawner.spawn, settings.control, memories, control_job)
         stack.callback(control.close)
     live = None
     if settings.control is not None and configuration.live is not None:
         live = LiveService(spawner.spawn, settings.control.path.stem, configuration.live)
         stack.callback(live.close)
     learning = None
-    if settings.control is not None and any(
-        axis.compensation.learning != "off" for axis in configuration.axes.values()
-    ):
+    if settings.control is not None and board is not None:
         socket = str(settings.control.path)
         learning = LearningService(
-            spawner.spawn, socket, configuration.period_s, is_simulated=settings.is_paced_by_sync
+            spawner.spawn, board, socket, configuration.period_s, is_simulated=settings.is_paced_by_sync
         )
         stack.callback(learning.close)
     return _Prepared(drives, axes, path_time, companion, control, live, learning)
@@ -385,6 +392,18 @@ def _recording_path(configuration: "Configuration", settings: SessionSettings, s
     return settings.record
 
 
+def _first_report(axis: "AxisConfig") -> dict[str, Any]:
+    """Return what is known of the learning of an axis before its process runs."""
+    given = axis.compensation
+    return first_report(given.learning, "rad" if axis.model.axis == "rotary" else "m", given.gain)
+
+
+def _place_in_state(name: str) -> int:
+    """Return the place of a value in the flat state of a compensator."""
+    assert STATE.fields is not None
+    return int(STATE.fields[name][1]) // STATE["cycle"].itemsize
+
+
 def _black_box_path(configuration: "Configuration", path: Path | None) -> Path:
     """Return the path from which those of the files of faults are made."""
     folder = None if configuration.recording is None else configuration.recording.black_box
@@ -426,4 +445,6 @@ def _job(
         budget_bytes=recording.budget_bytes,
         black_box=str(_black_box_path(configuration, path)) if settings.has_black_box else None,
         has_joint_states=recording.ros,
+        uncertainty={name: table for name, axis in configuration.axes.items() if (table := uncertainty_table(axis))},
+        factors=[_place_in_state(name) for name in ("fade", "standstill_fade", "gain_factor")],
     )

@@ -133,6 +133,8 @@ class AxisFacts:
         Units of the drive, for the table before anything is enabled.
     has_load_encoder : bool
         `Feedback.load_position` is filled.
+    takes_torque : bool
+        False: the drive has nothing by which it takes a torque in this mode, and runs without compensation.
     """
 
     name: str
@@ -146,6 +148,7 @@ class AxisFacts:
     velocity_resolution: float = 0.0
     units: tuple[UnitRow, ...] = ()
     has_load_encoder: bool = False
+    takes_torque: bool = True
 
 
 class Clock(Protocol):

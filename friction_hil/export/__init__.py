@@ -9,6 +9,7 @@
 import importlib
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,19 @@ LOSSY = {
 }
 FORMATS = {**LOSSLESS, **LOSSY}
 _LONGEST_NAME = 40
+# Formats whose files would have the name of another format's: by default theirs end in the name of the format.
+_SHARED_SUFFIX = ("mjcf", "mjcf_lugre", "bam", "isaaclab", "ax8000")
+_C_HEADERS = frozenset(
+    (*("assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646", "limits", "locale", "math"),
+     *("setjmp", "signal", "stdarg", "stdbool", "stddef", "stdint", "stdio", "stdlib", "string", "tgmath", "time"),
+     *("wchar", "wctype"))
+)  # fmt: skip
+# Names whose files or packages would hide those of the language
+_TAKEN = {
+    "c": _C_HEADERS,
+    "fmu": _C_HEADERS | {"fmu", "fmi2", "fmi3"},
+    "modelica": frozenset(("boolean", "clock", "complex", "integer", "modelica", "real", "string")),
+}
 
 __all__ = ["FORMATS", "LOSSLESS", "LOSSY", "convert", "files", "identifier", "save", "write"]
 
@@ -89,10 +103,13 @@ def convert(
 
     Parameters
     ----------
-    model, name
+    model : ModelFile, str or Path
         See `files`.
     to : str
         One of `LOSSY`.
+    name : str, optional
+        Name of the joint, and of the file; by default that of the model file, with the format behind it where two
+        formats would write the same file.
     recording : path, optional
         Recording whose speeds weigh the fit; by default all speeds of the range count alike.
     axis : str, optional
@@ -116,6 +133,9 @@ def convert(
     subject = _subject(model, to, name, None)
     at = points(subject.model_file, recording, axis=axis, speed=speed)
     converted: Converted = importlib.import_module(f"friction_hil.export.{to}").convert(subject, at)
+    if not name and to in _SHARED_SUFFIX:
+        named = {f"{subject.name}_{to}{Path(file).suffix}": text for file, text in converted.files.items()}
+        return replace(converted, files=named)
     return converted
 
 
@@ -130,7 +150,7 @@ def _subject(model: "ModelFile | str | Path", to: str, name: str, compensator: "
     if compensator is not None and not _is_of(compensator, file):
         raise UsageError("the compensator was made for another model than the one that is exported")
     chosen = name or (identifier(file.source_path.stem) if file.source_path else "") or file.friction.model
-    return Subject(_checked(chosen), file, origin, compensator)
+    return Subject(_checked(chosen, to), file, origin, compensator)
 
 
 def write(
@@ -147,7 +167,7 @@ def write(
     Raises
     ------
     UsageError
-        A file exists and ``overwrite`` is False; nothing is written then.
+        There is no such folder, or a file exists and ``overwrite`` is False; nothing is written then.
     OSError
         A file cannot be written.
     """
@@ -156,6 +176,8 @@ def write(
 
 def save(content: Mapping[str, str | bytes], folder: str | Path = ".", *, overwrite: bool = False) -> list[Path]:
     """Write the files of an export, texts or bytes by their names, into a folder; see `write`."""
+    if not Path(folder).is_dir():
+        raise UsageError(f"there is no folder {folder} to write to; create it first")
     paths = {Path(folder) / file: each for file, each in content.items()}
     for path in () if overwrite else paths:
         if path.exists():
@@ -166,17 +188,27 @@ def save(content: Mapping[str, str | bytes], folder: str | Path = ".", *, overwr
 
 
 def identifier(text: str) -> str:
-    """Return a text as a name that any language takes, in small letters; empty if nothing of it can stay."""
-    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
-    return f"axis_{name}" if name[:1].isdigit() else name
+    """Return a text as a name that any language takes, in small letters; empty if nothing of it can stay.
+
+    >>> identifier("LeftArm 2.yaml")
+    'left_arm_2_yaml'
+    """
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", text)  # AxisX is axis_x, as which it is a package of Modelica again
+    name = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_")
+    return (f"axis_{name}" if name[:1].isdigit() else name)[:_LONGEST_NAME].rstrip("_")
 
 
-def _checked(name: str) -> str:
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or len(name) > _LONGEST_NAME:
-        example = identifier(name)[:_LONGEST_NAME] or "axis_x"
+def _checked(name: str, to: str) -> str:
+    # IEC 61131-3 has no two underlines in a row, and each name is continued with one
+    if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name) or len(name) > _LONGEST_NAME:
         raise UsageError(
-            f"name: {name!r} must be small letters, digits and underlines, begin with a letter and have at most "
-            f"{_LONGEST_NAME} characters, such as {example}"
+            f"the name {name!r} of the export must be small letters and digits, with single underlines between them, "
+            f"begin with a letter and have at most {_LONGEST_NAME} characters, such as {identifier(name) or 'axis_x'}"
+        )
+    if name in _TAKEN.get(to, ()):
+        raise UsageError(
+            f"the name {name!r} of the export is that of a file or type which {to} itself has; choose another one, "
+            f"such as axis_{name}"
         )
     return name
 

@@ -12,16 +12,17 @@ import io
 from friction_hil.export.lossy import Converted, fit_viscous, judge, number
 from friction_hil.export.points import Points
 from friction_hil.export.subject import Subject, provenance
-from friction_hil.printable import printable
+from friction_hil.printable import on_one_line
 
 
 def convert(subject: Subject, points: Points) -> Converted:
     """Fit the level and the viscous factor, and write the list of objects."""
     file = subject.model_file
     fit = fit_viscous(points, points.torque(file.friction_model))
-    loss = judge(file, points, lambda at: fit.torque(at.velocity))
-    torque, angle = ("N m", "rad") if file.axis == "rotary" else ("N", "m")
     stiffness = file.friction_model.presliding_stiffness
+    shape = ["Presliding has the stiffness of the model (3144:01), not its shape."] if stiffness > 0.0 else []
+    loss = judge(file, points, lambda at: fit.torque(at.velocity), shape, ["presliding"] if shape else [])
+    torque, angle = ("N m", "rad") if file.axis == "rotary" else ("N", "m")
     rows = [
         ("3144", "02", "Static friction torque/force", fit.coulomb, torque),
         ("3144", "03", "Dynamic friction factor", fit.viscous[0], f"{torque} s/{angle}"),
@@ -36,8 +37,8 @@ def convert(subject: Subject, points: Points) -> Converted:
     else:
         notes.append("3144:01, the spring rate, is left as it is: the model has no presliding.")
     text = io.StringIO()
-    for line in [*provenance(subject), *loss.lines(), *notes]:
-        text.write(f"# {printable(line)}\n")
+    for line in [*provenance(subject), *map(on_one_line, (*loss.lines(), *notes))]:
+        text.write(f"# {line}\n")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["index", "subindex", "name", "value", "unit"])
     writer.writerows([*head, number(value), unit] for *head, value, unit in rows)

@@ -12,11 +12,12 @@ from friction_hil.export.kernels import CYCLES, MODEL_INPUTS, Program, compensat
 from friction_hil.export.subject import Subject, provenance
 
 REBASED = 1048576  # cycles, 2^20: cycle numbers stay below twice that, which single precision holds exactly
+MOST_CYCLES = 1 << 30  # longer gaps count as this: whole numbers of the source hold it with room to spare
 _LARGEST_SINGLE = 3.4e38
 _SMALLEST_SINGLE = 1.2e-38
 
 _INPUTS = (
-    ("uint32_t", "cycles", "since the last step: 1, and more after missed cycles"),
+    ("uint32_t", "cycles", f"since the last step: 1, and more after missed cycles; above {MOST_CYCLES} as that"),
     ("double", "position", "{angle}, measured"),
     ("{real}", "velocity", "{angle}/s, of the drive; only an estimator of the kind drive uses it"),
     ("{real}", "torque", "{torque}, actual torque of the drive"),
@@ -136,21 +137,21 @@ class _Part:
 
     def _compensator_step(self) -> str:
         """Return the step with the count of cycles, which goes on for ever and is kept small."""
-        lines = []
+        lines = [f"    const uint32_t passed = (in->cycles < {MOST_CYCLES}U) ? in->cycles : {MOST_CYCLES}U;"]
         for each in self.program.operands:
             value = f"in->{each.name}"
             if each.name == "cycle":
-                value = "s->cycle + (real)in->cycles"
+                value = "s->cycle + (real)passed"
             elif each.name in ("is_fresh", "is_enabled"):
                 value = f"{value} ? R(1.0) : R(0.0)"
             lines.append(f"    const {_C[each.type]} {each.name} = {value};")
-        kept = [field for field, _ in self.fields if field in CYCLES]
-        shift = "".join(f"        s->{field} -= R({REBASED}.0);\n" for field in kept)
-        call = f"    const real torque_ = {self._entry()};"
-        return (
-            f"{self.head()}\n{{\n" + "\n".join([*lines, call]) + f"\n    if (s->cycle >= R({REBASED}.0)) {{\n{shift}"
-            "    }\n    return torque_;\n}\n"
-        )
+        lines.append(f"    const real torque_ = {self._entry()};")
+        lines.append(f"    if (s->cycle >= R({REBASED}.0)) {{")
+        lines.append(f"        const real times = s->cycle / R({REBASED}.0);")
+        lines.append("        const int32_t whole_times = (int32_t)times;")
+        lines.append(f"        const real whole = R({REBASED}.0) * (real)whole_times;")
+        lines += [f"        s->{field} -= whole;" for field, _ in self.fields if field in CYCLES]
+        return f"{self.head()}\n{{\n" + "\n".join([*lines, "    }", "    return torque_;"]) + "\n}\n"
 
     def too_large(self) -> list[str]:
         """Return the names of numbers that single precision cannot hold."""
@@ -180,7 +181,9 @@ def _comment(lines: Sequence[str]) -> str:
     for line in lines:
         indent = " " * (len(line) - len(line.lstrip()) + 2)
         wrapped += textwrap.wrap(line, 116, subsequent_indent=indent, drop_whitespace=True) or [""]
-    text = "\n".join(f" * {line}".rstrip() for line in wrapped).replace("*/", "* /")
+    text = "\n".join(f" * {line}".rstrip() for line in wrapped)
+    for own, shown in (("*/", "* /"), ("/*", "/ *"), ("??", "? ?")):  # ends, beginnings, trigraphs
+        text = text.replace(own, shown)
     return "/*" + text[2:] + "\n */\n"
 
 

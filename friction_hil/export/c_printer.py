@@ -125,13 +125,15 @@ class Printer:
                 lines += self._call(statement, depth, fresh)
             case ir.If(test, then, other):
                 lines.append(f"if ({self.expression(test)}) {{")
-                inner = self._block(then, declared, depth + 1)
+                inner, is_chain = self._block(then, declared, depth + 1), False
                 while len(other) == 1 and isinstance(other[0], ir.If) and not declared.peek(other[0]):
                     lines += [inner.rstrip("\n"), f"}} else if ({self.expression(other[0].test)}) {{"]
-                    inner, other = self._block(other[0].then, declared, depth + 1), other[0].other
+                    inner, other, is_chain = self._block(other[0].then, declared, depth + 1), other[0].other, True
                 lines.append(inner.rstrip("\n"))
                 if other:
                     lines += ["} else {", self._block(other, declared, depth + 1).rstrip("\n")]
+                elif is_chain:  # MISRA C:2012, rule 15.7
+                    lines += ["} else {", "    " * (depth + 1) + "/* nothing */"]
                 lines.append("}")
             case ir.For(variable, start, stop, step, body):
                 name = _name(variable.name)

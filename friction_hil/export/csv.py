@@ -10,7 +10,7 @@ from friction_hil.export.points import Points
 from friction_hil.export.subject import Subject, provenance
 from friction_hil.friction import FrictionModel
 from friction_hil.numerics.jit import Array
-from friction_hil.printable import printable
+from friction_hil.printable import on_one_line
 
 _ROWS = 60  # of each direction
 _SLOWEST = 1e-4  # of the largest speed: the first row beside rest
@@ -29,7 +29,7 @@ def convert(subject: Subject, points: Points) -> Converted:
         own = np.zeros(at.velocity.size, int) if np.isnan(celsius[0]) else np.searchsorted(celsius, at.temperature)
         return np.asarray(columns[np.arange(own.size), own])
 
-    loss = judge(file, points, read)
+    loss = judge(file, points, read, carried=["directions"])
     torque, speed = ("N m", "rad/s") if file.axis == "rotary" else ("N", "m/s")
     names = ["torque" if np.isnan(each) else f"torque_at_{each:g}_degC" for each in celsius]
     words = [
@@ -39,8 +39,8 @@ def convert(subject: Subject, points: Points) -> Converted:
         f"Columns: velocity, {speed}; torque, {torque}, which opposes it; read it linearly between the rows.",
     ]
     text = io.StringIO()
-    for line in words:
-        text.write(f"# {printable(line)}\n")
+    for line in map(on_one_line, words):
+        text.write(f"# {line}\n")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["velocity", *names])
     writer.writerows([number(v), *(number(each) for each in row)] for v, row in zip(velocity, table, strict=True))

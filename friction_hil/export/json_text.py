@@ -6,12 +6,12 @@ from typing import Any
 
 from friction_hil.export.lossy import Loss
 from friction_hil.export.subject import Subject, provenance
-from friction_hil.printable import printable
+from friction_hil.printable import on_one_line
 
 
 def document(subject: Subject, loss: Loss, notes: Iterable[str], content: Mapping[str, Any]) -> str:
     """Return the text of a JSON file: the content, and under ``comment`` where it comes from and what it loses."""
-    comment = [*provenance(subject), *(printable(each) for each in (*loss.lines(), *notes))]
+    comment = [*provenance(subject), *map(on_one_line, (*loss.lines(), *notes))]
     return json.dumps({**content, "comment": comment}, indent=2) + "\n"
 
 

@@ -6,7 +6,7 @@ simulator is not the Coulomb level of a model with a Stribeck hump.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
 
 _NOTHING = 1e-9  # of the friction: a loss that is rounding
+MEMORY = "The memory of the model."
 _STARTS = 25  # Stribeck velocities that are tried before the search
 
 
@@ -178,7 +179,13 @@ def break_away(model: FrictionModel, points: Points) -> float:
     return float(np.mean(np.abs(model.steady_state(np.array([-slow, slow]), load_torque=load))))
 
 
-def judge(model_file: ModelFile, points: Points, exported: Callable[[Points], Array], lost: Sequence[str] = ()) -> Loss:
+def judge(
+    model_file: ModelFile,
+    points: Points,
+    exported: Callable[[Points], Array],
+    lost: Sequence[str] = (),
+    carried: Collection[str] = (),
+) -> Loss:
     """Compare an export with the model at the points.
 
     Parameters
@@ -189,48 +196,57 @@ def judge(model_file: ModelFile, points: Points, exported: Callable[[Points], Ar
         Torque of the export at points, (n,), N m or N.
     lost : sequence of str
         What else is lost.
+    carried : collection of str
+        What the export holds, or ``lost`` says in other words: "presliding", "ripple", "directions".
     """
     model = model_file.friction_model
     mirror = replace(points, velocity=-points.velocity)
     torque = points.torque(model)
     difference = torque - exported(points)
     even = 0.5 * (difference + mirror.torque(model) - exported(mirror))
-    square, lost_square = float(points.weight @ torque**2), float(points.weight @ difference**2)
+    even[(mirror.velocity < points.low) | (mirror.velocity > points.high)] = 0.0  # one direction only is in the range
+    square, rms = float(points.weight @ torque**2), math.sqrt(float(points.weight @ difference**2))
     occupied = np.flatnonzero(points.weight > 0.0)
     at = occupied[np.argmax(np.abs(difference[occupied]))]
     return Loss(
-        rms=math.sqrt(lost_square),
-        relative=math.sqrt(lost_square / square) if square > 0.0 else 0.0,
+        rms=rms,
+        relative=rms / math.sqrt(square) if square > 0.0 else 0.0,
         largest=float(difference[at]),
         velocity=float(points.velocity[at]),
         temperature=float(points.temperature[at]),
-        between_directions=math.sqrt(float(points.weight @ even**2)),
+        # a direction that is seldom taken counts little in rms
+        between_directions=0.0 if "directions" in carried else min(rms, math.sqrt(float(points.weight @ even**2))),
         origin=points.origin,
-        lost=(*lost, *not_steady(model_file)),
+        lost=(*lost, *not_steady(model_file, carried)),
         axis=model_file.axis,
         points=points,
         difference=difference,
     )
 
 
-def not_steady(model_file: ModelFile) -> list[str]:
-    """Return sentences about the friction that no steady curve over velocity shows, with its size."""
+def not_steady(model_file: ModelFile, carried: Collection[str] = ()) -> list[str]:
+    """Return sentences about the friction that no steady curve over velocity shows, with its size.
+
+    Those about ``carried``, "presliding" and "ripple", are left out.
+    """
     model = model_file.friction_model
     torque, angle = ("N m", "rad") if model.axis == "rotary" else ("N", "m")
     lost = []
-    if (stiffness := model.presliding_stiffness) > 0.0:
+    if "presliding" in carried:
+        pass
+    elif (stiffness := model.presliding_stiffness) > 0.0:
         lost.append(
             f"Presliding: the torque builds up over about {model.level / stiffness:.3g} {angle} after a reversal."
         )
     elif not model.family.is_static or model.network is not None:
-        lost.append("The memory of the model.")
+        lost.append(MEMORY)
     if "load" in model.modifiers:
         factors = model.modifiers["load"]
         lost.append(f"Load: {factors['motoring']:g} (motoring) and {factors['driven']:g} (driven) of the load torque.")
     elif model.depends_on_load:
         lost.append("Load: the network's dependence on it; fitted without load.")
     ripple = [math.hypot(each["cosine"], each["sine"]) for each in model.modifiers.get("ripple", [])]
-    if ripple:
+    if ripple and "ripple" not in carried:
         lost.append(f"Ripple over position: harmonics of up to {max(ripple):.3g} {torque}.")
     if model_file.mechanics.backlash > 0.0:
         lost.append(f"Backlash: {model_file.mechanics.backlash:.3g} {angle}.")

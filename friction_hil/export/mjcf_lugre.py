@@ -8,7 +8,7 @@ motor is nothing but friction.
 
 import math
 
-from friction_hil.export.lossy import Converted, Stribeck, fit_stribeck, judge, number
+from friction_hil.export.lossy import MEMORY, Converted, Stribeck, fit_stribeck, judge, number
 from friction_hil.export.mjcf import armature, document, notes
 from friction_hil.export.points import Points
 from friction_hil.export.subject import Subject
@@ -24,7 +24,7 @@ def convert(subject: Subject, points: Points) -> Converted:
     file = subject.model_file
     model = file.friction_model
     fit = fit_stribeck(points, points.torque(model), _POWERS)
-    stiffness, why = _stiffness(model, fit)
+    stiffness, lost = _stiffness(model, fit)
     lugre = (
         stiffness,
         _bristle_damping(model),
@@ -35,7 +35,11 @@ def convert(subject: Subject, points: Points) -> Converted:
     cogging = _cogging(model)
     parameters = {"lugre": list(lugre), "damping": list(fit.sliding.viscous), **armature(file)}
     parameters |= {"cogging": list(cogging)} if cogging else {}
-    loss = judge(file, points, lambda at: fit.torque(at.velocity), [why] if why else [])
+    carried = ["presliding"]
+    if cogging:
+        carried.append("ripple")
+        lost += _other_ripple(model, cogging)
+    loss = judge(file, points, lambda at: fit.torque(at.velocity), lost, carried)
     joint = {"damping": _words(fit.sliding.viscous), **{name: number(each) for name, each in armature(file).items()}}
     motor = {
         "name": f"{subject.name}_friction",
@@ -52,16 +56,19 @@ def convert(subject: Subject, points: Points) -> Converted:
     return Converted({f"{subject.name}.xml": text}, parameters, loss)
 
 
-def _stiffness(model: FrictionModel, fit: Stribeck) -> tuple[float, str]:
-    """Return the stiffness of the bristles, and what is lost with it."""
+def _stiffness(model: FrictionModel, fit: Stribeck) -> tuple[float, list[str]]:
+    """Return the stiffness of the bristles, and what is lost of presliding."""
     level = fit.sliding.coulomb + fit.hump
     if (own := model.presliding_stiffness) > 0.0:
-        return float(
-            model.parameters.get("sigma0", own)
-        ), "" if model.name == "lugre" else "Presliding has the stiffness of the model, not its shape."
-    return level / (
-        fit.velocity * _STATIC_DEFLECTION_S
-    ), "The model has no presliding; LuGre needs some: see stiffness."
+        lost = [] if model.name == "lugre" else ["Presliding has the stiffness of the model, not its shape."]
+        if model.name == "lugre" and model.parameters["sigma1"] > 0.0 and not _bristle_damping(model):
+            lost = ["The damping of the bristles is left out: it falls with the velocity, and that of MuJoCo does not."]
+        return float(model.parameters.get("sigma0", own)), lost
+    if level == 0.0:
+        return 0.0, []
+    travel, angle = fit.velocity * _STATIC_DEFLECTION_S, "rad" if model.axis == "rotary" else "m"
+    added = f"The model has no presliding; in MuJoCo the torque builds up over {travel:.3g} {angle} after a reversal."
+    return level / travel, [*([] if model.family.is_static and model.network is None else [MEMORY]), added]
 
 
 def _bristle_damping(model: FrictionModel) -> float:
@@ -84,6 +91,16 @@ def _cogging(model: FrictionModel) -> tuple[float, float, float] | None:
     largest = max(whole, key=lambda each: math.hypot(each["cosine"], each["sine"]))
     amplitude = math.hypot(largest["cosine"], largest["sine"])
     return amplitude, float(largest["order"]), math.atan2(-largest["cosine"], -largest["sine"])
+
+
+def _other_ripple(model: FrictionModel, cogging: tuple[float, float, float]) -> list[str]:
+    """Return a sentence about the harmonics that are not carried."""
+    others = [
+        math.hypot(each["cosine"], each["sine"])
+        for each in model.modifiers["ripple"]
+        if float(each["order"]) != cogging[1]
+    ]
+    return [f"Ripple over position: other harmonics of up to {max(others):.3g} N m."] if others else []
 
 
 def _cogging_note(model: FrictionModel, cogging: tuple[float, float, float] | None) -> list[str]:

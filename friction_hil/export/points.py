@@ -19,6 +19,7 @@ from friction_hil.recordings.segments import LEAST_KNOWN_FRACTION, even_signals,
 _CELLS = 200  # of the velocity, on each side of rest
 _SLOWEST = 1e-4  # of the largest speed: below it the axis counts as resting
 _TEMPERATURES = 5
+_MOST = 1e100  # of velocity and torque, whose squares are fitted
 _TEMPERATURE_SPAN = 20.0  # K to either side of the reference, where no recording tells the temperatures
 
 
@@ -106,7 +107,10 @@ def points(
             origin += f"; the model was identified at {_span(*known, model)} only"
     edges = _edges(low, high)
     velocity, temperature, weight = _combined(edges, celsius, samples, measured)
-    return Points(velocity, temperature, weight, low, high, origin)
+    found = Points(velocity, temperature, weight, low, high, origin)
+    if not max(-low, high, np.max(np.abs(found.torque(model)))) < _MOST:
+        raise UsageError(f"{_span(low, high, model)} is too wide a range to fit in; --speed V gives a narrower one")
+    return found
 
 
 def _combined(

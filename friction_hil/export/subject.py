@@ -1,13 +1,14 @@
 """What is exported: a model file, perhaps with a compensator, and where it comes from."""
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 from friction_hil import __version__
 from friction_hil.compensator import Compensator
 from friction_hil.models.model_file import ModelFile
-from friction_hil.printable import printable
+from friction_hil.printable import on_one_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,7 @@ class Subject:
 
 def provenance(subject: Subject) -> list[str]:
     """Return the lines of the comment: software, model, recordings, errors, standard errors, range of validity."""
-    return [printable(line) for line in _provenance(subject)]
+    return [on_one_line(line) for line in _provenance(subject)]
 
 
 def _provenance(subject: Subject) -> Iterator[str]:
@@ -54,26 +55,39 @@ def _fit(fit: Mapping[str, Any] | None) -> Iterator[str]:
         return
     if "software" in fit:
         yield f"Identified by {fit['software']}."
-    for recording in fit.get("recordings") or []:
+    for recording in _listed(fit.get("recordings")):
         path = recording.get("path", recording) if isinstance(recording, Mapping) else recording
         yield f"Recording: {path}"
     for key, text in (("train", "Error of the fit"), ("cross_validation", "of cross-validation"),
                       ("validation", "of other recordings")):  # fmt: skip
         error = fit.get(key)
-        if isinstance(error, Mapping) and "rmse" in error:
-            relative = f", {100.0 * error['relative_error']:.3g} %" if "relative_error" in error else ""
-            yield f"{text}: {error['rmse']:.4g} RMS{relative}"
+        if isinstance(error, Mapping) and _is_number(error.get("rmse")):
+            relative = error.get("relative_error")
+            percent = f", {100.0 * relative:.3g} %" if _is_number(relative) else ""
+            yield f"{text}: {error['rmse']:.4g} RMS{percent}"
     ranges = fit.get("range")
     if isinstance(ranges, Mapping):
         for name, ends in ranges.items():
             yield f"Valid for {name}: {_value(ends)}"
-    for flag in fit.get("flags") or []:
+    for flag in _listed(fit.get("flags")):
         yield f"Flag: {flag}"
 
 
 def _error(fit: Mapping[str, Any] | None, name: str) -> str:
-    error = ((fit or {}).get("standard_errors") or {}).get(name)
-    return f" +- {error:.2g}" if isinstance(error, float | int) else ""
+    errors = (fit or {}).get("standard_errors")
+    error = errors.get(name) if isinstance(errors, Mapping) else None
+    return f" +- {error:.2g}" if _is_number(error) else ""
+
+
+def _listed(value: object) -> Sequence[Any]:
+    """Return what stands in a list; a model file that somebody wrote by hand may have one value in its place."""
+    if value is None:
+        return []
+    return value if isinstance(value, list | tuple) else [value]
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, float | int) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _value(value: object) -> str:

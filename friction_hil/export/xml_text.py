@@ -5,12 +5,12 @@ from xml.sax.saxutils import quoteattr
 
 from friction_hil.export.lossy import Loss, number
 from friction_hil.export.subject import Subject, provenance
-from friction_hil.printable import printable
+from friction_hil.printable import on_one_line
 
 
 def head(subject: Subject, loss: Loss, notes: Iterable[str] = ()) -> str:
     """Return the comment of an export: where it comes from, what it loses, notes."""
-    lines = [*provenance(subject), *(printable(each) for each in (*loss.lines(), *notes))]
+    lines = [*provenance(subject), *map(on_one_line, (*loss.lines(), *notes))]
     body = "\n".join("  " + _without_double_hyphens(line) for line in lines)
     return f"<!--\n{body}\n-->"
 

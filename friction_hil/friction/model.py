@@ -380,6 +380,10 @@ class FrictionModel:
             network_runs.add_steady_curve(self.network.values, v, load[0], celsius[0], torque)
         return torque
 
+    def places_of(self, name: str) -> list[tuple[int, float]]:
+        """Return index and factor of each element of ``values`` in which the number called ``name`` is."""
+        return [(index, factor) for index, (each, factor) in enumerate(self._packed_names) if each == name]
+
     def dissipated_energy(self, velocity: ArrayLike, dt: ArrayLike, **inputs: Any) -> Array:
         """Compute the work done against friction, from the start of the record to the end of each sample.
 

@@ -81,6 +81,17 @@ class Belief:
         return dict(zip(self.coordinates.names, deviations.tolist(), strict=False))
 
     @property
+    def uncertainty(self) -> tuple[dict[str, float], list[tuple[str, str, float]]]:
+        """Standard error of each parameter of the friction, in its unit, and the correlation of each pair."""
+        names, m = self.coordinates.names, len(self.coordinates.names)
+        slopes = self.coordinates.slopes(self.x[:-MECHANICS])
+        covariance = self.covariance[:m, :m] * np.outer(slopes, slopes)
+        errors = np.sqrt(np.diag(covariance))
+        correlations = covariance / np.outer(errors, errors)
+        pairs = [(names[i], names[j], float(correlations[i, j])) for i in range(m) for j in range(i)]
+        return dict(zip(names, errors.tolist(), strict=True)), pairs
+
+    @property
     def parameters(self) -> dict[str, float]:
         """Parameters of the friction by name."""
         values = self.coordinates.at(self.x[:-MECHANICS])
@@ -160,15 +171,52 @@ class Estimate:
         standard deviations; about 1 or less if it does not.
     torque_error : float
         Standard deviation of the friction torque along this motion by the errors of the parameters, N m.
-    misfit : float
-        Root mean square of what the parameters cannot explain, N m.
     """
 
     belief: Belief
     residual: float
     surprise: float
     torque_error: float
-    misfit: float
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOver:
+    """What a belief leaves of the torque of a record; arrays of rows, (k,).
+
+    Attributes
+    ----------
+    position, velocity : array
+    torque : array
+        Measured less explained torque, N m.
+    slopes : (k, m + 3) array
+        Derivatives of ``torque`` over the coordinates of the belief.
+    doubt : array
+        Change of the friction within a period, N m: what is not known of when in a period it happened.
+    seconds : float
+        Length of the record.
+    """
+
+    position: Array
+    velocity: Array
+    torque: Array
+    slopes: Array
+    doubt: Array
+    seconds: float
+
+
+def left_over(window: Window, belief: Belief, resolution: float, skipped_s: float = 0.0) -> LeftOver:
+    """Return what a belief leaves of the torque of a record; parameters as in `estimate`."""
+    problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
+    torque, slopes = problem.residual(belief.x)
+    k = problem.rows
+    return LeftOver(
+        window.position[k],
+        problem.velocity[k],
+        torque,
+        slopes,
+        problem.doubt(belief.x),
+        torque.size * window.period_s,
+    )
 
 
 class _Problem:
@@ -210,9 +258,13 @@ class _Problem:
         period_s = self.window.period_s
         near = _near(left, period_s)
         size = np.maximum(near, max(float(np.quantile(near, _EQUAL_PART)), _QUANTUM * self.level))
-        size = np.hypot(size, _TIMING * np.abs(np.gradient(self.friction(x)))[self.rows])
+        size = np.hypot(size, self.doubt(x))
         whitened = left / size
         return np.asarray(1.0 / (size * math.sqrt(_correlation_time(whitened, round(_CORRELATED_S / period_s)))))
+
+    def doubt(self, x: Array) -> Array:
+        """Return the torque (k,) that is uncertain because it changes within a period."""
+        return np.asarray(_TIMING * np.abs(np.gradient(self.friction(x)))[self.rows])
 
     def friction(self, x: Array) -> Array:
         """Return the friction torque (n,)."""
@@ -266,7 +318,6 @@ def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float
         residual=float(np.sqrt(np.average(left**2, weights=weights**2))),
         surprise=surprise,
         torque_error=float(np.sqrt(np.mean(variance))),
-        misfit=float(np.sqrt(np.mean(_near(left, window.period_s) ** 2))),
     )
 
 

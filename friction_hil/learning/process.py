@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,19 @@ from friction_hil.compensator import STATE
 from friction_hil.config import AxisConfig, Configuration, from_dict
 from friction_hil.daemon.companion import state_folder
 from friction_hil.daemon.control.ask import DaemonGoneError, Question, ask
-from friction_hil.daemon.learning_service import TICK_S, LearningBoard
+from friction_hil.daemon.learning_board import STARTING, LearningBoard, first_report
+from friction_hil.daemon.learning_service import TICK_S
 from friction_hil.daemon.ring import RingObserver
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import FrictionHilError
 from friction_hil.friction.model import as_dict
-from friction_hil.learning.estimate import Mechanics
-from friction_hil.learning.learner import COLUMNS, Learner, Proposal
+from friction_hil.identification.least_squares import NUMERICAL
+from friction_hil.learning.estimate import Mechanics, estimate
+from friction_hil.learning.learner import COLUMNS, Learner, Proposal, Step
+from friction_hil.learning.notices import described, fitting
 from friction_hil.learning.proven import Proven, digest, recall, store
+from friction_hil.learning.window import Window
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
 
@@ -33,6 +38,12 @@ _SIMULATED_LOOK_S = 5e-4
 _LARGEST_SHARE = 0.25  # of a processor
 _NICENESS = 5
 _FOREVER = 2**62  # cycle that no run reaches
+_ALIKE = 0.05  # differences of a proposal from the former one that are not worth another notice
+_COMPILED_S = 0.5
+_IDLE = "the axis is not in compensated motion"
+_BUSY = "this process has used its share of the processor"
+_NO_TORQUE = "its drive does not report the torque"
+_FOREIGN = "the settings were changed by somebody else, or before its process began again"
 
 
 class AxisLearning:
@@ -65,11 +76,24 @@ class AxisLearning:
             is_gain_fixed=given.gain_negative is not None,
         )
         self.unit = "rad" if config.model.axis == "rotary" else "m"
-        self._is_paused = True
+        self._is_paused, self._why_paused = True, STARTING
         self._file = None if folder is None or not self.is_tried else folder / f"{name}.json"
         self._model = digest(config.model.model_dump(mode="json", exclude={"fit"}))
         self._kept = self.learner.proven
         self._is_begun = self._file is None
+        self._in_use = self._of_file = self.learner.in_use
+        self._last = ""  # text of what has happened last
+        self._proposed: dict[str, Any] | None = None
+        self._proposals: dict[Step, dict[str, Any]] = {}  # the last of each kind
+        self.why_ended = ""
+
+    def compile(self, resolution: float) -> None:
+        """Compile what an estimate needs: for the first time on a machine, rows would be lost meanwhile."""
+        time_s = np.arange(round(_COMPILED_S / self.period_s)) * self.period_s
+        position, nothing = np.sin(math.tau * time_s), np.zeros(time_s.size)
+        window = Window(self.period_s, position, nothing, position, nothing, np.full(time_s.size, math.nan))
+        with contextlib.suppress(*NUMERICAL):  # of this motion, which no axis makes, the result does not matter
+            estimate(window, self.learner.belief, resolution)
 
     def take(self, rows: Mapping[str, Array]) -> Proposal | None:
         """Take the rows of a tick; those of an axis that is not compensated in motion only end a trial."""
@@ -80,10 +104,11 @@ class AxisLearning:
             if not self._is_begun:
                 self._resume(float(rows["temperature_estimate"][-1]))
             return self.learner.take({**rows, "torque": rows["torque"] / self.config.model.mechanics.torque_ratio})
-        return self.skip()
+        return self.skip(_IDLE)
 
-    def skip(self) -> Proposal | None:
+    def skip(self, reason: str) -> Proposal | None:
         """Leave a tick out; what is on trial then is taken back."""
+        self._why_paused = reason
         if self._is_paused:
             return None
         self._is_paused = True
@@ -111,29 +136,64 @@ class AxisLearning:
             return f"{self.name}: what was learned cannot be kept for the next run: {self._file}: {error.strerror}"
         return ""
 
+    def take_note(self, proposal: Proposal | None) -> tuple[list[str], list[str]]:
+        """Return what is to be said after a tick, and the text of what is to be handed over, if anything.
+
+        A proposal of an axis that only proposes is refused.
+        """
+        notes: list[str] = list(self.learner.notes)
+        handed: list[str] = []
+        self.learner.notes.clear()
+        if proposal is not None:
+            after, gain = self.learner.wanted
+            text = described(proposal, self._in_use, after, self.name, is_tried=self.is_tried)
+            if self.is_tried:
+                handed.append(text)
+            else:
+                proposed = {"parameters": after, "gain": gain, "text": text}
+                before = self._proposals.get(proposal.step)
+                # a residual layer is found anew each time: that there is one is said once
+                if before is None or not (proposal.step is Step.LAYER or _is_alike(proposed, before)):
+                    notes.append(text)
+                self._proposals[proposal.step] = self._proposed = proposed
+                self.learner.refuse()
+        self._in_use = self.learner.in_use
+        self._last = [self._last, *notes, *handed][-1]
+        return [f"{self.name}: {text}" for text in notes], [f"{self.name}: {text}" for text in handed]
+
     def values(self, proposal: Proposal) -> dict[str, Any]:
         """Return what is to be set for a proposal."""
         values: dict[str, Any] = {f"{self.name}.gain": proposal.gain}
         if proposal.model is not None:
             content = self.config.model.model_dump(mode="json")
             content["friction"] |= as_dict(proposal.model)
+            if self._in_use != self._of_file:  # else the errors of the file hold
+                errors, correlations = self.learner.belief.uncertainty
+                fit = {"standard_errors": errors, "correlations": [list(pair) for pair in correlations]}
+                content["fit"] = {**(content["fit"] or {}), **fit}
             values[f"{self.name}.model"] = content
         return values
 
     def report(self) -> dict[str, Any]:
         """Return what has happened so far, for `run --json`."""
         figures = self.learner.figures
-        return {
-            "mode": self.config.compensation.learning,
-            "unit": self.unit,
+        doing, reason = ("ended", self.why_ended) if self.why_ended else self.learner.doing
+        if doing == "watching" and self._is_paused:
+            doing, reason = "waiting", self._why_paused
+        return first_report(self.config.compensation.learning, self.unit, figures.gain) | {
+            "doing": doing,
+            "reason": reason,
+            "last": self._last,
             "re_identified": figures.kept,
             "taken_back": figures.taken_back,
             "stopped": figures.stopped,
-            "gain": figures.gain,
             "error_before": figures.first_error,
             "error_after": figures.error,
+            "in_use": self._in_use,
             "parameters": self.learner.belief.parameters if figures.errors is not None else None,
             "relative_errors": figures.errors,
+            "residual_layer": asdict(figures.layer),
+            "proposed": self._proposed,
         }
 
 
@@ -159,15 +219,22 @@ class Learning:
         self._every = round(TICK_S / configuration.period_s)
         facts = {fact["name"]: AxisFacts(**{**fact, "units": ()}) for fact in answer["facts"]}
         self._axes: dict[int, AxisLearning] = {}
+        self._all: list[AxisLearning] = []
         for number, (name, axis) in enumerate(configuration.axes.items()):
             if axis.compensation.learning == "off":
                 continue
-            if facts[name].torque_delay_s is None:
-                self._tell(f"{name}: nothing is learned: its drive does not report the torque")
-                continue
             # a simulated run begins as every other one
             folder = None if is_simulated else state_folder() / "learning" / socket.stem
-            self._axes[number] = AxisLearning(name, axis, facts[name], configuration.period_s, folder)
+            one = AxisLearning(name, axis, facts[name], configuration.period_s, folder)
+            self._all.append(one)
+            if facts[name].torque_delay_s is None:
+                one.why_ended = _NO_TORQUE
+                self._tell(f"{name}: nothing is learned: {_NO_TORQUE}")
+            else:
+                self._axes[number] = one
+        board.say(-1, {"axes": self._reports(), "cpu_share": 0.0})
+        for one in self._axes.values():
+            one.compile(facts[one.name].position_resolution)
         names, width = list(answer["columns"]), len(answer["columns"]) + answer["state_width"]
         fields = STATE.fields
         assert fields is not None
@@ -179,6 +246,7 @@ class Learning:
         self._rows = np.empty((0, self._wanted.size))
         self._own = 0.0  # number of the last change that learning has made
         self._foreign = False
+        self._untold: list[str] = []  # there is room for one or two texts a tick
         self._began_s, self._began_cpu_s = time.monotonic(), time.process_time()
 
     @property
@@ -189,7 +257,7 @@ class Learning:
     def look(self) -> bool:
         """Take what is new; return True if there was a tick."""
         if not self._axes:
-            self._board.say(_FOREVER, {})
+            self._board.say(_FOREVER, {"axes": self._reports(), "cpu_share": 0.0})
             return False
         rows = np.concatenate([self._rows, self._ring.new_rows(self._wanted)])
         cycles = rows[:, self._names.index("cycle")]
@@ -206,38 +274,39 @@ class Learning:
     def _take(self, rows: Array) -> None:
         """Take the rows of a tick of all axes."""
         values: dict[str, Any] = {}
-        texts = []
+        notes: list[str] = []
+        handed: list[str] = []
         for axis, part in zip(self._axes.values(), np.split(rows, len(self._axes), axis=1), strict=True):
             named = dict(zip(self._names, np.ascontiguousarray(part.T), strict=True))
             change = float(np.nanmax(named[columns.CHANGE], initial=0.0))
             if change > self._own and not self._foreign:
                 self._foreign = True
-                self._tell(
-                    "learning ends: the settings were changed by somebody else, or before its process began again"
-                )
+                for each in self._axes.values():
+                    each.why_ended = _FOREIGN
+                self._untold.append(f"learning ends: {_FOREIGN}")
             if self._foreign:
                 continue
             is_left_out = not self._is_simulated and self._is_too_busy()
-            proposal = axis.skip() if is_left_out else axis.take(named)
-            texts += [f"{axis.name}: {note}" for note in axis.learner.notes]
-            axis.learner.notes.clear()
+            proposal = axis.skip(_BUSY) if is_left_out else axis.take(named)
+            more_notes, more_handed = axis.take_note(proposal)
+            notes, handed = [*notes, *more_notes], [*handed, *more_handed]
             if text := axis.keep(float(named["temperature_estimate"][-1])):
-                texts.append(text)
-            if proposal is None:
-                continue
-            if axis.is_tried:
+                notes.append(text)
+            if proposal is not None and axis.is_tried:
                 values |= axis.values(proposal)
-                texts.append(f"{axis.name}: learning: {proposal.text}")
-            else:
-                texts.append(f"{axis.name}: learning would try: {proposal.text}")
-                axis.learner.refuse()
+        self._untold += notes
         if values:
-            self._hand_over(values, "; ".join(texts))
-        elif texts:
-            self._tell("; ".join(texts))
+            reason = fitting(handed)
+            self._untold += handed  # those that there was no room for
+            self._hand_over(values, reason)
+        elif self._untold:
+            self._tell(fitting(self._untold))
         share = (time.process_time() - self._began_cpu_s) / max(time.monotonic() - self._began_s, 1e-3)
-        axes = {axis.name: axis.report() for axis in self._axes.values()}
-        self._board.say(int(rows[-1, self._names.index("cycle")]), {"axes": axes, "cpu_share": share})
+        report = {"axes": self._reports(), "cpu_share": share}
+        self._board.say(int(rows[-1, self._names.index("cycle")]), report)
+
+    def _reports(self) -> dict[str, Any]:
+        return {axis.name: axis.report() for axis in self._all}
 
     def _hand_over(self, values: Mapping[str, Any], text: str) -> None:
         try:
@@ -259,6 +328,14 @@ class Learning:
         """Return True if learning has taken more than its share: then it goes more slowly."""
         elapsed = time.monotonic() - self._began_s
         return elapsed > 20.0 and time.process_time() - self._began_cpu_s > _LARGEST_SHARE * elapsed
+
+
+def _is_alike(proposed: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
+    """Return True if two proposals are about the same."""
+    return abs(proposed["gain"] - before["gain"]) <= _ALIKE and all(
+        math.isclose(value, before["parameters"][name], rel_tol=_ALIKE)
+        for name, value in proposed["parameters"].items()
+    )
 
 
 def main(socket: str, board: int, pace: str) -> None:

@@ -19,6 +19,7 @@ from friction_hil.daemon.control import journal
 from friction_hil.daemon.control.ask import DaemonGoneError, Question
 from friction_hil.daemon.control.names import candidates, find, is_live
 from friction_hil.daemon.control.state import STANDS_S
+from friction_hil.daemon.learning_board import read_report
 from friction_hil.daemon.ring import RingObserver
 from friction_hil.drive.codes import code_of
 from friction_hil.errors import FrictionHilError
@@ -126,8 +127,8 @@ class Watch:
 def _live(path: Path, identity: tuple[int, int] | None, answer: Mapping[str, Any], descriptors: list[int]) -> "Live":
     """Return the daemon that has answered; the descriptors are its own then."""
     try:
-        ring, changes = descriptors
-        live = Live(answer, ring, changes, lambda: _identity(path) == identity and is_live(path))
+        ring, changes, *learning = descriptors
+        live = Live(answer, ring, changes, lambda: _identity(path) == identity and is_live(path), *learning)
     except (KeyError, TypeError, ValueError) as error:
         version = f"of friction-hil {answer.get('version')}, and this is {__version__}"
         raise _other_version(str(answer.get("name")), version) from error
@@ -157,6 +158,8 @@ class Live:
         Memory of rows and changes, open for reading; this closes them.
     is_there : callable
         Returns False if the daemon listens at its control socket no more.
+    learning_descriptor : int, optional
+        Memory of what the process that learns says, open for reading; this closes it.
 
     Attributes
     ----------
@@ -169,7 +172,12 @@ class Live:
     """
 
     def __init__(
-        self, answer: Mapping[str, Any], ring_descriptor: int, journal_descriptor: int, is_there: Callable[[], bool]
+        self,
+        answer: Mapping[str, Any],
+        ring_descriptor: int,
+        journal_descriptor: int,
+        is_there: Callable[[], bool],
+        learning_descriptor: int | None = None,
     ) -> None:
         self.facts = _facts(answer)
         self.faults = tuple(map(str, answer["faults"]))
@@ -180,7 +188,7 @@ class Live:
         if self._ring.width != len(axes) * width:
             raise ValueError("the rows have another width than the columns")
         self._wanted = (np.arange(len(axes))[:, None] * width + np.arange(len(columns))).ravel()
-        self._journal = journal_descriptor
+        self._journal, self._learning = journal_descriptor, learning_descriptor
         self._is_there = is_there
         self._missed = 0
         self._written, self._written_s = self._ring.rows_written, time.monotonic()
@@ -213,9 +221,9 @@ class Live:
         values = rows.reshape(len(rows), len(facts.axes), len(facts.columns))
         found = Rows(facts, values)
         self._settings = self._settings_of(found)
-        return Reading(
-            found, lost, tuple(map(self._event, self._ring.new_events())), self._settings, stands, self.is_over
-        )
+        events = tuple(map(self._event, self._ring.new_events()))
+        learning = {} if self._learning is None else read_report(self._learning).get("axes", {})
+        return Reading(found, lost, events, self._settings, stands, self.is_over, learning)
 
     def close(self) -> None:
         """Detach; safe to call twice."""
@@ -223,6 +231,9 @@ class Live:
             os.close(self._ring.descriptor)
             os.close(self._journal)
             self._journal = -1
+            if self._learning is not None:
+                os.close(self._learning)
+                self._learning = None
 
     def __enter__(self) -> Self:
         return self

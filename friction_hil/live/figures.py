@@ -4,7 +4,8 @@ Pure: no clock, no files; the same readings give the same figures.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -69,8 +70,9 @@ class LiveFigures:
             self._missed += int(np.nansum(missed[is_timed]))
             self._lateness.take(rows.of(first, "late_us"))
             self._last = {name: float(rows.of(first, name)[-1]) for name in self._last}
-        for axis in self._axes.values():
+        for name, axis in self._axes.items():
             axis.take(rows, reading.settings, reading.lost)
+            axis.learning = reading.learning.get(name, axis.learning)
 
     def snapshot(self) -> Snapshot:
         """Return the figures after what was taken so far."""
@@ -114,6 +116,7 @@ class _AxisFigures:
 
     def __init__(self, facts: LiveFacts, name: str, window_s: float) -> None:
         self._facts, self._name = facts, name
+        self.learning: Mapping[str, Any] | None = None
         self._errors = RollingErrors(facts.period_s, facts.ramp_s, window_s)
         self._compensation = Window(round(window_s / facts.period_s))
         has_torque = facts.drives.get(name, {}).get("torque_delay_s") is not None
@@ -168,6 +171,7 @@ class _AxisFigures:
             model_file=settings.model_file,
             parameters=friction["parameters"],
             settings=settings.compensation,
+            learning=self.learning,
         )
 
 

@@ -1,7 +1,7 @@
 """What is known of a running daemon: facts that do not change, settings that do, and the rows since the last look."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -165,6 +165,9 @@ class Reading:
         The loop has written no row for a second: what the last rows say of the drives may not hold any more.
     is_over : bool
         The daemon has ended, and this is the last reading.
+    learning : dict of dict
+        What is known of `compensation.learning`, by axis, as ``friction-hil run --json`` reports it; axes that learn
+        nothing are missing.
     """
 
     rows: Rows
@@ -173,3 +176,4 @@ class Reading:
     settings: Settings
     stands: bool
     is_over: bool
+    learning: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

@@ -52,6 +52,8 @@ class AxisSnapshot:
         Parameters of the model.
     settings : dict
         The section ``compensation`` of the configuration, as it is in force.
+    learning : dict or None
+        Of `friction_hil.live.Reading`; None for an axis that learns nothing.
     """
 
     kind: str
@@ -78,6 +80,7 @@ class AxisSnapshot:
     model_file: str | None
     parameters: Mapping[str, Any]
     settings: Mapping[str, Any]
+    learning: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,8 @@ They hold less than a model file; what is missing is named in the result, and in
 
 import json
 import math
+import sys
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +20,7 @@ from friction_hil.models import mjcf_joints, xml_input
 from friction_hil.models.model_file import ModelFile
 
 _MOST_BYTES = 100_000_000
+_LARGEST = sys.float_info.max  # JSON has whole numbers of any length
 _NEVER_THERE = (
     "standard errors, recordings and errors of a fit",
     "the range of velocity and temperature in which it holds",
@@ -37,6 +40,8 @@ class Stated:
     parameters, modifiers, mechanics : dict
     notes : list of str
         What was done with numbers that have no place of their own, or was left out.
+    missing : list of str
+        Friction that the file does not state.
     """
 
     axis: str
@@ -45,6 +50,7 @@ class Stated:
     modifiers: dict[str, Any] = field(default_factory=dict)
     mechanics: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +94,7 @@ def read(path: str | Path, source: str, joint: str | None = None) -> Imported:
         raise UsageError(f"there is no source {source!r}; {choices(source, SOURCES)}")
     stated = SOURCES[source](_bytes(Path(path)), str(path), joint)
     mechanics = {name: value for name, value in stated.mechanics.items() if value}
-    missing = [*_NEVER_THERE, *(text for name, text in _MECHANICS.items() if name not in mechanics)]
+    missing = [*stated.missing, *_NEVER_THERE, *(text for name, text in _MECHANICS.items() if name not in mechanics)]
     friction: dict[str, Any] = {"model": stated.model, "parameters": stated.parameters}
     if stated.modifiers:
         friction["modifiers"] = stated.modifiers
@@ -109,6 +115,9 @@ def read(path: str | Path, source: str, joint: str | None = None) -> Imported:
     return Imported(content, tuple(missing), tuple(stated.notes))
 
 
+_COULOMB = "the Coulomb friction"
+_DYNAMICS = {"friction": _COULOMB, "damping": "the viscous friction"}
+_XACRO = ("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")
 _MECHANICS = {"inertia": "the inertia of motor and load", "delay_s": "the delay of the torque"}
 
 
@@ -124,7 +133,8 @@ def _bytes(path: Path) -> bytes:
 def _mjcf(content: bytes, path: str, joint: str | None) -> Stated:
     found = mjcf_joints.find(xml_input.parse(content, path, "mujoco"), path, joint)
     mechanics = {"inertia": found.armature}
-    notes = []
+    notes = list(found.notes)
+    missing = [] if found.is_stated else [f"{_COULOMB} (frictionloss): zero stands for it"]
     if found.armature:
         notes.append("inertia is the armature of the joint; the bodies that it moves are not in it")
     modifiers: dict[str, Any] = {}
@@ -137,7 +147,7 @@ def _mjcf(content: bytes, path: str, joint: str | None) -> Stated:
         modifiers["ripple"] = [harmonic]
     if found.lugre is None:
         parameters = {"coulomb": found.frictionloss, "viscous": linear}
-        return Stated(found.axis, "coulomb", parameters, modifiers, mechanics, notes)
+        return Stated(found.axis, "coulomb", parameters, modifiers, mechanics, notes, missing)
     stiffness, damping, coulomb, static, stribeck_velocity = found.lugre
     if found.frictionloss:
         notes.append(f"frictionloss {found.frictionloss:g} of the joint was added to both levels of its LuGre friction")
@@ -154,17 +164,35 @@ def _mjcf(content: bytes, path: str, joint: str | None) -> Stated:
 
 def _urdf(content: bytes, path: str, joint: str | None) -> Stated:
     root = xml_input.parse(content, path, "robot")
-    joints = {each.get("name", ""): each for each in root.findall("joint") if each.get("type") != "fixed"}
-    with_friction = [name for name, each in joints.items() if each.find("dynamics") is not None]
-    chosen = joints[xml_input.choose(joints, with_friction, path, joint)]
+    joints: dict[str, ET.Element] = {}
+    for each in root.findall("joint"):
+        if each.get("type") == "fixed":
+            continue
+        name = each.get("name", "")
+        if name in joints:
+            raise UsageError(f"{path}: several joints have the name {name!r}")
+        joints[name] = each
+    with_friction = [name for name, each in joints.items() if joint is None and any(_dynamics(each, path))]
+    is_macro = any(str(each.tag).startswith(_XACRO) for each in root.iter())
+    elsewhere = "; it has macros of xacro, which are not read: expand it with xacro first" if is_macro else ""
+    chosen = joints[xml_input.choose(joints, with_friction, path, joint, elsewhere)]
     kind = chosen.get("type")
     if kind not in ("revolute", "continuous", "prismatic"):
         raise UsageError(f"{path}: joint {chosen.get('name')!r} is of type {kind!r}, not one axis")
-    dynamics = chosen.find("dynamics")
-    numbers = {} if dynamics is None else dynamics.attrib
-    values = [xml_input.numbers(numbers.get(name, "0"), f"{path}: {name}", 1, 1)[0] for name in ("friction", "damping")]
+    values = _dynamics(chosen, path)
     axis = "linear" if kind == "prismatic" else "rotary"
-    return Stated(axis, "coulomb", {"coulomb": values[0], "viscous": values[1]})
+    element = chosen.find("dynamics")
+    stated = {} if element is None else element.attrib
+    missing = [f"{text} ({name}): zero stands for it" for name, text in _DYNAMICS.items() if name not in stated]
+    return Stated(axis, "coulomb", {"coulomb": values[0], "viscous": values[1]}, missing=missing)
+
+
+def _dynamics(joint: ET.Element, path: str) -> list[float]:
+    """Return Coulomb level and viscous coefficient of a joint of URDF, zero where the file does not state them."""
+    element = joint.find("dynamics")
+    given = {} if element is None else element.attrib
+    where = f"{path}: joint {joint.get('name', '')!r}"
+    return [xml_input.numbers(given.get(name, "0"), f"{where}: {name}", 1, 1)[0] for name in _DYNAMICS]
 
 
 def _bam(content: bytes, path: str, joint: str | None) -> Stated:
@@ -179,13 +207,14 @@ def _bam(content: bytes, path: str, joint: str | None) -> Stated:
 
     def value(name: str, default: float | None = None) -> float:
         number = given.get(name, default)
-        if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
-            raise UsageError(f"{path}: {name} must be a finite number, not {number!r}")
+        if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) <= _LARGEST:
+            raise UsageError(f"{path}: {name} must be a finite number, not {str(number)[:40]}")
         return float(number)
 
     parameters = {"coulomb": value("friction_base")}
     model = "coulomb"
-    if given["model"] not in ("m1", "m3") and value("friction_stribeck", 0.0) > 0.0:
+    # BAM has a value of its own for what is absent, which is not zero
+    if given["model"] not in ("m1", "m3") and value("friction_stribeck") > 0.0:
         model = "stribeck"
         parameters |= {
             "static": value("friction_base") + value("friction_stribeck"),

@@ -29,6 +29,10 @@ class Joint:
         Stiffness, damping, Coulomb level, break-away level, Stribeck velocity.
     cogging : (float, float, float) or None
         Amplitude, poles and phase of the motor's torque.
+    is_stated : bool
+        True if the file gives a frictionloss or LuGre friction, and not MuJoCo's default of zero.
+    notes : tuple of str
+        What of the actuators on the joint is not read.
     """
 
     axis: str
@@ -37,6 +41,8 @@ class Joint:
     damping: tuple[float, float, float]
     lugre: tuple[float, ...] | None
     cogging: tuple[float, float, float] | None
+    is_stated: bool
+    notes: tuple[str, ...]
 
 
 def find(root: ET.Element, path: str, name: str | None) -> Joint:
@@ -47,25 +53,37 @@ def find(root: ET.Element, path: str, name: str | None) -> Joint:
     joints: dict[str, dict[str, str]] = {}
     for body in root.findall("worldbody"):
         _joints(body, _MAIN, defaults, joints, path)
+    elsewhere = "; files that it includes are not read" if root.find(".//include") is not None else ""
     motors = _motors(root, defaults, path)
     has_friction = [
         each
         for each, own in joints.items()
-        if any(any(_numbers(own, key, path, each)) for key in ("frictionloss", "damping")) or each in motors
+        if name is None
+        and (any(any(_numbers(own, key, path, each)) for key in ("frictionloss", "damping")) or each in motors)
     ]
-    chosen = choose(joints, has_friction, path, name)
-    return _joint(joints[chosen], motors.get(chosen), f"{path}: joint {chosen!r}", path, chosen)
+    chosen = choose(joints, has_friction, path, name, elsewhere)
+    notes = _of_other_actuators(root, chosen)
+    return _joint(joints[chosen], motors.get(chosen), f"{path}: joint {chosen!r}", path, chosen, notes)
 
 
-def _joint(own: dict[str, str], motor: dict[str, str] | None, where: str, path: str, name: str) -> Joint:
+def _joint(
+    own: dict[str, str], motor: dict[str, str] | None, where: str, path: str, name: str, notes: tuple[str, ...]
+) -> Joint:
     kind = own.get("type", "hinge")
     if kind not in ("hinge", "slide"):
         raise UsageError(f"{where} is of type {kind!r}, not one axis")
+    if any(numbers(own.get("springdamper", "0"), f"{where}: springdamper", 1, 2)):
+        raise UsageError(
+            f"{where} has a springdamper, for which MuJoCo computes the damping from the inertia: write the damping "
+            "that it finds (mjModel.dof_damping) in its place"
+        )
     damping = _three(_numbers(own, "damping", path, name))
+    armature = _numbers(own, "armature", path, name)[0]
     lugre = cogging = None
     if motor is not None:
-        if [float(each) for each in motor.get("gear", "1").split()][:1] != [1.0]:
+        if numbers(motor.get("gear", "1"), f"{where}: gear of its dcmotor", 1, 6)[0] != 1.0:
             raise UsageError(f"{where}: its dcmotor has a gear of {motor['gear']}; only 1 can be read")
+        armature += numbers(motor.get("armature", "0"), f"{where}: armature of its dcmotor", 1, 1)[0]
         more = _three(numbers(motor.get("damping", "0"), f"{where}: damping of its dcmotor", 1, 3))
         damping = (damping[0] + more[0], damping[1] + more[1], damping[2] + more[2])
         levels = numbers(motor.get("lugre", "0 0 0 0 0"), f"{where}: lugre", 1, 5)
@@ -74,11 +92,23 @@ def _joint(own: dict[str, str], motor: dict[str, str] | None, where: str, path: 
     return Joint(
         "rotary" if kind == "hinge" else "linear",
         _numbers(own, "frictionloss", path, name)[0],
-        _numbers(own, "armature", path, name)[0],
+        armature,
         damping,
         lugre,
         cogging,
+        "frictionloss" in own or lugre is not None,
+        notes,
     )
+
+
+def _of_other_actuators(root: ET.Element, joint: str) -> tuple[str, ...]:
+    """Return sentences about damping and armature that other actuators add to a joint."""
+    notes = []
+    for element in root.findall("actuator/*"):
+        given = [f"{key} {element.get(key)}" for key in ("damping", "armature") if element.get(key) is not None]
+        if element.tag != "dcmotor" and element.get("joint") == joint and given:
+            notes.append(f"left out: {' and '.join(given)} of the actuator <{element.tag}> on this joint")
+    return tuple(notes)
 
 
 def _cogging(text: str | None, where: str) -> tuple[float, float, float] | None:
@@ -120,8 +150,11 @@ def _joints(
     for element in body:
         if element.tag == "joint":
             attributes = _with_defaults(element, current, defaults, path)
-            joints[attributes.get("name", f"joint {len(joints) + 1}")] = attributes
-        elif element.tag in ("body", "frame"):
+            name = attributes.get("name", f"joint {len(joints) + 1}")
+            if name in joints:
+                raise UsageError(f"{path}: several joints have the name {name!r}")
+            joints[name] = attributes
+        elif element.tag in ("body", "frame", "replicate"):
             _joints(element, current, defaults, joints, path)
 
 
@@ -131,7 +164,7 @@ def _motors(root: ET.Element, defaults: dict[str, dict[str, dict[str, str]]], pa
     for element in root.findall("actuator/dcmotor"):
         attributes = _with_defaults(element, _MAIN, defaults, path)
         joint = attributes.get("joint")
-        if joint is None or not {"lugre", "cogging", "damping"} & set(attributes):
+        if joint is None or not {"lugre", "cogging", "damping", "armature"} & set(attributes):
             continue
         if joint in motors:
             raise UsageError(f"{path}: several dcmotors with friction act on the joint {joint!r}")

@@ -45,20 +45,32 @@ def parse(content: bytes, path: str, root: str) -> ET.Element:
     except (expat.ExpatError, ET.ParseError) as error:
         raise UsageError(f"{path} is not XML: {error}") from None
     if found.tag != root:
-        raise UsageError(f"{path}: the root element is <{found.tag}>, not <{root}>")
+        raise UsageError(f"{path}: the root element is <{found.tag}>, not <{root}> without a namespace")
     return found
 
 
-def choose(joints: Collection[str], with_friction: Sequence[str], path: str, joint: str | None) -> str:
-    """Return the joint that was asked for, or the only one with friction."""
+def choose(
+    joints: Collection[str], with_friction: Sequence[str], path: str, joint: str | None, elsewhere: str = ""
+) -> str:
+    """Return the joint that was asked for, or the only one with friction.
+
+    ``elsewhere`` ends the message if there is none: where joints may be that were not read.
+    """
     if joint is not None:
         if joint not in joints:
-            raise UsageError(f"{path} has no joint {joint!r}; {choices(joint, joints)}")
+            raise UsageError(f"{path} has no joint {joint!r}; {choices(joint, joints)}{elsewhere}")
         return joint
     if len(with_friction) != 1:
-        what = "states no friction of any joint" if not with_friction else "has several joints with friction"
-        raise UsageError(f"{path} {what}; choose one with --joint; {choices('', with_friction or joints)}")
+        if not with_friction:
+            raise UsageError(f"{path} states no friction of any joint{elsewhere or f'; {_there_are(joints)}'}")
+        raise UsageError(
+            f"{path} has several joints with friction; choose one with --joint; {_there_are(with_friction)}"
+        )
     return with_friction[0]
+
+
+def _there_are(joints: Collection[str]) -> str:
+    return choices("", [each or "'' (without a name)" for each in joints])
 
 
 def numbers(text: str, where: str, least: int, most: int) -> list[float]:
@@ -74,5 +86,6 @@ def numbers(text: str, where: str, least: int, most: int) -> list[float]:
     except ValueError:
         raise UsageError(f"{where}: {text!r} must be numbers") from None
     if not least <= len(values) <= most or not all(math.isfinite(each) and each >= 0.0 for each in values):
-        raise UsageError(f"{where}: {text!r} must be {least} to {most} finite numbers, none below zero")
+        wanted = "one finite number, not" if most == 1 else f"{least} to {most} finite numbers, none"
+        raise UsageError(f"{where}: {text!r} must be {wanted} below zero")
     return values

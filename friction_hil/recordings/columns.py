@@ -57,6 +57,13 @@ COLUMNS = (
         is_sparse=True,
     ),
     ColumnMeaning("compensation", "N m", "friction feed-forward alone"),
+    ColumnMeaning(
+        "compensation_uncertainty",
+        "N m",
+        "standard deviation of compensation by the errors of the model's parameters, of steady motion at "
+        "velocity_estimate",
+        is_sparse=True,
+    ),
     ColumnMeaning("command", "N m", "torque written to the drive: offset in csp and csv, the whole in cst"),
     ColumnMeaning("state", "", "state of the loop (LoopState)"),
     ColumnMeaning("drive_state", "", "state of the drive (DriveState)"),
@@ -77,6 +84,7 @@ NAMES = tuple(column.name for column in COLUMNS)
 SPARSE = frozenset(column.name for column in COLUMNS if column.is_sparse)
 TIME, CYCLE = NAMES[:2]
 CHANGE = NAMES[-1]
+UNCERTAINTY = "compensation_uncertainty"
 SHADOW_PREFIX = "shadow_"
 
 _BY_NAME = {column.name: column for column in COLUMNS}

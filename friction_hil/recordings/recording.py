@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError, UsageError, choices
-from friction_hil.recordings.columns import CYCLE, SPARSE, TIME
+from friction_hil.recordings.columns import CYCLE, SPARSE, TIME, AxisKind
 from friction_hil.recordings.product import absent, product_of
 from friction_hil.recordings.quality import LARGEST, all_finite, is_ordinary, rows_text, too_large, without_overflow
 from friction_hil.recordings.units import unit_problem
@@ -90,6 +90,15 @@ class Recording:
     def duration_s(self) -> float:
         """Time from the first row to the last, s."""
         return float(self.columns[TIME][-1] - self.columns[TIME][0]) if len(self) else 0.0
+
+    @property
+    def axis_kind(self) -> AxisKind | None:
+        """Kind of the axis, if the recording has the configuration of the daemon; else None."""
+        try:
+            kind = self.metadata["configuration"]["axes"][self.axis]["model"]["axis"]
+        except (KeyError, TypeError):
+            return None
+        return kind if kind in ("rotary", "linear") else None
 
     def require(self, *names: str) -> None:
         """Raise RecordingError if a column is missing or has no value; the message explains how to map one."""

@@ -116,6 +116,5 @@ def claim_folder(folder: Path, names: Sequence[str], mark: str, maker: str) -> N
     report = folder / names[0]
     if not (report.is_file() and mark in report.read_text(encoding="utf-8", errors="replace")[:1000]):
         raise UsageError(
-            f"{folder / present[0]} exists and no former {maker} made it: it is not overwritten; choose another folder "
-            "with --output"
+            f"{folder / present[0]} exists and no former {maker} made it: it is not overwritten; choose another folder"
         )

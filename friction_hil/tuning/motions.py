@@ -67,7 +67,9 @@ def experiment_of(name: str, axis: AxisConfig) -> ExperimentBounds:
     """
     if axis.trajectory.kind == "none":
         raise OptionError(
-            name, "trajectory.kind", "is 'none': to move the axis, tune needs a set-point; try hold, with a controller"
+            name,
+            "trajectory.kind",
+            "is 'none': to move by itself, the axis needs a set-point; try hold, with a controller",
         )
     if not axis.compensation.enabled:
         raise OptionError(
@@ -82,7 +84,7 @@ def experiment_of(name: str, axis: AxisConfig) -> ExperimentBounds:
     raise OptionError(
         name,
         "experiment",
-        "is missing: tune moves the axis by itself and needs to know how far and how fast, e.g. "
+        "is missing: it says how far and how fast the axis may move by itself, e.g. "
         f"experiment: {{velocity: {0.5 * axis.limits.velocity:g}, travel: ..., duration_s: 60}}",
     )
 

@@ -6,11 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import friction_hil as fh
 from friction_hil.cli import main
 from friction_hil.recordings import Recording
 from friction_hil.recordings.mcap_writer import McapWriter
+from tests.processes import run
+from tests.servo_drives import axis_dict
 
 NOON = 1_700_000_000.0  # s since 1970
 DAY_S = 86400.0
@@ -127,3 +130,55 @@ def test_mistakes_are_answered_in_words(
     shown = capsys.readouterr()
     assert message in shown.err
     assert "Traceback" not in shown.err
+
+
+def machine(folder: Path, **changes: object) -> Path:
+    """Write the configuration of a simulated axis with Coulomb friction of 0.07 N m."""
+    axis = axis_dict(trajectory={"kind": "hold"}, **changes)
+    friction = {"model": "coulomb", "parameters": {"coulomb": 0.07, "viscous": 2e-3}}
+    axis["simulation"] = {"mechanics": {"inertia": 2e-4}, "friction": friction}
+    bus = {"interface": "socketcan", "channel": "can0"}
+    path = folder / "mill.yaml"
+    values = {"version": 1, "period_s": 4e-3, "bus": bus, "realtime": {"priority": 0}, "axes": {"x": axis}}
+    path.write_text(yaml.safe_dump(values))
+    return path
+
+
+def test_a_fingerprint_is_a_motion_of_the_axis_that_is_kept_for_comparison(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    config = machine(tmp_path, experiment={"velocity": 3.0, "travel": 1.0, "duration_s": 20})
+    words = ["--fingerprint", "--simulate", "--pace", "sync", "--yes", "--axis", "x", "--json"]
+    done = run("health", config, *words, check=False)
+    assert done.returncode == 1, done.stderr  # one observation: nothing is judged yet
+    folder = tmp_path / "friction-hil" / "health"
+    [recorded] = (folder / "mill-fingerprint").iterdir()
+    assert recorded.name.startswith("x-")
+    quantities = {each["name"]: each for each in json.loads(done.stdout)["axes"]["x"]["quantities"]}
+    assert quantities["coulomb.positive"]["values"] == pytest.approx([0.07], rel=0.03)
+    assert quantities["coulomb.negative"]["values"] == pytest.approx([0.07], rel=0.03)
+    recorded.unlink()
+    assert main(["health", "mill-fingerprint", "--json"]) == 1  # what is kept is shown without another motion
+    assert json.loads(capsys.readouterr().out)["axes"]["x"]["observations"] == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["mill.yaml"], "mill.yaml is no recording; with --fingerprint, the axes of a configuration are moved"),
+        (["mill.mcap", "--yes"], "--yes, --simulate, --reset-fault and --pace belong to --fingerprint"),
+        (["mill.mcap", "--fingerprint", "--yes"], "--fingerprint takes one configuration file, CONFIG.yaml"),
+        (["mill.yaml", "--fingerprint"], "--yes moves them without asking"),
+        (["mill.yaml", "--fingerprint", "--yes"], "axes.x.experiment: is missing: it says how far and how fast"),
+        (["mill.yaml", "--fingerprint", "--yes", "--axis", "z"], "there is no axis 'z'; there are: x"),
+    ],
+)
+def test_a_fingerprint_that_cannot_be_made_says_why(
+    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    machine(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert main(["health", *words]) == 2
+    assert said in capsys.readouterr().err

@@ -108,6 +108,10 @@ ELSEWHERE = (
         "test_months_of_recordings_show_what_has_changed_and_nothing_else",
     ),
     ("friction-hil health --since --order", "test_after_a_repair_a_baseline_begins_again"),
+    (
+        "friction-hil health --fingerprint --simulate --pace --yes --axis --json",
+        "test_a_fingerprint_is_a_motion_of_the_axis_that_is_kept_for_comparison",
+    ),
     ("./tools/bench health --axes --json", "test_the_benchmark_of_health_has_every_change"),
     ("friction-hil identify --linear", "test_emps_published_parameters_to_the_printed_digits"),
     ("friction-hil identify --where --group-by --unknown-gain", "test_servo_has_friction_that_grows_with_its_load"),

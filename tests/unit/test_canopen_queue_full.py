@@ -1,4 +1,4 @@
-"""A full send queue is a missed exchange: bridged, told when it lasts, and no reason to leave a drive moving."""
+"""Set-points that are not sent. A full send queue is a missed exchange: bridged, reported when it lasts."""
 
 import errno
 
@@ -8,6 +8,7 @@ from friction_hil_drivers.canopen.drives import CanopenDrives
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
+from tests.canopen_axis_bench import PRE_OPERATIONAL
 from tests.canopen_bench import NODE, Bench, BenchBus
 from tests.servo_drives import axis_dict, configuration
 
@@ -84,6 +85,20 @@ def test_a_set_point_that_did_not_get_to_the_drive_is_reported_in_the_next_cycle
     turning.bus.refused = ()
     turning.cycle(Request.ENABLE, 2)
     assert not turning.feedback.is_setpoint_lost
+
+
+def test_the_set_points_of_a_node_that_is_out_of_reach_are_lost(turning):
+    turning.bench.nmt(0x80)  # pre-operational
+    turning.bus.answers.put(can.Message(arbitration_id=0x700 + NODE, data=PRE_OPERATIONAL, is_extended_id=False))
+    seen = []
+    for _ in range(6):
+        turning.cycle(Request.QUICK_STOP, velocity=0.0)
+        seen.append((turning.feedback.is_reachable, turning.feedback.is_setpoint_lost))
+    # lost is the command of the cycle before; the start of the node (NMT) has brought it back
+    out_of_reach = [not is_reachable for is_reachable, _ in seen]
+    assert [is_lost for _, is_lost in seen] == [False, *out_of_reach[:-1]]
+    assert seen[0] == (False, False)
+    assert seen[-1] == (True, False)
 
 
 def test_a_queue_that_stays_full_is_a_fault_and_not_an_exception(turning):

@@ -182,6 +182,7 @@ def test_csp_without_a_torque_offset_needs_the_users_word(tmp_path):
         driven.cycle(Request.ENABLE, count=20)
         assert driven.feedback.state is DriveState.OPERATION_ENABLED
         assert "the drive has no 60B2h torque offset: it runs without compensation" in driven.facts.notes
+        assert not driven.facts.takes_torque
 
 
 def test_a_fixed_mapping_is_kept_and_what_it_carries_is_told(tmp_path):

@@ -1,19 +1,25 @@
 """Exports to C do, compiled, what this library does: every model, and the whole compensator."""
 
 import ctypes
+import math
+import random
+import re
 import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import friction_hil as fh
+from friction_hil.compensator import INPUTS
 from friction_hil.errors import UsageError
-from friction_hil.export import kernels
+from friction_hil.export import c, kernels
 from friction_hil.export.c_printer import Printer
 from friction_hil.export.ir import Variable
 from friction_hil.export.translator import Translator
 from friction_hil.export.values import State, StateRecord, TranslationError
-from tests.c_exports import compensator_steps, compiled, model_steps, shared, subject, write
+from tests.c_exports import check, compensator_steps, compiled, model_steps, shared, subject, write
 from tests.export_subjects import COMPENSATORS, EVERY_MODEL, compensations, cycles, model_torques, steps
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
@@ -51,12 +57,97 @@ def test_the_whole_compensator_gives_the_torque_of_this_library(library, single,
             assert error.max() < tolerance, name
 
 
+@pytest.mark.parametrize("single", [False, True])
+def test_after_a_gap_of_any_length_the_compensator_goes_on_as_this_library(library, single):
+    """Gaps that whole numbers of the source do not hold, one after the other; in between cycles as ever."""
+    rows = [list(row) for row in cycles()[200:420]]
+    for k, row in enumerate(rows):
+        row[INPUTS.index("cycle")] = float(k + (k // 70) * (2**32 - 2))
+    for name, each in COMPENSATORS.items():
+        state = each.state.copy()
+        wanted = np.array([each.step(*row) for row in rows])
+        each.state[:] = state
+        error = np.abs(compensator_steps(library[single], name, rows, single=single) - wanted) / each.model.level
+        assert np.quantile(error, 0.97 if single else 1.0) < (1e-5 if single else 1e-12), name
+
+
+def test_no_input_does_what_the_language_leaves_undefined(tmp_path, capfd):
+    """Numbers of any size, also those that are none, and gaps of any length; UBSan writes what it finds."""
+    sanitized = ("-fsanitize=undefined,float-cast-overflow,bounds-strict", "-O0")
+    chosen, values = random.Random(0), (0.0, 1e-300, -1e-12, 1.0, -1e3, 9e15, -1e30, math.nan, math.inf, -math.inf)
+    tried = {name: COMPENSATORS[name] for name in ("geared", "kalman")}
+    write(tmp_path, [subject(one.model, name, one) for name, one in tried.items()])
+    made = ctypes.CDLL(str(shared(tmp_path, [tmp_path / f"{name}.c" for name in tried], *sanitized)))
+    for name, one in tried.items():
+        rows, cycle = [], 0
+        for _ in range(300):
+            cycle += chosen.choice((0, 1, 1, 2, 30, 2**31, 2**32 - 1))
+            rows.append([float(cycle), *(chosen.choice(values) for _ in INPUTS[1:])])
+            for flag in ("is_fresh", "is_enabled"):
+                rows[-1][INPUTS.index(flag)] = float(chosen.random() > 0.1)
+        assert np.abs(compensator_steps(made, name, rows)).max() <= one.settings.torque_limit
+    assert "runtime error" not in capfd.readouterr().err
+
+
+def test_the_header_states_the_sizes_that_the_compiler_finds(library):
+    for name, kind in (
+        ("coulomb", "model"),
+        ("residual", "model"),
+        ("kalman", "compensator"),
+        ("geared", "compensator"),
+    ):
+        one = COMPENSATORS.get(name)
+        header = c.files(subject(EVERY_MODEL[name] if one is None else one.model, name, one))[f"{name}.h"]
+        (stated,) = re.findall(rf"{name}_{kind}: state (\d+) bytes, in single precision (\d+) bytes", header)
+        for size, single in zip(map(int, stated), (False, True), strict=True):
+            assert ctypes.c_ulong.in_dll(library[single], f"size_of_{name}_{kind}").value == size
+
+
 @pytest.mark.skipif(shutil.which("clang") is None, reason="clang is not installed")
 def test_clang_has_nothing_to_say_either(tmp_path):
     one = COMPENSATORS["kalman"]
     write(tmp_path, [subject(one.model, "axis", one)])
-    for options in (["-O1"], ["-O1", "-DAXIS_SINGLE"]):
-        assert shared(tmp_path, [tmp_path / "axis.c"], *options, compiler="clang").exists()
+    for options in ([], ["-DAXIS_SINGLE"]):
+        check([tmp_path / "axis.c"], *options, compiler="clang")
+
+
+def test_the_example_of_the_readme_compiles(tmp_path):
+    readme = Path(c.__file__).with_name("README.md").read_text()
+    (example,) = re.findall(r"```c\n(.*?)```", readme, re.DOTALL)
+    one = COMPENSATORS["tracking"]
+    write(tmp_path, [subject(one.model, "axis_x", one)])
+    (tmp_path / "example.c").write_text(example)
+    for options in ([], ["-DAXIS_X_SINGLE"]):
+        check([tmp_path / "example.c"], *options)
+
+
+NAMES = ("int", "r", "p", "m", "model", "a" * 40)
+
+
+def test_a_name_may_be_a_word_of_the_language(tmp_path):
+    """Each name begins longer ones; C++ includes all headers at once."""
+    write(tmp_path, [subject(EVERY_MODEL["lugre_modified"], name) for name in NAMES])
+    check([tmp_path / f"{name}.c" for name in NAMES])
+    (tmp_path / "all.cpp").write_text("".join(f'#include "{name}.h"\n' for name in NAMES))
+    command = ["clang", "-std=c++11", "-Wall", "-Wextra", "-pedantic", "-fsyntax-only", tmp_path / "all.cpp"]
+    if shutil.which("clang"):
+        assert subprocess.run(command, capture_output=True, text=True).stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("to", "name"), [("c", "math"), ("fmu", "stdint"), ("fmu", "fmu"), ("fmu", "fmi2"), ("modelica", "real")]
+)
+def test_a_name_that_hides_a_file_or_type_of_the_language_is_refused(to, name):
+    with pytest.raises(UsageError, match=f"such as axis_{name}"):
+        fh.export.files("coulomb:coulomb=1", to=to, name=name)
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"), [("a__b", "a_b"), ("a_", "a"), ("AxisX", "axis_x"), ("9", "axis_9"), ("b" * 41, "b" * 40)]
+)
+def test_a_name_that_some_language_refuses_is_refused(name, wanted):
+    with pytest.raises(UsageError, match=f"such as {wanted}$"):
+        fh.export.files("coulomb:coulomb=1", to="st", name=name)
 
 
 def test_wrong_use_is_refused_with_what_would_be_right():

@@ -48,3 +48,12 @@ def test_a_gallery_has_no_other_picture(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["models", "lugre", "--export-all", "gallery", "--draw", "a.png"]) == 2
     assert "--draw and --export-all" in capsys.readouterr().err
+
+
+def test_a_file_whose_name_no_language_takes_is_shown_by_its_model(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(export_gallery.export, "FORMATS", {"csv": LOSSY["csv"]})
+    path = tmp_path / "轴.yaml"
+    path.write_bytes(example_models()["lugre_axis"].read_bytes())
+    assert main(["models", str(path), "--export-all", str(tmp_path / "gallery"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["models"] == {"lugre": {"csv": ""}}
+    assert (tmp_path / "gallery" / "lugre" / "csv" / "lugre.csv").exists()

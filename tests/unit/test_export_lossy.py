@@ -3,6 +3,7 @@
 import csv
 import json
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,6 +29,19 @@ def written(tmp_path, **content):
     path = tmp_path / "axis.yaml"
     friction = {"model": "coulomb", "parameters": {"coulomb": 0.1, "viscous": 0.01}}
     path.write_text(yaml.safe_dump({"axis": "rotary", "friction": friction, **content}))
+    return path
+
+
+EXAMPLES = Path("config").resolve()
+CONFIG = str(EXAMPLES / "single_axis_csp.yaml")
+LINEAR = str(EXAMPLES / "machines" / "ball_screw.yaml")
+
+
+def with_kalman(folder):
+    """A configuration whose estimator needs the inertia."""
+    text = Path(CONFIG).read_text().replace("velocity: difference ", "velocity: kalman ")
+    path = folder / "kalman.yaml"
+    path.write_text(text.replace("models/", f"{EXAMPLES}/models/"))
     return path
 
 
@@ -121,6 +135,37 @@ def test_the_loss_is_that_of_the_difference_between_the_directions():
     assert fh.export.convert(file.model_copy(update={"friction": friction}), "csv", name="x").loss.rms < 1e-9
 
 
+def test_the_part_between_the_directions_is_one_of_the_loss(tmp_path):
+    """A range that is longer on one side has no mirror there, and a table holds each direction by itself."""
+    sides = {"direction": {"positive": {"coulomb": 0.11}, "negative": {"coulomb": 0.09}}}
+    friction = {"model": "coulomb", "parameters": {"coulomb": 0.1}, "modifiers": sides}
+    path = written(tmp_path, friction=friction, fit={"range": {"velocity": [-0.1, 3.0]}})
+    loss = fh.export.convert(path, "mjcf").loss
+    assert 0.0 < loss.between_directions <= loss.rms < 0.01
+    assert fh.export.convert(path, "csv").loss.between_directions == 0.0
+    forward = written(tmp_path, friction=friction, fit={"range": {"velocity": [0.0, 3.0]}})
+    assert fh.export.convert(forward, "mjcf").loss.rms == pytest.approx(0.0, abs=1e-12)
+
+
+def test_what_an_export_holds_is_not_said_to_be_lost(tmp_path):
+    ripple = [{"order": 7, "cosine": 0.001, "sine": 0.002}]
+    parameters = {"sigma0": 1800.0, "sigma1": 1.0, "coulomb": 0.07, "static": 0.105, "stribeck_velocity": 0.22}
+
+    def lost(to, more=(), **changed):
+        friction = {"model": "lugre", "parameters": parameters | changed, "modifiers": {"ripple": [*ripple, *more]}}
+        return "\n".join(fh.export.convert(written(tmp_path, friction=friction), to).loss.lost)
+
+    assert lost("mjcf_lugre") == ""
+    assert "other harmonics of up to 0.0005 N m" in lost("mjcf_lugre", [{"order": 3, "cosine": 0.0, "sine": 0.0005}])
+    assert "damping of the bristles is left out" in lost("mjcf_lugre", damping_velocity=0.1)
+    assert "0.00224 N m" in lost("mjcf")
+    assert "after a reversal" in lost("mjcf")
+    assert "not its shape" in lost("ax8000")
+    assert "after a reversal" not in lost("ax8000")
+    added = "\n".join(fh.export.convert(STRIBECK, "mjcf_lugre").loss.lost)
+    assert "has no presliding; in MuJoCo the torque builds up over 0.00022 rad" in added
+
+
 def test_what_no_steady_curve_shows_is_named():
     loss = fh.export.convert("config/models/ball_screw.yaml", "mjcf").loss
     text = "\n".join(loss.lines())
@@ -203,18 +248,45 @@ def test_the_command_prints_and_writes_the_loss(tmp_path, capsys, monkeypatch):
     assert set(answer["loss"]) >= {"rms", "largest", "velocity", "temperature", "lost"}
 
 
+def test_the_formats_share_no_file(tmp_path, capsys, monkeypatch):
+    """By default, that is; a name that is given is taken as it is."""
+    monkeypatch.chdir(tmp_path)
+    for to in ("st", *fh.export.LOSSY):
+        assert main(["export", STRIBECK, "--to", to]) == 0, to
+    expected = {"stribeck.st", "stribeck.xml", "stribeck.urdf", "stribeck.csv", "stribeck_ax8000.csv"}
+    expected |= {"stribeck_bam.json", "stribeck_isaaclab.json", "stribeck_mjcf.xml", "stribeck_mjcf_lugre.xml"}
+    assert {path.name for path in tmp_path.iterdir()} == expected
+    assert ET.parse("stribeck_mjcf.xml").find(".//joint").get("name") == "stribeck"
+    assert "physx: friction 0.105, dynamic_friction" in capsys.readouterr().out
+    assert main(["export", STRIBECK, "--to", "ax8000", "--output", "drive.csv"]) == 0
+    assert (tmp_path / "drive.csv").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (["--to", "urdf", "--output", "firmware/"], "there is no folder firmware"),
+        (["--to", "c", "--output", "firmware/axis.c"], "there is no folder firmware"),
+        (["--to", "c", "--output", "Axis.c"], "such as axis"),
         (["--to", "urdf", "--speed", "0"], "above zero"),
         (["--to", "urdf", "--speed", "nan"], "above zero"),
+        (["--to", "urdf", "--speed", "1e200"], "too wide a range"),
+        (["--to", "c", "--config", CONFIG, "--resolution", "1e-300"], "--resolution 1e-300"),
+        (["--to", "c", "--config", with_kalman, "--resolution", "1e-5"], "kalman needs mechanics.inertia"),
+        (
+            ["--to", "c", "--config", LINEAR, "--resolution", "1e-5"],
+            "is for a rotary axis, and",
+        ),
         (["--to", "urdf", "--axis", "x"], "--axis belongs to --recording"),
         (["--to", "urdf", "--config", "a.yaml"], "does not hold"),
         (["--to", "c", "--speed", "1"], "loses none"),
     ],
 )
-def test_mistakes_are_answered(words, message, capsys, tmp_path, monkeypatch):
+def test_mistakes_are_answered(words, message, capsys, tmp_path, tmp_path_factory, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    words = [str(made(tmp_path_factory.mktemp("config"))) if callable(made) else made for made in words]
     assert main(["export", STRIBECK, *words]) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+    assert main(["export", "strybeck", "--to", "c"]) == 2
+    assert capsys.readouterr().err.startswith("Error: strybeck: neither a file nor")

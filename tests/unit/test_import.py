@@ -126,6 +126,73 @@ def test_the_command_writes_a_model_file_and_names_what_is_missing(tmp_path, cap
     assert json.loads(capsys.readouterr().out)["model"]["axis"] == "rotary"
 
 
+URDF = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <joint name="a" type="revolute"><dynamics damping="0.5"/></joint>
+  <joint name="b" type="revolute"/>
+  <joint name="c" type="prismatic"><dynamics damping="0" friction="0"/></joint>
+  <joint name="d" type="floating"/>
+</robot>"""
+
+
+def test_friction_that_is_not_stated_is_missing_and_no_friction_is_none(tmp_path):
+    only = imported(tmp_path, URDF, "urdf")  # the joint a: the others state zero or nothing
+    assert only.content["friction"]["parameters"] == {"coulomb": 0.0, "viscous": 0.5}
+    coulomb, viscous = ("the Coulomb friction (friction): zero stands for it", "the viscous friction (damping): zero")
+    assert coulomb in only.missing
+    assert not any(each.startswith(viscous) for each in only.missing)
+    neither = imported(tmp_path, URDF, "urdf", "b").missing
+    assert coulomb in neither
+    assert any(each.startswith(viscous) for each in neither)
+    assert not any("zero stands" in each for each in imported(tmp_path, URDF, "urdf", "c").missing)
+    with_joint = MJCF.replace('name="d" frictionloss="0.7"', 'name="d"')
+    assert any("frictionloss" in each for each in imported(tmp_path, with_joint, "mjcf", "d").missing)
+    assert not any("frictionloss" in each for each in imported(tmp_path, MJCF, "mjcf", "a").missing)
+
+
+def one_joint(joint, actuator=""):
+    body = f'<body>{joint}<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+    return f"<mujoco><worldbody>{body}</worldbody><actuator>{actuator}</actuator></mujoco>"
+
+
+def test_the_inertia_of_a_motor_counts_and_other_actuators_are_named(tmp_path):
+    joint = '<joint name="j" axis="0 0 1" armature="0.1" damping="0.5"/>'
+    motor = '<dcmotor joint="j" motorconst="0.1" resistance="1" input="none" armature="0.2" damping="0.3"/>'
+    found = imported(tmp_path, one_joint(joint, motor), "mjcf", "j").content
+    assert found["mechanics"]["inertia"] == pytest.approx(0.3)
+    assert found["friction"]["parameters"]["viscous"] == pytest.approx(0.8)
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(one_joint(joint, motor))
+    data = mujoco.MjData(model)
+    data.qfrc_applied[0] = 1.0
+    mujoco.mj_forward(model, data)
+    assert 1.0 / data.qacc[0] == pytest.approx(1.0 + found["mechanics"]["inertia"])  # that of the body added
+    notes = imported(tmp_path, one_joint(joint, '<position joint="j" damping="0.3" armature="0.2"/>'), "mjcf").notes
+    assert "left out: damping 0.3 and armature 0.2 of the actuator <position> on this joint" in notes
+
+
+def test_copies_of_a_body_have_the_friction_of_the_one(tmp_path):
+    copies = '<replicate count="2"><body><joint name="j" frictionloss="0.3"/></body></replicate>'
+    found = imported(tmp_path, f"<mujoco><worldbody>{copies}</worldbody></mujoco>", "mjcf")
+    assert found.content["friction"]["parameters"]["coulomb"] == 0.3
+
+
+def test_a_name_with_a_line_break_stays_in_the_comment(tmp_path, capsys):
+    path, output = tmp_path / "m6.json", tmp_path / "axis.yaml"
+    given = {
+        "model": "m6",
+        "friction_base": 0.05,
+        "friction_viscous": 0.01,
+        "friction_stribeck": 0.0,
+        "load_friction_a\nversion: 3\nx": 0.1,
+    }
+    path.write_text(json.dumps(given))
+    assert main(["import", str(path), "--from", "bam", "--output", str(output)]) == 0
+    assert load_model_file(output).friction.parameters["coulomb"] == 0.05
+    for place, message in (("none/axis.yaml", "there is no folder"), (".", "is a folder")):
+        assert main(["import", str(path), "--from", "bam", "--output", str(tmp_path / place)]) == 2
+        assert message in capsys.readouterr().err
+
+
 BOMB = """<!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]><robot name="&b;"/>"""
 
 
@@ -140,14 +207,40 @@ BOMB = """<!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;
         (MJCF, "mjcf", "e", "no joint 'e'"),
         (MJCF, "mjcf", "c", "'ball'"),
         (MJCF.replace("0.7", "nan"), "mjcf", "d", "finite"),
-        (MJCF.replace("0.7", "-1"), "mjcf", "d", "none below zero"),
+        (MJCF.replace("0.7", "-1"), "mjcf", "d", "not below zero"),
         (MJCF.replace('class="tiny" ', 'class="other" '), "mjcf", "d", "no default class 'other'"),
         ("<robot/>", "urdf", None, "no friction"),
+        (URDF.replace('name="b"', 'name="a"'), "urdf", None, "several joints have the name 'a'"),
+        (URDF.replace('"0.5"', '"${d}"'), "urdf", "a", r"joint 'a': damping: '\$\{d\}' must be numbers"),
+        (URDF.replace('"0.5"', '"1 2"'), "urdf", "a", "must be one finite number"),
+        (
+            '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/></robot>',
+            "urdf",
+            None,
+            "expand it with xacro",
+        ),
+        ('<robot xmlns="http://www.ros.org"/>', "urdf", None, "not <robot> without a namespace"),
+        ('<mujoco><worldbody><include file="b.xml"/></worldbody></mujoco>', "mjcf", None, "includes are not read"),
+        (MJCF.replace('name="d"', 'name="a"'), "mjcf", None, "several joints have the name 'a'"),
+        (one_joint('<joint name="j" damping="2" springdamper="0.1 1"/>'), "mjcf", None, "springdamper"),
+        (
+            one_joint('<joint name="j"/>', '<dcmotor joint="j" damping="1" gear="x"/>'),
+            "mjcf",
+            None,
+            "gear of its dcmotor",
+        ),
         ("[1]", "bam", None, "no file of BAM"),
         ("{", "bam", None, "is not JSON"),
         ('{"model": "m1", "friction_base": NaN}', "bam", None, "friction_base must be a finite number"),
         ('{"model": "m1", "friction_base": -1, "friction_viscous": 0}', "bam", None, "makes no model"),
         ('{"model": "m1"}', "bam", "x", "one actuator"),
+        ('{"model": "m1", "friction_base": 1' + 400 * "0" + "}", "bam", None, "friction_base must be a finite number"),
+        (
+            '{"model": "m2", "friction_base": 1, "friction_viscous": 0}',
+            "bam",
+            None,
+            "friction_stribeck must be",
+        ),
         ("{}", "sdf", None, "no source 'sdf'"),
     ],
 )

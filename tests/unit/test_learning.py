@@ -163,18 +163,42 @@ class Driven:
 
 
 @pytest.fixture
-def tried():
-    """A learner that has just handed over its first parameters; the error was 1 mrad before."""
+def first():
+    """A learner that has just handed over the first part of a change; the error was 1 mrad before."""
     driven = Driven().take(WINDOW_TICKS + 2, until=Step.PARAMETERS, error=1e-3)
     assert [proposal.step for _, proposal in driven.proposals] == [Step.PARAMETERS]
     return driven
 
 
-def test_a_wrong_model_is_replaced_after_a_window_of_motion(tried):
-    _, proposal = tried.proposals[0]
-    assert value_of(proposal.model, "coulomb") == pytest.approx(0.08, rel=0.02)
-    assert 0.9 < proposal.gain <= 1.0
-    assert tried.ticks == WINDOW_TICKS
+@pytest.fixture
+def tried(first):
+    """A learner that has just handed over its first parameters."""
+    first.take(8, until=Step.PARAMETERS, error=8e-4)
+    assert [proposal.step for _, proposal in first.proposals] == 2 * [Step.PARAMETERS]
+    return first
+
+
+def test_a_wrong_model_is_replaced_after_a_window_of_motion_at_first_by_a_third(tried):
+    (when, part), (_, whole) = tried.proposals
+    assert when == WINDOW_TICKS
+    assert value_of(whole.model, "coulomb") == pytest.approx(0.08, rel=0.02)
+    logs = [math.log(value_of(each.model, "coulomb") / value_of(WRONG, "coulomb")) for each in (part, whole)]
+    assert logs[0] == pytest.approx(logs[1] / 3.0)
+    assert whole.gain - 0.9 == pytest.approx(3.0 * (part.gain - 0.9))
+    assert 0.9 < whole.gain <= 1.0
+
+
+def test_a_change_of_which_a_third_is_no_help_is_taken_back_before_the_whole(first):
+    first.take(8, error=1.02e-3)
+    assert [proposal.step for _, proposal in first.proposals] == [Step.PARAMETERS, Step.BACK]
+    assert "a third" in first.proposals[-1][1].text
+
+
+def test_less_error_than_half_a_second_may_have_is_harm_within_a_longer_time(tried):
+    at = tried.ticks
+    tried.take(12, until=Step.BACK, error=1.4e-3)
+    assert tried.proposals[-1][1].step is Step.BACK
+    assert 1.0 < (tried.ticks - at) * TICK_S <= 1.5
 
 
 def test_what_helps_is_kept(tried):
@@ -208,11 +232,28 @@ def test_a_limit_cycle_is_harm(tried):
     assert tried.proposals[-1][1].step is Step.BACK
 
 
-def test_another_motion_is_not_compared(tried):
-    tried.take(WINDOW_TICKS + 6, error=3e-4, amplitude=0.1)
+def test_another_motion_ends_a_trial_at_once(tried):
+    at = tried.ticks
+    tried.take(WINDOW_TICKS, until=Step.BACK, error=3e-4, amplitude=0.02)
     assert tried.proposals[-1][1].step is Step.BACK
+    assert (tried.ticks - at) * TICK_S <= 0.5
     figures = tried.learner.figures
     assert (figures.kept, figures.taken_back) == (0, 0)
+
+
+def test_another_motion_has_the_model_file_and_one_that_comes_back_what_was_kept_for_it(tried):
+    tried.take(WINDOW_TICKS + 6, error=3e-4)
+    kept = tried.proposals[-1][1].model
+    at = tried.ticks
+    tried.take(4, error=3e-4, amplitude=0.02)
+    when, back = tried.proposals[-1]
+    assert (back.step, back.gain, (when - at) * TICK_S <= 0.5) == (Step.BACK, 0.9, True)
+    np.testing.assert_array_equal(back.model.values, WRONG.values)
+    at = tried.ticks
+    tried.take(6, error=3e-4)
+    when, again = tried.proposals[-1]
+    assert (when - at) * TICK_S <= 1.5
+    np.testing.assert_array_equal(again.model.values, kept.values)
 
 
 def test_rest_teaches_nothing():

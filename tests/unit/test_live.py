@@ -21,6 +21,7 @@ from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.control.packed import room
 from friction_hil.daemon.control.server import ControlServer
 from friction_hil.daemon.figures import SETTLE_S
+from friction_hil.daemon.learning_board import LearningBoard
 from friction_hil.daemon.ring import RingWriter
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
@@ -173,7 +174,9 @@ class Daemon:
         self.ring = RingWriter(len(columns.NAMES) + 2, 64)
         self.journal = make_journal()
         job = ControlJob(name, CONFIGURATION, "mill.yaml", [], list(columns.NAMES), 2)
-        desk = Desk(job, self.ring.descriptor, MailboxReader(room(1)).descriptor, self.journal)
+        self.board = LearningBoard()
+        mailbox = MailboxReader(room(1)).descriptor
+        desk = Desk(job, self.ring.descriptor, mailbox, self.journal, self.board.descriptor)
         self.answer = desk.answer
 
     def push(self, count, **values):

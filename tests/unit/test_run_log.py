@@ -2,6 +2,7 @@
 
 import pytest
 
+from friction_hil.daemon.figures import FeedbackGaps
 from friction_hil.daemon.log import RunLog
 from friction_hil.drive import DriveState
 
@@ -47,3 +48,18 @@ def test_after_a_reset_the_same_fault_counts_again_however_many_there_were():
     assert log.has_fault
     assert log.result.faults[-1] == "fault 0"
     assert [event for event in sink.events if event[1] == "reset"] == [(1000, "reset", "the fault is reset")]
+
+
+@pytest.mark.parametrize(
+    ("missing", "words"), [(19, ""), (20, "; feedback was missing in 20 of the 100 cycles before")]
+)
+def test_the_first_fault_names_what_was_missing_before_it(missing, words):
+    gaps, log = FeedbackGaps(), RunLog(Events(), 1e-3)
+    for cycle in [*range(50), *range(500, 500 + missing)]:  # the first ones are too long ago
+        gaps.miss(cycle, "lost")
+    log.missed(595, 3, 3_000_000, max_missed=10)
+    log.fault(597, "x: too fast [FH-107]", gaps.before(597))
+    log.fault(598, "x: too far [FH-108]", gaps.before(598))
+    first, second = log.result.faults
+    assert first == f"x: too fast; 3 periods were missed 2 ms before{words} [FH-107]"
+    assert second == "x: too far [FH-108]"

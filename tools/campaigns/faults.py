@@ -15,6 +15,8 @@ ALL, ON_CAN, ON_BUS = (CAN, SIDECAR, SERIAL), (CAN,), (CAN, SIDECAR)
 _FEEDBACK = ("FH-103",)
 _WATCHDOG = ("FH-105", "FH-106")
 _SILENCE = (*_FEEDBACK, *_WATCHDOG, "FH-101", "FH-114", "FH-116", "FH-120", "FH-230", "FH-235", "FH-248", "FH-252")
+# A drive that misses the daemon's heartbeat leaves Operational (1029h); the emergency that says so may be lost too.
+_LOST = (*_SILENCE, "FH-232")
 _LATE = ("FH-113", *_FEEDBACK, *_WATCHDOG, "FH-235", "FH-248")
 _JUMPS = ("FH-104", "FH-107", "FH-108", "FH-109", "FH-119")
 
@@ -50,6 +52,8 @@ class Fault:
         Called before the daemon starts, and when all is over.
     is_from_start : bool
         True if it is there from the beginning.
+    loses_frames : bool
+        True if commands and feedback are lost, so that an axis may become too fast before anything else is noticed.
     """
 
     name: str
@@ -67,6 +71,7 @@ class Fault:
     prepare: Callable[[Attempt], None] = _nothing
     release: Callable[[Attempt], None] = _nothing
     is_from_start: bool = False
+    loses_frames: bool = False
 
 
 def _wire(name: str, text: str, kind: str, share: float | None, codes: tuple[str, ...], **more: Any) -> Fault:
@@ -83,9 +88,9 @@ def _wire(name: str, text: str, kind: str, share: float | None, codes: tuple[str
 
 
 FAULTS = (
-    _wire("lost-1", "1 % of the frames lost", "lost", 0.01, _SILENCE),
-    _wire("lost-10", "10 % of the frames lost", "lost", 0.1, _SILENCE),
-    _wire("lost-50", "half of the frames lost", "lost", 0.5, _SILENCE),
+    _wire("lost-1", "1 % of the frames lost", "lost", 0.01, _LOST, loses_frames=True),
+    _wire("lost-10", "10 % of the frames lost", "lost", 0.1, _LOST, loses_frames=True),
+    _wire("lost-50", "half of the frames lost", "lost", 0.5, _LOST, loses_frames=True),
     _wire("late", "frames late by 0.3 to 3 periods", "late", None, (*_SILENCE, *_JUMPS)),
     _wire("duplicated", "frames twice, the second at once or later", "duplicated", None, (*_SILENCE, *_JUMPS)),
     _wire("reordered", "frames overtaken by later ones", "reordered", None, (*_SILENCE, *_JUMPS)),

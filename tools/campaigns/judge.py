@@ -16,6 +16,9 @@ _LATE = "FH-113"  # this computer was busy, which is nobody's fault
 # catches up, a heartbeat or SYNC that was not seen in time. The message has to name these periods.
 _FROM_LATE = ("FH-103", "FH-105", "FH-106", "FH-107", "FH-230", "FH-235", "FH-248")
 _NAMES_MISSED = re.compile(r"; \d+ periods? (was|were) missed ")
+# What may follow from feedback and commands that do not arrive, where the message says so: too fast, too far
+_FROM_GAPS = ("FH-107", "FH-108")
+_NAMES_GAPS = re.compile(r"; feedback was missing in \d+ of the \d+ cycles before")
 _BUSY = (_LATE, "FH-101", "FH-103", "FH-114", "FH-230", "FH-235", "FH-248")  # daemon or drives were
 _ROWS_LOST = re.compile(r"rows?\b.*\blost\b|\blost\b.*\brows?\b")
 _POWERED = {state.words for state in DriveState if state.is_powered}
@@ -120,7 +123,7 @@ def _judge_cause(fault: Fault, seen: Seen, faults: list[str], verdict: Verdict) 
     said = "\n".join([*faults, *seen.result.get("warnings", ()), *seen.result.get("notices", ()), seen.errors])
     if faults:
         code = _code(faults[0])
-        if code in fault.codes:
+        if code in fault.codes or (fault.loses_frames and code in _FROM_GAPS and _NAMES_GAPS.search(faults[0])):
             verdict.named = "yes"
         elif _is_from_lateness(seen, faults[0]):
             verdict.named = "late"

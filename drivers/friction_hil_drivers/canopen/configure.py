@@ -135,6 +135,7 @@ def configure(
         velocity_resolution=1.0 / abs(units.velocity_per_unit),
         units=unit_rows(scales, axis.limits, mode, axis.model.axis),
         has_load_encoder=load_encoder is not None,
+        takes_torque=not without,
     )
     code = access.find(objects.ERROR_CODE) if state is DriveState.FAULT else None
     error = profile.error_text(code) if code else ""

@@ -242,7 +242,7 @@ class CyclicExchange:
             if axis.needs_other_frames:
                 for can_id, data in axis.other_frames(request, now):
                     send(can_id, data)
-            is_unsent[k] = False
+            is_unsent[k] = not axis.is_reachable  # then it has had at most an SDO, which carries no set-point
 
     def _feed(self, now: int) -> None:
         """Send the heartbeat and the remote frames of node guarding when due, unless the drives are to miss them."""

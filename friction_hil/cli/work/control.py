@@ -9,6 +9,7 @@ from typing import Any
 from friction_hil.checked_yaml.text import parse
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.tables import say
+from friction_hil.daemon import learning_words
 from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.control.names import find, running
 from friction_hil.errors import ConfigurationError, FrictionHilError, UsageError, choices
@@ -150,5 +151,9 @@ def _lines(name: str, answer: dict[str, Any]) -> list[str]:
                 f"velocity {quantity(each['velocity'], unit + '/s')}, "
                 f"compensation {quantity(each['compensation'], force)}"
             )
+        if learning := each.get("learning"):  # a daemon of an earlier version has none
+            lines.append(f"     learning {learning_words.summary(learning)}")
+            more = learning_words.parameters(learning), learning["last"] and f"last: {learning['last']}"
+            lines += [f"     {text}" for text in more if text]
     lines += [f"  fault: {fault}" for fault in answer["faults"]]
     return [*lines, *(f"  warning: {warning}" for warning in answer["warnings"])]

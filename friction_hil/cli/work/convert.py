@@ -154,11 +154,8 @@ def _column_facts(recording: Recording) -> dict[str, dict[str, Any]]:
 
 def _kinds(recording: Recording) -> "tuple[AxisKind, ...]":
     """Return the kind of the axis if the recording carries the daemon's configuration, else both kinds."""
-    try:
-        kind = recording.metadata["configuration"]["axes"][recording.axis]["model"]["axis"]
-    except (KeyError, TypeError):
-        kind = None
-    return (kind,) if kind in ("rotary", "linear") else ("rotary", "linear")
+    kind = recording.axis_kind
+    return ("rotary", "linear") if kind is None else (kind,)
 
 
 def _print(name: str, facts: dict[str, Any]) -> None:

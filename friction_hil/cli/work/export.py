@@ -1,27 +1,31 @@
 """The work of ``friction-hil export``."""
 
 import math
+import os
 from pathlib import Path
 
 import click
 
 from friction_hil import export as exports
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.given_model import given_model
 from friction_hil.cli.work.model_text import value_text
 from friction_hil.compensator import Compensator
 from friction_hil.config import AxisConfig, Configuration, load
+from friction_hil.config.axis import compensation_mistakes
 from friction_hil.daemon.assembly import make_compensator
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import UsageError, choices
-from friction_hil.models.files import model_from_argument
 from friction_hil.models.model_file import ModelFile
+
+_FINEST = 1e-15  # rad or m: no encoder resolves this; what is finer is a mistake
 
 
 def export(
     *,
     model: str,
     to: str,
-    output: Path | None,
+    output: str | None,
     config: Path | None,
     axis: str | None,
     resolution: float | None,
@@ -32,7 +36,7 @@ def export(
     as_json: bool,
 ) -> None:
     """Write the files of an export and say what they hold."""
-    file = model_from_argument(model)
+    file = given_model(model)
     if to in exports.LOSSY:
         for option, is_given in (
             ("--config", config is not None),
@@ -43,7 +47,7 @@ def export(
                 raise click.UsageError(f"{option} belongs to the compensator, which the format {to} does not hold")
         if axis is not None and recording is None:
             raise click.UsageError("--axis belongs to --recording FILE")
-        _export_lossy(file, model, to, output, recording, axis, speed, force=force, as_json=as_json)
+        _export_lossy(file, to, output, recording, axis, speed, force=force, as_json=as_json)
         return
     for option, is_given in (("--recording", recording is not None), ("--speed", speed is not None)):
         if is_given:
@@ -55,7 +59,7 @@ def export(
         compensator = None
     else:
         compensator = _compensator(file, load(config), axis, resolution, delay_s)
-    folder, name = _place(output, model)
+    folder, name = _place(output)
     paths = exports.write(file, to, folder, name=name, compensator=compensator, overwrite=force)
     if as_json:
         print_json({"written": [str(path) for path in paths], "has_compensator": compensator is not None})
@@ -74,9 +78,8 @@ def export(
 
 def _export_lossy(
     file: ModelFile,
-    model: str,
     to: str,
-    output: Path | None,
+    output: str | None,
     recording: Path | None,
     axis: str | None,
     speed: float | None,
@@ -85,7 +88,7 @@ def _export_lossy(
     as_json: bool,
 ) -> None:
     """Write an export that loses torque, and say what it holds and what it loses."""
-    folder, name = _place(output, model)
+    folder, name = _place(output)
     converted = exports.convert(file, to, name=name, recording=recording, axis=axis, speed=speed)
     paths = exports.save(converted.files, folder, overwrite=force)
     if as_json:
@@ -100,27 +103,42 @@ def _export_lossy(
     for path in paths:
         click.echo(f"{path}: {path.stat().st_size} bytes")
     for parameter, value in converted.parameters.items():
-        click.echo(f"{parameter}: {value_text(value)}")
+        inner = value if isinstance(value, dict) else {}
+        text = ", ".join(f"{name} {value_text(each)}" for name, each in inner.items()) or value_text(value)
+        click.echo(f"{parameter}: {text}")
     for line in converted.loss.lines():
         click.echo(line)
 
 
-def _place(output: Path | None, model: str) -> tuple[Path, str]:
-    """Return the folder and the name of the files."""
-    own = exports.identifier(Path(model.partition(":")[0]).stem)
+def _place(output: str | None) -> tuple[Path, str]:
+    """Return the folder and the name of the files, empty for that of the model."""
     if output is None:
-        return Path(), own
-    if output.is_dir():
-        return output, own
-    return output.parent, output.stem
+        return Path(), ""
+    path = Path(output)
+    if path.is_dir() or output.endswith(("/", os.sep)):
+        return path, ""
+    return path.parent, path.stem
 
 
 def _compensator(
     file: ModelFile, configuration: Configuration, axis: str | None, resolution: float | None, delay_s: float | None
 ) -> Compensator:
     own = _axis(configuration, axis)
-    if resolution is None or not 0.0 < resolution < math.inf:
-        raise click.UsageError("--resolution R: the compensator needs the smallest step of the position, rad or m")
+    if resolution is None or not _FINEST <= resolution < math.inf:
+        given = "R" if resolution is None else f"{resolution:g}"
+        unit = "rad" if file.axis == "rotary" else "m"
+        raise click.UsageError(
+            f"--resolution {given}: the compensator needs the smallest step of the position, {unit}, such as 4.8e-5"
+        )
+    if own.model.axis != file.axis:
+        raise UsageError(
+            f"the model is for a {file.axis} axis, and the configuration for a {own.model.axis} one: its limits and "
+            "settings have other units"
+        )
+    without_learning = own.compensation.model_copy(update={"learning": "off"})  # which is not exported
+    adapted = own.model_copy(update={"model": file, "compensation": without_learning})
+    for steps, mistake in compensation_mistakes(adapted):
+        raise UsageError(f"the model does not suit the configuration: {'.'.join(map(str, steps))}: {mistake}")
     period_s = configuration.period_s
     if delay_s is not None:
         if not 0.0 <= delay_s < 1.0:

@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -37,6 +37,11 @@ _NAMELESS = "axis"
 def show_health(
     *,
     sources: Sequence[str],
+    fingerprint: bool,
+    simulate: bool,
+    pace: str,
+    reset_fault: bool,
+    yes: bool,
     axis: str | None,
     columns: dict[str, str],
     scale: dict[str, float],
@@ -55,12 +60,26 @@ def show_health(
 ) -> int:
     """Observe recordings that are new, judge all, and print the result; return the exit status."""
     check_result_files(None, report)
-    files, own_history = _files(sources)
+    moved: dict[Path, str] = {}
+    files: list[Path]
+    own_history: Path | None
+    if fingerprint:
+        from friction_hil.cli.work.fingerprint import record_fingerprints  # imported here: others need no daemon
+
+        config = _configuration(sources)
+        moved, own_history = record_fingerprints(
+            config, axis=axis, simulate=simulate, pace=pace, reset_fault=reset_fault, yes=yes
+        )
+        files = list(moved)
+    elif simulate or reset_fault or yes or pace != "real":
+        raise UsageError("--yes, --simulate, --reset-fault and --pace belong to --fingerprint")
+    else:
+        files, own_history = _files(sources)
     history = history or own_history
     known = History() if history is None else load(history)
     reading: dict[str, Any] = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz, "only": COLUMNS}
     settings = {"kind": "linear" if is_linear else "rotary", "orders": orders, "window_s": window_s}
-    notes = _observe(files, known, history, reading, settings, axis)
+    notes = _observe(files, known, history, reading, settings, axis, moved)
     if axis is not None and axis not in known.parts:
         raise UsageError(f"there is no axis {axis!r}; there are: {', '.join(known.parts) or 'none'}")
     least_s = since.timestamp() if since is not None else float("-inf")
@@ -90,6 +109,13 @@ def show_health(
     return status
 
 
+def _configuration(sources: Sequence[str]) -> Path:
+    """Return the configuration file whose axes are to be moved."""
+    if len(sources) > 1 or Path(sources[0]).suffix not in (".yaml", ".yml"):
+        raise UsageError("--fingerprint takes one configuration file, CONFIG.yaml, whose axes it moves")
+    return Path(sources[0])
+
+
 def _files(sources: Sequence[str]) -> tuple[list[Path], Path | None]:
     """Return the recordings that the command names, and the history of a service if it names one."""
     is_file = any(os.path.lexists(each) or Path(each).suffix.lower() in recordings.formats() for each in sources)
@@ -97,6 +123,8 @@ def _files(sources: Sequence[str]) -> tuple[list[Path], Path | None]:
         return _files_of_service(sources[0])
     files: list[Path] = []
     for source in sources:
+        if Path(source).suffix in (".yaml", ".yml"):
+            raise UsageError(f"{source} is no recording; with --fingerprint, the axes of a configuration are moved")
         if Path(source).is_dir():
             files += _in_folder(Path(source))
         else:
@@ -133,8 +161,9 @@ def _observe(
     reading: dict[str, Any],
     settings: dict[str, Any],
     axis: str | None,
+    moved: Mapping[Path, str],
 ) -> list[str]:
-    """Add what new recordings show, the oldest first; return notes on them."""
+    """Add what new recordings show, the oldest first; return notes on them. ``moved``: the only axis that did so."""
     notes: list[str] = []
     started: dict[Path, tuple[float, str, str]] = {}
     for path in files:
@@ -153,6 +182,8 @@ def _observe(
                 several = recordings.read_all(path, is_alone=True, **reading)
                 lines = []
                 for own, recording in _named(path, several, axis).items():
+                    if own != moved.get(path, own):
+                        continue
                     layout = known.layouts.get(own)
                     found, made, why_not = observe(recording, started_s=start, layout=layout, **settings)
                     if layout is None and found:

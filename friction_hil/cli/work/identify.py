@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import click
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
-from friction_hil.cli.work.read import read_recordings
+from friction_hil.cli.work.read import kind_of, read_recordings
 from friction_hil.cli.work.result_files import check_result_files
 from friction_hil.cli.work.tables import new_table, number, print_files, print_table, prose, say
 from friction_hil.errors import UsageError
@@ -38,6 +39,7 @@ def identify_axis(
     where: str | None,
     rate_hz: float | None,
     controller: dict[str, float],
+    is_linear: bool,
     output: Path | None,
     report: Path | None,
     as_json: bool,
@@ -54,6 +56,7 @@ def identify_axis(
     reading: dict[str, Any] = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz}
     recordings = read_recordings(sources, axis, **reading)
     validation = read_recordings(kept_apart, axis, **reading)
+    settings = replace(settings, axis=kind_of([*recordings, *validation], is_linear=is_linear))
     with status_line("reading") as show:
         result = identify(
             recordings,
@@ -107,7 +110,6 @@ def _beside(recordings: Sequence[Recording]) -> dict[str, dict[str, Recording]]:
 
 def _settings(
     models: tuple[str, ...],
-    is_linear: bool,
     loss: str,
     is_refined: bool | None,
     decimate: int | None,
@@ -115,7 +117,6 @@ def _settings(
 ) -> IdentificationSettings:
     return IdentificationSettings(
         families=models,
-        axis="linear" if is_linear else "rotary",
         is_robust=loss == "huber",
         refine=is_refined,
         decimation=decimate,

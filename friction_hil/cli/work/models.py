@@ -1,6 +1,5 @@
 """The work of ``friction-hil models``."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,20 +7,19 @@ import click
 
 from friction_hil import models
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.given_model import given_model
 from friction_hil.cli.work.model_facts import describe_model, describe_modifier
 from friction_hil.cli.work.model_text import Page, default_text, in_units_of, unit_text, value_text
 from friction_hil.cli.work.tables import Table, new_table, number, prose
 from friction_hil.config.examples import example_models
-from friction_hil.errors import ConfigurationError, UsageError
+from friction_hil.errors import UsageError
 from friction_hil.export import identifier
 from friction_hil.friction.modifiers import NAMES
 from friction_hil.models import Family, FrictionModel
-from friction_hil.models.files import load_model_file, model_from_argument
+from friction_hil.models.files import load_model_file
 from friction_hil.models.model_file import ModelFile
 from friction_hil.reports.export_gallery import INDEX, write_gallery
 from friction_hil.reports.model_picture import draw
-
-_OPTION = "--model "  # prefix of the messages about a model argument
 
 
 def show_models(*, name: str | None, picture: Path | None, gallery: Path | None, as_json: bool) -> None:
@@ -52,7 +50,7 @@ def _export_all(name: str | None, folder: Path, as_json: bool) -> None:
     chosen: dict[str, ModelFile] = {}
     if name is not None:
         family, own = _find(name)
-        chosen[identifier(Path(name.partition(":")[0]).stem)] = own or _example(family)
+        chosen[identifier(Path(name.partition(":")[0]).stem) or family.name] = own or _example(family)
     else:
         chosen |= {key: load_model_file(path) for key, path in example_models().items()}
         chosen |= {each: _example(models.describe(each)) for each in models.names()}
@@ -78,13 +76,7 @@ def _find(name: str) -> tuple[Family, ModelFile | None]:
     """Return the family that NAME stands for, and the model if NAME has values or is a file."""
     if name in models.names() or name == models.NETWORK_ALONE.name:
         return models.describe(name), None
-    try:
-        own = model_from_argument(name)
-    except ConfigurationError as error:
-        problems = [replace(each, path=each.path.removeprefix(_OPTION)) for each in error.problems]
-        raise ConfigurationError(problems) from None
-    except UsageError as error:
-        raise UsageError(str(error).removeprefix(_OPTION)) from None
+    own = given_model(name)
     return own.friction_model.family, own
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from friction_hil.daemon import learning_words
 from friction_hil.live import AxisSnapshot, Snapshot
 from friction_hil.live.friction_map import FrictionMap
 from friction_hil.numerics.jit import Array
@@ -16,6 +17,7 @@ _GAP = "  "
 _HISTOGRAM_WIDTH = 26
 _LEAST_GRAPH = 5  # lines
 _MOST_MESSAGES = 6
+_MOST_LEARNING = 2  # lines of a text
 _BARS = " ▏▎▍▌▋▊▉█"
 _BRAILLE = 0x2800
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
@@ -47,11 +49,14 @@ def screen(shown: Snapshot, width: int, height: int, chosen: int, *, is_coloured
     lines = [_head(shown, width), _timing(shown)]
     footer: list[Line] = [[("q ends" + ("  Tab: next axis" if len(axes) > 1 else ""), "dim")]] if is_live else []
     messages = _messages(shown, width)
+    learning = [[(text, "")] for each in _learning(axes) for text in _wrapped(each, width)[:_MOST_LEARNING]]
     room = height - len(lines) - len(footer)
     tables = [_table(_NOW, axes, width), _table(_ERRORS, axes, width)]
     for table in tables:
         lines += table[: max(0, room - min(len(messages), 2))]
         room = height - len(lines) - len(footer)
+    lines += learning[: max(0, room - _LEAST_GRAPH - min(len(messages), _MOST_MESSAGES))]
+    room = height - len(lines) - len(footer)
     graph = _graph(shown, name, axis, width, room - min(len(messages), _MOST_MESSAGES))
     lines += graph
     room = height - len(lines) - len(footer)
@@ -79,6 +84,8 @@ def brief_line(shown: Snapshot) -> str:
         rms = "-" if figures is None else quantity(figures.rms, axis.unit)
         condition = "with" if axis.is_enabled else "without"
         parts.append(f"{printable(name)}: {axis.drive_state}, error {rms} rms {condition} compensation")
+        if axis.learning is not None:
+            parts.append(f"learning {printable(learning_words.summary(axis.learning))}")
     parts += [f"fault: {printable(each.text)}" for each in shown.faults]
     return "; ".join(parts)
 
@@ -153,6 +160,16 @@ def _table(columns: Sequence[_Column], axes: Sequence[tuple[str, AxisSnapshot]],
         texts = [row[0].ljust(sizes[0]), *(text.rjust(size) for text, size in zip(row[1:], sizes[1:], strict=True))]
         lines.append([(_GAP.join(texts), "dim" if k == 0 else "")])
     return lines
+
+
+def _learning(axes: Sequence[tuple[str, AxisSnapshot]]) -> list[str]:
+    """Return what learning does for each axis, and below the parameters in use with their standard errors."""
+    texts = []
+    for name, axis in axes:
+        if axis.learning is not None:
+            texts.append(f"{name} learning {learning_words.summary(axis.learning)}")
+            texts += [f"  {text}" for text in (learning_words.parameters(axis.learning),) if text]
+    return texts
 
 
 def _messages(shown: Snapshot, width: int) -> list[Line]:

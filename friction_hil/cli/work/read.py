@@ -3,12 +3,15 @@
 import glob
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from friction_hil import recordings
 from friction_hil.errors import UsageError
 from friction_hil.recordings import Recording
 from friction_hil.recordings.parts import first_files, without_later_parts
+
+if TYPE_CHECKING:
+    from friction_hil.recordings.columns import AxisKind
 
 
 def expanded(words: Iterable[str | Path]) -> list[str]:
@@ -58,3 +61,22 @@ def read_recordings(sources: Iterable[Path], axis: str | None, **options: Any) -
             raise UsageError(f"{source}: has the axes {', '.join(several)}; choose one with --axis")
         found += several.values()
     return found
+
+
+def kind_of(found: Iterable[Recording], *, is_linear: bool) -> "AxisKind":
+    """Return the kind of the axis: as the daemon has recorded it, and by the option where the files do not say.
+
+    Raises
+    ------
+    UsageError
+        The files say that the axis is rotary, and the option that it is linear; or the files differ.
+    """
+    kind: AxisKind | None = "linear" if is_linear else None
+    by = "--linear"
+    for each in found:
+        own = each.axis_kind
+        if own is not None and kind not in (None, own):
+            raise UsageError(f"{each.path}: axis {each.axis!r} is {own} by its configuration, and {kind} by {by}")
+        if own is not None:
+            kind, by = own, each.path
+    return kind or "rotary"

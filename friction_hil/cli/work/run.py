@@ -15,6 +15,7 @@ from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.simulated import simulated_drives
 from friction_hil.cli.work.tables import print_table, say
 from friction_hil.config import load, located, missing_models
+from friction_hil.daemon import learning_words
 from friction_hil.daemon.control.lock import control_socket
 from friction_hil.daemon.control.names import default_name
 from friction_hil.daemon.stop import stop_on_signals
@@ -169,7 +170,8 @@ def _print(result: "SessionResult", configuration: "Configuration", *, dry_run: 
             for reason, count in sorted(figures.bridged_reasons.items(), key=lambda item: -item[1])[:_SHOWN_REASONS]:
                 say(f"   {count} of them: {reason}", stderr=False)
     for name, learned in result.learning.get("axes", {}).items():
-        say(f"{name}: {_learned(learned)}", stderr=False)
+        ended = f", ended: {learned['reason']}" if learned["doing"] == "ended" else ""
+        say(f"{name}: {learning_words.result(learned)}{ended}", stderr=False)
     for path in result.report.recording if result.report else ():
         click.echo(f"recorded: {path}")
 
@@ -196,20 +198,6 @@ def _print_errors(axes: "dict[str, AxisFigures]", configuration: "Configuration"
             say(f"{name}: {left_out} of {of} cycles are left out: {reason}", stderr=False)
         if hint := _hint(figures, configuration.axes[name]):
             say(f"{name}: {hint}", stderr=False)
-
-
-def _learned(learned: dict[str, Any]) -> str:
-    """Return what learning has done for an axis."""
-    times = learned["re_identified"]
-    words = [f"re-identified {times} time{'s' * (times != 1)}"]
-    if times and learned["error_before"] is not None and learned["error_after"] is not None:
-        shown = [f"{1e3 * learned[key]:.3g}" for key in ("error_before", "error_after")]
-        words.append(f"error {shown[0]} -> {shown[1]} m{learned['unit']}")
-    if learned["taken_back"]:
-        words.append(f"{learned['taken_back']} taken back")
-    if learned["mode"] == "propose":
-        words = ["learning only proposes: see the notices of the recording"]
-    return ", ".join(words)
 
 
 def _hint(figures: "AxisFigures", axis: "AxisConfig") -> str:

@@ -9,7 +9,7 @@ import click
 from friction_hil import training
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.output import print_json
-from friction_hil.cli.work.read import read_recordings
+from friction_hil.cli.work.read import kind_of, read_recordings
 from friction_hil.cli.work.tables import console, new_table, number, print_files, print_table
 from friction_hil.identification import IdentificationSettings
 from friction_hil.models.files import model_from_argument
@@ -34,12 +34,14 @@ def select(
 ) -> int:
     """Choose a network and its physical model, write model file and report, and print the result."""
     known = None if base is None else model_from_argument(base)
-    kind = known.axis if known is not None else "linear" if is_linear else "rotary"
     begin = time.monotonic()
     with console(stderr=True).status("reading") as status:
+        recordings = read_recordings(sources, axis, **reading)
+        validation = read_recordings(kept_apart, axis, **reading)
+        kind = known.axis if known is not None else kind_of([*recordings, *validation], is_linear=is_linear)
         found = training.select(
-            read_recordings(sources, axis, **reading),
-            read_recordings(kept_apart, axis, **reading),
+            recordings,
+            validation,
             known,
             settings=IdentificationSettings(axis=kind, lowpass_hz=lowpass_hz, seed=seed),
             inputs=inputs or None,

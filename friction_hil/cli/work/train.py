@@ -13,7 +13,7 @@ from friction_hil import training
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
-from friction_hil.cli.work.read import read_recordings
+from friction_hil.cli.work.read import kind_of, read_recordings
 from friction_hil.cli.work.result_files import check_result_files
 from friction_hil.cli.work.select_network import select
 from friction_hil.cli.work.tables import console, new_table, number, print_files, print_table
@@ -87,11 +87,13 @@ def _task_of_recordings(
     **reading: Any,
 ) -> training.TrainingTask:
     with console(stderr=True).status("reading"):
+        recordings = read_recordings(sources, axis, **reading)
+        validation = read_recordings(kept_apart, axis, **reading)
         return training.task_of_recordings(
-            read_recordings(sources, axis, **reading),
-            read_recordings(kept_apart, axis, **reading),
+            recordings,
+            validation,
             known,
-            is_linear=is_linear,
+            is_linear=known is None and kind_of([*recordings, *validation], is_linear=is_linear) == "linear",
             is_static=structure in ("static", "residual"),
             is_residual=structure == "residual",
             lowpass_hz=lowpass_hz,

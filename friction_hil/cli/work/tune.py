@@ -48,7 +48,7 @@ def tune_machine(
             "the machine moves several times, minutes apart, and there is no terminal to ask for confirmation: "
             "--yes moves it without asking"
         )
-    configuration = _checked(config)
+    configuration = checked(config)
     settings = TuneSettings(
         folder=free_path(_FOLDER, 0) if output is None else output,
         names=names,
@@ -59,7 +59,7 @@ def tune_machine(
         is_shaken=mechanics,
         is_simulated=simulate,
     )
-    terminal = _Terminal(is_asked=not yes)
+    terminal = Terminal(is_asked=not yes)
     try:
         with simulated_drives(configuration, pace, terminal.report) if simulate else nullcontext(configuration) as own:
             tuning = tune(own, settings, terminal)
@@ -79,7 +79,14 @@ def tune_machine(
     return 1 if failed else 0
 
 
-def _checked(config: Path) -> Configuration:
+def checked(config: Path) -> Configuration:
+    """Return a configuration whose model files need not exist, but whose other files must.
+
+    Raises
+    ------
+    ConfigurationError
+        It is wrong, or a file is missing.
+    """
     configuration = load(config, needs_models=False)
     if problems := file_problems(config, configuration):
         raise ConfigurationError(problems)
@@ -98,22 +105,25 @@ def _report(folder: Path, tuning: Tuning) -> Path | None:
     return None
 
 
-class _Terminal:
+class Terminal:
     """Messages and questions on stderr."""
 
     def __init__(self, *, is_asked: bool) -> None:
         self._is_asked = is_asked
 
     def report(self, line: str) -> None:
+        """Show a line."""
         say(line)
 
     def confirm(self, motion: str) -> None:
+        """Show what will move, and ask whether it may."""
         self.report(motion)
         if self._is_asked:
             click.confirm("Is the way clear?", default=False, abort=True, err=True)
 
     @contextmanager
     def working(self, text: str) -> Iterator[ShowStep]:
+        """Show that a long computation goes on."""
         if not sys.stderr.isatty():
             self.report(f"{text} ...")
         with status_line(text) as show:

@@ -25,6 +25,10 @@ class Changes:
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
 
+    def entries(self) -> dict[int, dict[str, Any]]:
+        """Return the changes that the journal has, by number."""
+        return _entries(self._descriptor)
+
     def of_file(self, names: list[str]) -> "FileChanges":
         """Return the changes of a file with columns of these names that begins now."""
         return FileChanges(self._descriptor, names.index(columns.CHANGE) if columns.CHANGE in names else None)
@@ -79,6 +83,8 @@ class FileChanges:
         return event
 
     def _entries(self) -> dict[int, dict[str, Any]]:
-        if self._descriptor < 0:
-            return {}
-        return {entry["number"]: entry for entry in journal.entries(self._descriptor)}
+        return _entries(self._descriptor)
+
+
+def _entries(descriptor: int) -> dict[int, dict[str, Any]]:
+    return {} if descriptor < 0 else {entry["number"]: entry for entry in journal.entries(descriptor)}

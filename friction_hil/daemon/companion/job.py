@@ -58,6 +58,10 @@ class Job:
         Where files of faults are written: ``run.mcap`` makes ``run-fault-20260131-142530.mcap``; none when absent.
     has_joint_states : bool
         True to write each row also as a joint state of ROS 2.
+    uncertainty : dict
+        Of axes whose model has known errors, the `friction_hil.daemon.uncertainty.uncertainty_table` of the start.
+    factors : list of int
+        Places in the state of the factors on the model's torque beside the gain.
     """
 
     axes: list[str]
@@ -75,6 +79,8 @@ class Job:
     budget_bytes: int | None = None
     black_box: str | None = None
     has_joint_states: bool = False
+    uncertainty: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+    factors: list[int] = field(default_factory=list)
 
     @property
     def row_width(self) -> int:

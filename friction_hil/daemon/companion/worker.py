@@ -11,6 +11,7 @@ from friction_hil.daemon.companion.history import History
 from friction_hil.daemon.companion.job import CANNOT_OPEN, Job, die_with_parent, say, warn
 from friction_hil.daemon.companion.recorder import Recorder
 from friction_hil.daemon.companion.status import StatusLine
+from friction_hil.daemon.companion.uncertainty import UncertaintyColumn
 from friction_hil.daemon.ring import RingReader
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.recording import Array
@@ -86,11 +87,13 @@ class _Outputs:
 
     def __init__(self, job: Job, ring: RingReader, memory: mmap.mmap | None, changes: Changes) -> None:
         self._ring = ring
+        self._uncertainty = UncertaintyColumn(job, changes)
         self.recorder = None if job.path is None else Recorder(job, ring, changes)
         self._history = None if memory is None else History(job, memory)
         self._black_box = None if self._history is None else BlackBox(job, self._history, changes)
 
     def take(self, rows: Array, events: list[tuple[float, str, str]]) -> None:
+        self._uncertainty.fill(rows)
         if self._history is not None and self._black_box is not None:
             self._history.append(rows)
             self._black_box.take(events)

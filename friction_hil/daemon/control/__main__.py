@@ -15,8 +15,8 @@ _INPUT = 0
 class _LazyDesk:
     """The desk, made at the first request: numpy and what reads the rows are imported then."""
 
-    def __init__(self, ring: int, mailbox: int, journal: int, job: int) -> None:
-        self._descriptors = ring, mailbox, journal
+    def __init__(self, ring: int, mailbox: int, journal: int, job: int, learning: int | None) -> None:
+        self._descriptors = ring, mailbox, journal, learning
         self._job = job
         self._desk: Any = None
         self._lock = threading.Lock()
@@ -41,16 +41,16 @@ class _LazyDesk:
         return Desk(job, *self._descriptors)
 
 
-def main(descriptor: int, ring: int, mailbox: int, journal: int, job: int) -> None:
+def main(descriptor: int, ring: int, mailbox: int, journal: int, job: int, learning: int | None = None) -> None:
     """Serve the socket until the daemon ends."""
     for ignored in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ignored, signal.SIG_IGN)
     if hasattr(os, "sched_setscheduler"):
         # the loop's real-time priority is not meant for checking values
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    serve(descriptor, _LazyDesk(ring, mailbox, journal, job).answer, _INPUT)
+    serve(descriptor, _LazyDesk(ring, mailbox, journal, job, learning).answer, _INPUT)
     os._exit(0)  # threads may wait for clients that never hang up
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:6]))
+    main(*map(int, sys.argv[1:]))

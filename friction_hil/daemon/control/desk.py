@@ -15,6 +15,7 @@ from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.mailbox import MailboxWriter
 from friction_hil.daemon.control.message import Action, Change, pack
 from friction_hil.daemon.control.state import DaemonState
+from friction_hil.daemon.learning_board import read_report
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import AxisFacts, DriveState
 from friction_hil.errors import FrictionHilError, choices
@@ -26,7 +27,7 @@ _LOOK_S = 0.01
 _STOP_S = 20.0  # more than all time-outs of a stop together
 _START_S = 20.0  # beyond enable_timeout_s: a first motion
 _RESET_S = 2.0
-_LATEST = 500  # cycles over which another model finds the state in which it would be
+LATEST_CYCLES = 500  # cycles over which another model finds the state in which it would be
 _KEYS = {"status": (), "observe": (), "set": ("values",), "tell": ("text",), "start": (), "stop": (), "reset": ()}
 _MAY_HAVE = {"set": ("reason",)}
 
@@ -42,15 +43,26 @@ class Desk:
     ----------
     job : ControlJob
     ring_descriptor, mailbox_descriptor, journal_descriptor : int
+    learning_descriptor : int or None
+        Memory of what the process that learns says; None without one.
     """
 
-    def __init__(self, job: ControlJob, ring_descriptor: int, mailbox_descriptor: int, journal_descriptor: int) -> None:
+    def __init__(
+        self,
+        job: ControlJob,
+        ring_descriptor: int,
+        mailbox_descriptor: int,
+        journal_descriptor: int,
+        learning_descriptor: int | None = None,
+    ) -> None:
         self._job = job
         self._names = list(job.configuration["axes"])
         self._mailbox = MailboxWriter(mailbox_descriptor)
         self._journal = journal_descriptor
         # opened again: what is open for reading only can be given to others
-        self._read_only = [os.open(f"/proc/self/fd/{each}", os.O_RDONLY) for each in (ring_descriptor, self._journal)]
+        self._learning = learning_descriptor
+        shown = [each for each in (ring_descriptor, self._journal, learning_descriptor) if each is not None]
+        self._read_only = [os.open(f"/proc/self/fd/{each}", os.O_RDONLY) for each in shown]
         self._state = DaemonState(ring_descriptor, self._names, job.columns, job.state_width)
         self._preparing = threading.Lock()  # one change of settings is prepared upon the other
         self._sending = threading.Lock()  # a stop does not wait for what is being prepared
@@ -93,6 +105,7 @@ class Desk:
             if self._state.stands:
                 warnings.append("the loop has written no row for a second: it stands, and the drives are unknown")
         configuration, _, files = self._present()
+        learning = {} if self._learning is None else read_report(self._learning).get("axes", {})
         axes = {}
         for name in self._names:
             given = configuration["axes"][name]["compensation"]
@@ -105,6 +118,7 @@ class Desk:
                 "adaptation": given["adaptation"],
                 "model": configuration["axes"][name]["model"]["friction"]["model"],
                 "model_file": files[name],
+                "learning": learning.get(name),
             }
         return {
             "protocol": PROTOCOL,
@@ -149,7 +163,7 @@ class Desk:
 
         with self._preparing:
             before, models_of, _ = self._present()
-            rows = self._state.rows(_LATEST)
+            rows = self._state.rows(LATEST_CYCLES)
             latest = {
                 name: found
                 for k, name in enumerate(self._names)

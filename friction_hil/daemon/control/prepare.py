@@ -3,7 +3,7 @@
 import copy
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from friction_hil.daemon.assembly import make_compensator
 from friction_hil.daemon.axis import check_torque
 from friction_hil.daemon.control.message import AxisChange
 from friction_hil.daemon.static_torque import static_torque
+from friction_hil.daemon.uncertainty import Table, uncertainty_table
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import ConfigurationError, FrictionHilError, OptionError, UsageError, choices
 from friction_hil.models.files import load_model_file
@@ -47,11 +48,14 @@ class Prepared:
     axes : list of AxisChange or None
     models : dict of str
         File of the new model of each axis that gets one from a file.
+    uncertainty : dict
+        `friction_hil.daemon.uncertainty.uncertainty_table` of each axis that gets a model with known errors.
     """
 
     configuration: dict[str, Any]
     axes: list[AxisChange | None]
     models: dict[str, str]
+    uncertainty: dict[str, Table] = field(default_factory=dict)
 
 
 def prepare(
@@ -119,8 +123,11 @@ def prepare(
                 is_other = fact.name in models
                 if is_other:
                     _check_model(fact.name, after, has_network=has_network)
-                one = _change(after, new, fact, rows.get(fact.name), is_other=is_other)
+                before = configuration["axes"][fact.name]["model"] if is_other else None
+                one = _change(after, new, fact, rows.get(fact.name), before)
             is_enabled = after.compensation.enabled if fact.name in switched else None
+            if is_enabled:
+                _check_takes_torque(fact)
             one = AxisChange(is_enabled, one.record, one.friction, static_torque(after))
         except OptionError as error:
             problems.append(f"{error.axis}.{error.key}: {error.text}")
@@ -129,7 +136,9 @@ def prepare(
         changes.append(one if fact.name in changed | switched else None)
     if problems:
         raise UsageError("\n".join(problems))
-    return Prepared(self_contained(new), changes, {name: file for name, file in models.items() if file is not None})
+    files = {name: file for name, file in models.items() if file is not None}
+    uncertainty = {name: table for name in models if (table := uncertainty_table(new.axes[name]))}
+    return Prepared(self_contained(new), changes, files, uncertainty)
 
 
 def _place(key: str, axes: Mapping[str, Any]) -> tuple[str, list[str]]:
@@ -200,6 +209,20 @@ def _check_kind(name: str, path: Any, kind: str) -> None:
         raise UsageError(f"{name}.model: is for a {given} axis, but {name} is {kind}")
 
 
+def _check_takes_torque(fact: AxisFacts) -> None:
+    """Refuse compensation where no torque gets to the drive.
+
+    Raises
+    ------
+    UsageError
+    """
+    if not fact.takes_torque:
+        raise UsageError(
+            f"{fact.name}.enabled: must be false, because this drive takes no torque beside the set-points of its mode "
+            f"(mode cst compensates without that): {_ELSEWHERE}"
+        )
+
+
 def _check_model(name: str, after: AxisConfig, *, has_network: bool) -> None:
     """Refuse a model that cannot take the place of the present one.
 
@@ -225,18 +248,30 @@ def _change(
     configuration: Configuration,
     fact: AxisFacts,
     latest: tuple[Mapping[str, Array], Array] | None,
-    *,
-    is_other: bool,
+    before: Mapping[str, Any] | None,
 ) -> AxisChange:
-    """Return new settings of an axis, and the state of its model if that is another one."""
+    """Return new settings of an axis, and the state of its model if another one than ``before``; None: it stays."""
     check_torque(fact.name, axis, fact)
     compensator = make_compensator(axis, axis.model, fact, configuration.period_s)
-    friction = state_in(compensator, latest, fact.name) if is_other else None
+    friction = None
+    if before is not None:
+        kinds = [_kind(model["friction"]) for model in (before, axis.model.model_dump(mode="json"))]
+        friction = state_in(compensator, latest, fact.name, is_alike=kinds[0] == kinds[1])
     return AxisChange(None, compensator.record, friction)
 
 
-def state_in(compensator: Compensator, latest: tuple[Mapping[str, Array], Array] | None, name: str) -> Array:
+def _kind(friction: Mapping[str, Any]) -> tuple[Any, set[str]]:
+    """Return what the states of a friction model depend on."""
+    return friction["model"], {name for name, value in (friction.get("modifiers") or {}).items() if value}
+
+
+def state_in(
+    compensator: Compensator, latest: tuple[Mapping[str, Array], Array] | None, name: str, *, is_alike: bool
+) -> Array:
     """Return the state in which a model would be after the latest cycles.
+
+    At rest these say nothing of the bristles, which have been bent since the last motion: a model of the same family
+    begins with the present state.
 
     Parameters
     ----------
@@ -246,6 +281,8 @@ def state_in(compensator: Compensator, latest: tuple[Mapping[str, Array], Array]
         Inputs (n,) of the cycles by name, and the state of the present compensator before the first of them.
     name : str
         Of the axis, for messages.
+    is_alike : bool
+        The present model is of the same family, with the same modifiers.
 
     Raises
     ------
@@ -256,7 +293,7 @@ def state_in(compensator: Compensator, latest: tuple[Mapping[str, Array], Array]
     if latest is not None:
         inputs, state = latest
         compensator.state[:] = state[: compensator.state.size]
-        compensator.adopt(compensator.record, initial)
+        compensator.adopt(compensator.record, compensator.friction_state if is_alike else initial)
         for values in zip(*(inputs[each].tolist() for each in INPUTS), strict=True):
             compensator.step(*values)
             if compensator.is_faulty:
@@ -282,6 +319,8 @@ def entry_of(number: int, prepared: Prepared, models_of: Mapping[str, int], text
         axes[name] = {"compensation": axis["compensation"], "is_adopted": is_adopted, "model_of": models_of[name]}
         if change is not None and change.friction is not None:
             axes[name] |= {"model_of": number, "model": axis["model"], "friction": _trimmed(change.friction)}
+            if name in prepared.uncertainty:
+                axes[name]["uncertainty"] = prepared.uncertainty[name]
     return {"number": number, "text": text, "axes": axes}
 
 

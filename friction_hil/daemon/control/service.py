@@ -3,7 +3,7 @@
 import json
 import os
 import subprocess
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 
 from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.lock import ControlSocket
@@ -13,6 +13,25 @@ from friction_hil.daemon.spawner.client import Spawn
 from friction_hil.daemon.tended_process import TendedProcess
 
 
+@dataclass(frozen=True, slots=True)
+class Memories:
+    """Descriptors of the memories that the process reads.
+
+    Attributes
+    ----------
+    ring : int
+        Rows and events, which it only reads.
+    journal : int
+        Changes.
+    learning : int or None
+        What the process that learns says; None without one.
+    """
+
+    ring: int
+    journal: int
+    learning: int | None = None
+
+
 class ControlService(TendedProcess):
     """The process that serves the control socket.
 
@@ -20,9 +39,7 @@ class ControlService(TendedProcess):
     ----------
     spawn : Spawn
     control_socket : ControlSocket
-    ring_descriptor : int
-        Memory of the rows, which the process only reads.
-    journal_descriptor : int
+    memories : Memories
     job : ControlJob
 
     Attributes
@@ -35,8 +52,7 @@ class ControlService(TendedProcess):
         self,
         spawn: Spawn,
         control_socket: ControlSocket,
-        ring_descriptor: int,
-        journal_descriptor: int,
+        memories: Memories,
         job: ControlJob,
     ) -> None:
         self.mailbox = MailboxReader(room(len(job.facts)))
@@ -45,10 +61,11 @@ class ControlService(TendedProcess):
             file.write(json.dumps(asdict(job)).encode())
         descriptors = [
             control_socket.descriptor,
-            ring_descriptor,
+            memories.ring,
             self.mailbox.descriptor,
-            journal_descriptor,
+            memories.journal,
             self._job,
+            *(() if memories.learning is None else (memories.learning,)),
         ]
         super().__init__(
             spawn,

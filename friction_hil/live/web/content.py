@@ -10,6 +10,7 @@ import numpy as np
 
 from friction_hil.analysis import following
 from friction_hil.analysis.circularity import RING_SHARE
+from friction_hil.daemon import learning_words
 from friction_hil.live import AxisSnapshot, LiveFacts, Rows, Snapshot
 from friction_hil.live.following_error import motion_columns
 from friction_hil.live.friction_map import FrictionMap
@@ -131,7 +132,20 @@ def _values(axis: AxisSnapshot) -> list[tuple[str, str]]:
         ("Temperature", f"{axis.temperature:.1f} °C" if math.isfinite(axis.temperature) else "-"),
         ("Model", f"{axis.model}{file}, gain {axis.gain:g}"),
         ("Parameters", ", ".join(f"{key} {_parameter(value)}" for key, value in axis.parameters.items())),
+        *_learning(axis),
     ]
+
+
+def _learning(axis: AxisSnapshot) -> list[tuple[str, str]]:
+    """Return what learning does for an axis, if it does."""
+    if (report := axis.learning) is None:
+        return []
+    found = [
+        ("Learning", learning_words.summary(report)),
+        ("Learning, last", report["last"]),
+        ("Parameters with standard errors", learning_words.parameters(report)),
+    ]
+    return [(name, text) for name, text in found if text]
 
 
 def _error(figures: Any, unit: str) -> str:

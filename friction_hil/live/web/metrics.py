@@ -2,10 +2,12 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 
+from friction_hil.daemon.learning_words import DOINGS
 from friction_hil.daemon.safety import LoopState
 from friction_hil.live import AxisSnapshot, Snapshot
 
@@ -76,15 +78,46 @@ def _histogram(name: str, snapshot: Snapshot) -> Metric:
     return family
 
 
-def _axes(name: str, axes: Mapping[str, AxisSnapshot]) -> Iterator[Metric]:
-    families: dict[str, GaugeMetricFamily] = {}
+class _AxisMetrics:
+    """Metrics with a sample for each axis.
 
-    def add(metric: str, text: str, axis: str, value: float, **labels: str) -> None:
-        if metric not in families:
-            families[metric] = GaugeMetricFamily(f"{_P}{metric}", f"{text}.", labels=["daemon", "axis", *labels])
+    Parameters
+    ----------
+    name : str
+        Of the daemon.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self.families: dict[str, GaugeMetricFamily | CounterMetricFamily] = {}
+
+    def add(self, metric: str, text: str, axis: str, value: float, **labels: str) -> None:
+        """Add a gauge; without a sample where the value is not known."""
+        family = self._family(GaugeMetricFamily, metric, f"{text}.", labels)
         if math.isfinite(value):
-            families[metric].add_metric([name, axis, *labels.values()], value)
+            family.add_metric([self._name, axis, *labels.values()], value)
 
+    def count(self, metric: str, text: str, axis: str, value: int) -> None:
+        """Add a counter that begins with the run."""
+        self._family(CounterMetricFamily, metric, f"{text}, since the run began.", {}).add_metric(
+            [self._name, axis], value
+        )
+
+    def _family(
+        self,
+        kind: type[GaugeMetricFamily] | type[CounterMetricFamily],
+        metric: str,
+        text: str,
+        labels: Mapping[str, str],
+    ) -> GaugeMetricFamily | CounterMetricFamily:
+        if metric not in self.families:
+            self.families[metric] = kind(f"{_P}{metric}", text, labels=["daemon", "axis", *labels])
+        return self.families[metric]
+
+
+def _axes(name: str, axes: Mapping[str, AxisSnapshot]) -> Iterator[Metric]:
+    metrics = _AxisMetrics(name)
+    add = metrics.add
     for axis, each in axes.items():
         length, torque = _UNITS[each.unit], _UNITS[each.torque_unit]
         add(f"position_{length}", "Measured position", axis, each.position)
@@ -107,7 +140,29 @@ def _axes(name: str, axes: Mapping[str, AxisSnapshot]) -> Iterator[Metric]:
             if isinstance(value, int | float):
                 text = "Parameter of the friction model, in SI units"
                 add("model_parameter", text, axis, float(value), model=each.model, parameter=parameter)
-    yield from families.values()
+        if each.learning is not None:
+            _add_learning(metrics, axis, each.model, each.learning, length)
+    yield from metrics.families.values()
+
+
+def _add_learning(metrics: _AxisMetrics, axis: str, model: str, report: Mapping[str, Any], length: str) -> None:
+    """Add what learning knows of an axis, and what it has done."""
+    is_valid = report["doing"] != "ended" and report["parameters"]
+    for parameter, value in report["parameters"].items() if is_valid else ():
+        labels = {"model": model, "parameter": parameter}
+        text = "Estimate of a parameter of the friction model by learning, in SI units"
+        metrics.add("learned_parameter", text, axis, value, **labels)
+        text = "Standard error of the estimate, relative to the parameter; of a ripple to its amplitude"
+        metrics.add("learned_parameter_error_ratio", text, axis, report["relative_errors"][parameter], **labels)
+    for doing in DOINGS:
+        metrics.add("learning_state", "1 for what learning does", axis, float(report["doing"] == doing), state=doing)
+    metrics.count("learning_kept", "Hand-overs of parameters that were kept", axis, report["re_identified"])
+    metrics.count("learning_taken_back", "Changes that were taken back", axis, report["taken_back"])
+    metrics.count("learning_stopped", "Stops because the record was not that of the axis", axis, report["stopped"])
+    text = "Following error (root mean square) of the same motion, with the parameters of the model file and those kept"
+    for key, words in (("error_before", "file"), ("error_after", "kept")):
+        value = math.nan if report[key] is None else report[key]
+        metrics.add(f"learning_error_rms_{length}", text, axis, value, parameters=words)
 
 
 def _gauge(metric: str, text: str, name: str, value: float) -> Metric:

@@ -98,6 +98,7 @@ def follow(
     seconds: float,
     *,
     is_learning: bool,
+    has_layer: bool = True,
     events: Mapping[float, Event] | None = None,
     retuned: Callable[[float], FrictionModel | None] | None = None,
 ) -> Followed:
@@ -108,6 +109,8 @@ def follow(
     of : Setup
     seconds : float
     is_learning : bool
+    has_layer : bool
+        A residual layer is looked for, too.
     events : mapping of float to callable
         What happens to the axis at a tick of this time, s.
     retuned : callable, optional
@@ -125,6 +128,7 @@ def follow(
             resolution=settings.position_resolution,
             gain=settings.gain,
             fade_s=settings.fade_s,
+            has_layer=has_layer,
         )
     cycles = round(TICK_S / period_s)
     found = Followed(np.empty((2, 0)), np.empty(0), learner=learner)

@@ -17,6 +17,7 @@ from tools.benchmarks.learning.case import Event, Followed, Setup, follow, setup
 
 AFTER_S = 60.0  # of the axis's own motion, then the error is scored
 SCORED_S = 4.0
+POOR_SCORED_S = 20.0  # through a coarse encoder, stick-slip varies by a tenth within a few strokes
 WRONG = ("mismatch_a", "mismatch_b")
 _LEVELS = ("coulomb", "static", "sigma2", "viscous")
 _DRIFT_S = 600.0
@@ -31,6 +32,7 @@ _CHANGING = (
     (60.0, GridMotion(kind="dwell", amplitude=0.2, frequency=0.5)),
     (60.0, GridMotion(amplitude=1.0, frequency=1.0)),
 )
+_COGGING = {7.0: 0.05, 24.0: 0.065}  # amplitude in friction levels, by order
 _HAPPENS_S = 30.0
 _STOP_S = 1.0
 
@@ -91,12 +93,13 @@ def _combinations(grid: Grid, conditions: tuple[str, ...], seconds: float) -> It
                     yield name, setup(grid, plant, drive, motion, condition, seconds)
 
 
-def _reductions(of: Setup, *, is_fixed_from_start: bool = False) -> dict[str, float]:
+def _reductions(of: Setup, *, scored_s: float | None = None, is_fixed_from_start: bool = False) -> dict[str, float]:
     """Return the reduction of the following error with the model file, and after learning for `AFTER_S`."""
-    period_s, end = of.settings.period_s, AFTER_S + SCORED_S
-    short = end if is_fixed_from_start else 2.0 * SCORED_S + 2.0
-    none = without(of, short).error(short - SCORED_S, short, period_s)
-    fixed = follow(of, short, is_learning=False).error(short - SCORED_S, short, period_s)
+    scored_s = SCORED_S if scored_s is None else scored_s
+    period_s, end = of.settings.period_s, AFTER_S + scored_s
+    short = end if is_fixed_from_start else 2.0 * scored_s + 2.0
+    none = without(of, short).error(short - scored_s, short, period_s)
+    fixed = follow(of, short, is_learning=False).error(short - scored_s, short, period_s)
     learned = follow(of, end, is_learning=True)
     after = learned.error(AFTER_S, end, period_s)
     assert learned.learner is not None
@@ -132,7 +135,41 @@ def _poor(grid: Grid) -> Cases:
                 of.settings, position_resolution=math.tau / 2**14, lead_s=of.lead_s + of.settings.period_s
             )
             changed = replace(of, sensors=sensors, settings=settings, lead_s=settings.lead_s)
-            yield f"{name} torque x {factor}", partial(_reductions, changed, is_fixed_from_start=True)
+            yield (
+                f"{name} torque x {factor}",
+                partial(_reductions, changed, scored_s=POOR_SCORED_S, is_fixed_from_start=True),
+            )
+
+
+def _residual(grid: Grid) -> Cases:
+    for name, of in _combinations(grid, ("exact",), AFTER_S):
+        level = of.believed.level
+        ripple = [{"order": order, "cosine": 0.0, "sine": share * level} for order, share in _COGGING.items()]
+        friction = of.plant.friction.model_copy(update={"modifiers": {**of.believed.modifiers, "ripple": ripple}})
+        plant = of.plant.model_copy(update={"friction": friction})
+        yield f"{name} cogging", partial(_layered, replace(of, plant=plant, settings=replace(of.settings, gain=0.9)))
+
+
+def _layered(of: Setup) -> dict[str, float]:
+    """Return the reduction of the following error with the model file, and after learning without and with a layer."""
+    period_s, end = of.settings.period_s, AFTER_S + SCORED_S
+    short = 2.0 * SCORED_S + 2.0
+    none = without(of, short).error(short - SCORED_S, short, period_s)
+    fixed = follow(of, short, is_learning=False).error(short - SCORED_S, short, period_s)
+    found = {"file_rms": none.rms / fixed.rms, "file_peak": none.peak / fixed.peak}
+    for name in ("learned", "layer"):
+        run = follow(of, end, is_learning=True, has_layer=name == "layer")
+        after = run.error(AFTER_S, end, period_s)
+        found |= {f"{name}_rms": none.rms / after.rms, f"{name}_peak": none.peak / after.peak}
+    assert run.learner is not None
+    layer = run.learner.figures.layer
+    return {
+        **found,
+        "layer_ratio_rms": found["layer_rms"] / found["learned_rms"],
+        "cpu_share": run.busy_s / end,
+        "tried": layer.tried,
+        "on": float(layer.state == "on"),
+    }
 
 
 def _drift(grid: Grid) -> Cases:
@@ -262,6 +299,7 @@ _ROWS: dict[str, Callable[[Grid], Cases]] = {
     "drift": _drift,
     "changing": _changing,
     "poor": _poor,
+    "residual": _residual,
     "catastrophes": _catastrophes,
 }
 __all__ = ["AFTER_S", "Figure", "Followed", "cases_of", "names", "summary"]

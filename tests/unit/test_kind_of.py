@@ -1,0 +1,36 @@
+"""The kind of an axis: rotary or linear, as the daemon has recorded it, or as the user says."""
+
+import numpy as np
+import pytest
+
+from friction_hil.cli.work.read import kind_of
+from friction_hil.errors import UsageError
+from friction_hil.recordings import Recording
+
+
+def recorded(kind=None, path="log.mcap"):
+    axes = {} if kind is None else {"x": {"model": {"axis": kind}}}
+    return Recording(path, "x", {"time_s": np.arange(3.0)}, metadata={"configuration": {"axes": axes}})
+
+
+@pytest.mark.parametrize("is_linear", [False, True])
+def test_without_a_configuration_the_option_decides(is_linear):
+    assert kind_of([recorded(), recorded()], is_linear=is_linear) == ("linear" if is_linear else "rotary")
+
+
+@pytest.mark.parametrize("is_linear", [False, True])
+def test_a_recording_of_the_daemon_needs_no_option(is_linear):
+    assert kind_of([recorded(), recorded("linear")], is_linear=is_linear) == "linear"
+
+
+def test_what_contradicts_is_refused():
+    with pytest.raises(UsageError, match=r"^a: axis 'x' is rotary by its configuration, and linear by --linear$"):
+        kind_of([recorded("rotary", "a")], is_linear=True)
+    with pytest.raises(UsageError, match=r"^b: axis 'x' is linear by its configuration, and rotary by a$"):
+        kind_of([recorded("rotary", "a"), recorded("linear", "b")], is_linear=False)
+
+
+@pytest.mark.parametrize("metadata", [{}, {"configuration": None}, {"configuration": {"axes": {"x": {"model": 3}}}}])
+def test_metadata_of_others_says_nothing(metadata):
+    other = Recording("log.csv", "x", {"time_s": np.arange(3.0)}, metadata=metadata)
+    assert other.axis_kind is None
