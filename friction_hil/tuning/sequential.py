@@ -268,7 +268,7 @@ class Observer:
         slopes = known.simulate(np.zeros(len(known.names)), velocity, dt)[1][skipped:]
         level = known.model.level
         shares = np.mean((slopes @ covariance) * slopes, axis=0)  # of each parameter in the mean variance
-        variance = float(np.sum(shares))
+        variance = max(float(np.sum(shares)), 0.0)
         change = math.nan
         if compared is not None:
             before, last = (each.simulate(velocity, dt)[skipped:] for each in compared)
