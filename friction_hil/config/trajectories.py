@@ -70,6 +70,13 @@ class ExperimentBounds(Section):
 class AxisExperiment(ExperimentBounds):
     """Bounds of the experiment of `tune`."""
 
+    duration_s: float = key(
+        "longest duration; the experiment ends earlier when what is unknown does not matter any more",
+        "s",
+        default=60.0,
+        ge=10,
+        le=LONGEST_EXPERIMENT_S,
+    )
     axis: Literal["rotary", "linear"] | None = key(
         "kind of an axis without a model file: rotary (default) or linear", default=None
     )

@@ -78,6 +78,27 @@ class Coordinates:
         """
         return with_values(self.model, dict(zip(self.names, map(float, self.at(x)), strict=True)))
 
+    def simulate(self, x: Array, velocity: Array, dt: float, **inputs: Any) -> tuple[Array, Array]:
+        """Return the friction torque (n,) of a motion and its derivatives with respect to the coordinates (n, m).
+
+        Parameters
+        ----------
+        x : (m,) array
+        velocity : (n,) array
+            rad/s or m/s.
+        dt : float
+            Period of sampling, s.
+        **inputs
+            See `friction_hil.friction.FrictionModel.simulate`.
+
+        Raises
+        ------
+        UsageError
+            The parameters are not consistent.
+        """
+        columns = [{name: float(slope)} for name, slope in zip(self.names, self.slopes(x), strict=True)]
+        return self.model_at(x).simulate_with_gradient(velocity, dt, free=columns, **inputs)
+
 
 def coordinates_of(model: FrictionModel, standard_errors: Mapping[str, float]) -> Coordinates:
     """Return the coordinates of a model.

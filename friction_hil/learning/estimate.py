@@ -236,13 +236,8 @@ class _Problem:
 
     def model_torque(self, x: Array) -> tuple[Array, Array]:
         """Return the friction torque (n,) and its derivatives over the coordinates (n, m)."""
-        coordinates = self.belief.coordinates
-        inner = x[:-MECHANICS]
-        model = coordinates.model_at(inner)
-        columns = [
-            {name: float(slope)} for name, slope in zip(coordinates.names, coordinates.slopes(inner), strict=True)
-        ]
-        return model.simulate_with_gradient(self.velocity, self.window.period_s, free=columns, **self.window.inputs())
+        window = self.window
+        return self.belief.coordinates.simulate(x[:-MECHANICS], self.velocity, window.period_s, **window.inputs())
 
     def residual(self, x: Array) -> tuple[Array, Array]:
         """Return measured less explained torque of the rows (k,), and its derivative (k, m + 3)."""

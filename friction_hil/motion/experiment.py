@@ -45,7 +45,8 @@ _SECOND_SPEED = 0.75  # of the first one's
 _SECOND_FORCE = _SECOND * _SECOND_SPEED  # acceleration over the first one's
 _PRESLIDING_SPEED = 0.2  # of the rated one, at most
 _SINE_FRACTION = 0.9  # of the acceleration; swelling and fading take the rest
-_LEAST_PERIODS = 8.0
+_LEAST_PERIODS = 8.0  # of the first sweep
+_FOUR_PERIODS_S, _EIGHT_PERIODS_S = 15.0, 30.0  # in between, a shorter experiment has fewer of them
 _FASTEST_SLOW_HZ = 3.0
 LEAST_COUNTS = 25.0  # of the encoder, in the smallest amplitude of a fast sweep
 _LEAST_SWELL = 2.0  # largest over smallest amplitude in presliding
@@ -148,7 +149,10 @@ def _within(sweep: Sweep, velocity: float, acceleration: float) -> Sweep:
 def _slowest(duration_s: float, period_s: float) -> float:
     """Return the lowest frequency of the first sweep, Hz: it has enough periods beside as many fast ones as may be."""
     slow_time = 1.0 - _MOST_FAST * _FAST_TIME if _is_sampled(period_s) else 1.0
-    return _LEAST_PERIODS / (_SLOW_RATIO * slow_time * duration_s)
+    first_s = _SLOW_RATIO * slow_time * duration_s
+    # faster periods are shorter strokes, which show less of a soft axis; so there are fewer, but never under four
+    is_short = _FOUR_PERIODS_S <= duration_s < _EIGHT_PERIODS_S
+    return _LEAST_PERIODS * (duration_s / _EIGHT_PERIODS_S if is_short else 1.0) / first_s
 
 
 def _smallest(largest: float, resolution: float) -> float:

@@ -80,6 +80,8 @@ def _section(name: str, axis: "AxisTuning", tuning: "Tuning") -> str:
     links = ", ".join(f'<a href="{file}">{html.escape(each.label)}</a>' for file, each in _identifications(name, axis))
     lag = tuning.torque_lags.get(name)
     said = f"<p>{html.escape(_sentence(lag.text))}</p>" if lag is not None else ""
+    if experiment := tuning.experiments.get(name):
+        said = f"<p>{html.escape(_sentence(experiment.text))}</p>{said}"
     return f"""
 <h2>{html.escape(name)}: {html.escape(best.label)}</h2>
 <p>{verdict}. Identification of the models, with standard errors: {links}.</p>

@@ -29,7 +29,9 @@ def _allowed_speed(axis: AxisConfig, bounds: ExperimentBounds) -> float:
     return max(peak_speed(axis.trajectory), bounds.velocity, _JUMP * axis.limits.velocity / SPEED_MARGIN)
 
 
-def experiment_text(run: Configuration, name: str, bounds: ExperimentBounds, duration_s: float) -> str:
+def experiment_text(
+    run: Configuration, name: str, bounds: ExperimentBounds, duration_s: float, parts_s: Sequence[float] = ()
+) -> str:
     """Describe the experiment of an axis.
 
     Parameters
@@ -40,13 +42,21 @@ def experiment_text(run: Configuration, name: str, bounds: ExperimentBounds, dur
     bounds : ExperimentBounds
         Its travel and velocity.
     duration_s : float
-        Duration of the run, s.
+        Duration of all runs, s.
+    parts_s : sequence of float
+        Lengths of its parts, s.
     """
     axis = run.axes[name]
     unit = _unit(axis)
+    is_divided = len(parts_s) > 1
+    in_parts = (
+        f"; it moves in parts of {', '.join(f'{each:g}' for each in parts_s)} s, as many as needed: after each its "
+        "drive is disabled for some seconds, and the next one begins without a question"
+    )
     return (
         f"{name} moves by up to {bounds.travel:g} {unit} to either side of where it stands, "
-        f"{_speed(axis, _allowed_speed(axis, bounds))}, for {duration_s:.0f} s, without compensation"
+        f"{_speed(axis, _allowed_speed(axis, bounds))}, for {'at most ' if is_divided else ''}{duration_s:.0f} s, "
+        f"without compensation{in_parts if is_divided else ''}"
         f"{_others(run, (name,))}{_presliding(run, bounds, unit)}"
     )
 

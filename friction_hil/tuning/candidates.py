@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -25,6 +25,23 @@ from friction_hil.tuning.two_steps import steady_curve, with_steady_curve
 CandidateFit = tuple[Identification, Fit]
 """A fit that is to be tried, with the identification that it belongs to."""
 
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExperimentPart:
+    """A part of an experiment, complete in itself.
+
+    Attributes
+    ----------
+    recording : Recording
+        Of a run of `friction_hil.tuning.motions.experiment_run`, with a torque.
+    duration_s : float
+        Length that was given to it, s.
+    """
+
+    recording: Recording
+    duration_s: float
+
+
 _LUGRE = "lugre"
 _LEAST_SPEED_RATIO = 0.01  # of the highest speed: below, what holds the axis is no friction to a static model
 _NO_PRESLIDING = (
@@ -41,7 +58,7 @@ _MOST_TURNING = 0.02  # of the travel
 
 
 def identified(
-    recording: Recording,
+    parts: Sequence[ExperimentPart],
     configuration: Configuration,
     families: Sequence[str],
     *,
@@ -52,10 +69,10 @@ def identified(
 
     Parameters
     ----------
-    recording : Recording
-        Recording of a run of `friction_hil.tuning.motions.experiment_run`, with a torque.
+    parts : sequence of ExperimentPart
+        All parts of the experiment of an axis.
     configuration : Configuration
-        From which that run was made.
+        From which these runs were made.
     families : sequence of str
         Families to fit; empty for all.
     on_fit : callable
@@ -69,24 +86,25 @@ def identified(
         Nothing can be identified.
     """
     found: list[Identification] = []
-    travel = experiment_of(recording.axis, configuration.axes[recording.axis]).travel
-    for part, wanted in _parts(recording, configuration, tuple(families), on_problem):
+    name = parts[0].recording.axis
+    travel = experiment_of(name, configuration.axes[name]).travel
+    for recordings, wanted in _parts(parts, configuration, tuple(families), on_problem):
         settings = replace(wanted, sliding_distance=_sliding_distance(found, travel)) if wanted.sliding_s else wanted
         try:
-            found.append(identify([part], settings, progress=on_fit))
+            found.append(identify(recordings, settings, progress=on_fit))
         except RecordingError as error:  # e.g. an axis that hardly slides
             if not found:
                 raise
             on_problem(f"no static model: {error}")
     return [
         *found[:1],
-        *_in_two_steps(recording, found, chosen_families(tuple(families)), on_fit, on_problem),
+        *_in_two_steps([each.recording for each in parts], found, chosen_families(tuple(families)), on_fit, on_problem),
         *found[1:],
     ]
 
 
 def _in_two_steps(
-    recording: Recording,
+    recordings: Sequence[Recording],
     found: Sequence[Identification],
     families: Sequence[str],
     on_fit: Callable[[FitStep], None],
@@ -105,7 +123,7 @@ def _in_two_steps(
         if held := steady_curve(found[1:], family):
             settings = replace(found[0].settings, families=(family,), held=held, torque=_settled_torque(found[0]))
             try:
-                yield identify([recording], settings, progress=on_fit)
+                yield identify(recordings, settings, progress=on_fit)
             except RecordingError as error:
                 on_problem(f"no {family} model with the steady curve of the slow sweeps: {error}")
 
@@ -143,24 +161,35 @@ def _settled_torque(found: Identification) -> Literal["auto", "mean", "instant"]
 
 
 def _parts(
-    recording: Recording, configuration: Configuration, wanted: tuple[str, ...], on_problem: Callable[[str], None]
-) -> Iterator[tuple[Recording, IdentificationSettings]]:
-    """Yield the parts of an experiment with the families to identify from each: dynamic ones, then static ones."""
-    kind = configuration.axes[recording.axis].model.axis
+    parts: Sequence[ExperimentPart],
+    configuration: Configuration,
+    wanted: tuple[str, ...],
+    on_problem: Callable[[str], None],
+) -> Iterator[tuple[list[Recording], IdentificationSettings]]:
+    """Yield recordings with the families to identify from them: dynamic ones from all, static ones from slow sweeps."""
+    recordings = [each.recording for each in parts]
+    kind = configuration.axes[recordings[0].axis].model.axis
     families = chosen_families(wanted)
     static = tuple(family for family in families if models.describe(family).is_static)
     dynamic = tuple(family for family in families if family not in static)
-    if dynamic and not wanted and not all(map(is_presliding_excited, prepare(recording))):
+    if dynamic and not wanted and not shows_presliding(recordings):
         on_problem(_NO_PRESLIDING)
         dynamic = ()
     if dynamic:
-        lowpass_hz = _lowpass_hz(configuration.period_s) if _is_velocity_noisy(recording) else None
-        yield recording, IdentificationSettings(families=dynamic, axis=kind, lowpass_hz=lowpass_hz)
+        is_noisy = any(map(_is_velocity_noisy, recordings))
+        lowpass_hz = _lowpass_hz(configuration.period_s) if is_noisy else None
+        yield recordings, IdentificationSettings(families=dynamic, axis=kind, lowpass_hz=lowpass_hz)
     if static:
-        yield sliding_part(recording, configuration), _sliding_settings(recording, configuration, static)
+        slow = [sliding_part(each.recording, configuration, each.duration_s) for each in parts]
+        yield slow, sliding_settings(recordings[0], configuration, static)
 
 
-def _sliding_settings(
+def shows_presliding(recordings: Sequence[Recording]) -> bool:
+    """Return True if all of these recordings of experiments show presliding."""
+    return all(is_presliding_excited(segment) for each in recordings for segment in prepare(each))
+
+
+def sliding_settings(
     recording: Recording, configuration: Configuration, families: tuple[str, ...]
 ) -> IdentificationSettings:
     """Return the settings for models without presliding: only rows count about which the axis slides.

@@ -89,9 +89,12 @@ def experiment_of(name: str, axis: AxisConfig) -> ExperimentBounds:
     )
 
 
-def experiment_run(configuration: Configuration, name: str) -> tuple[Configuration, float]:
-    """Return the run in which one axis makes its experiment and the others are held, uncompensated; duration, s."""
-    bounds = experiment_of(name, configuration.axes[name])
+def experiment_run(configuration: Configuration, name: str, part_s: float | None = None) -> tuple[Configuration, float]:
+    """Return the run in which one axis makes its experiment and the others are held, uncompensated; duration, s.
+
+    With ``part_s`` it is a part of that length, complete in itself; by default the experiment is not divided.
+    """
+    bounds = part_bounds(configuration, name, part_s)
     motion = Experiment(kind="experiment", **{key: getattr(bounds, key) for key in ExperimentBounds.model_fields})
     axes = {each: _held(axis) for each, axis in configuration.axes.items()}
     axes[name] = axes[name].model_copy(update={"trajectory": motion})
@@ -118,7 +121,13 @@ def shaken_run(configuration: Configuration, name: str) -> tuple[Configuration, 
     return run, plan.duration_s + motion.ramp_s + ramp_s(axes.values()) + _REST_S
 
 
-def sliding_part(recording: Recording, configuration: Configuration) -> Recording:
+def part_bounds(configuration: Configuration, name: str, part_s: float | None = None) -> ExperimentBounds:
+    """Return the bounds of a part of an experiment, of ``part_s`` seconds; None for all of it."""
+    bounds = experiment_of(name, configuration.axes[name])
+    return bounds if part_s is None else bounds.model_copy(update={"duration_s": part_s})
+
+
+def sliding_part(recording: Recording, configuration: Configuration, part_s: float | None = None) -> Recording:
     """Return the slow sweeps of the experiment of an axis, for models without presliding.
 
     In the fast sweeps the torque depends on the position, like that of a spring: no map of the velocity describes it.
@@ -129,11 +138,13 @@ def sliding_part(recording: Recording, configuration: Configuration) -> Recordin
         Recording of the run of `experiment_run`.
     configuration : Configuration
         Configuration from which that run was made.
+    part_s : float, optional
+        As given to `experiment_run`.
     """
     name = recording.axis
     run, _ = experiment_run(configuration, name)
     [facts] = (each for each in recording.metadata["facts"] if each["name"] == name)
-    bounds = experiment_of(name, configuration.axes[name])
+    bounds = part_bounds(configuration, name, part_s)
     sweeps = experiment_sweeps(bounds, facts["position_resolution"], configuration.period_s)
     cycle = recording["cycle"]
     start = cycle[recording["state"] == LoopState.RUNNING][0]

@@ -1,6 +1,7 @@
 """Commissioning on the drive, step by step: experiment, identification, candidates, trials, choice."""
 
 import contextlib
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +16,7 @@ from friction_hil.identification.torque_timing import TorqueTiming
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording, read, read_all
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text, once_more_text, shaken_text, trial_text
-from friction_hil.tuning.candidates import CandidateFit, candidates, identified
+from friction_hil.tuning.candidates import CandidateFit, ExperimentPart, candidates, identified
 from friction_hil.tuning.choice import (
     SCALED,
     AxisTuning,
@@ -39,6 +40,7 @@ from friction_hil.tuning.motions import (
 )
 from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, rehearse, to_try
 from friction_hil.tuning.runs import TuningRuns
+from friction_hil.tuning.sequential import ExperimentResult, Observer, part_durations
 from friction_hil.tuning.settings import Dialog, TuneSettings
 from friction_hil.tuning.torque_lag import TorqueLag, find_torque_lag, with_torque_lag
 from friction_hil.tuning.torque_ratio import TorqueRatio, find_torque_ratio, with_torque_ratio
@@ -62,6 +64,8 @@ class Tuning:
         By axis.
     torque_ratios : dict of TorqueRatio
         By axis.
+    experiments : dict of ExperimentResult
+        How long the experiment took and why it ended, by axis.
     rehearsed : dict of tuple of RehearsedFit
         Models with what they do in simulation, best first, by axis; empty for an axis that could not be simulated.
     """
@@ -72,14 +76,16 @@ class Tuning:
     report: Path | None = None
     torque_lags: dict[str, TorqueLag] = field(default_factory=dict)
     torque_ratios: dict[str, TorqueRatio] = field(default_factory=dict)
+    experiments: dict[str, ExperimentResult] = field(default_factory=dict)
     rehearsed: dict[str, tuple[RehearsedFit, ...]] = field(default_factory=dict)
 
 
 def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -> Tuning:
     """Identify the friction of axes on their drives, and keep the models that reduce the following error.
 
-    1. Experiment: one axis after another moves as its ``experiment`` allows, uncompensated, the others being held; if
-       wanted, it is shaken while it slides, too.
+    1. Experiment: one axis after another moves as its ``experiment`` allows, uncompensated, the others being held, in
+       parts, until what is unknown of its friction does not matter for its own motion any more; if wanted, it is
+       shaken while it slides, too.
     2. Identification: friction models and mechanics of each axis from its recording, dynamic models from all of it and
        static ones from where the axis slides.
     3. Candidates: each model compensates each plausible axis in simulation, with the loops that the experiment showed;
@@ -157,6 +163,7 @@ class _Tuner:
         self._timings: dict[str, TorqueTiming] = {}
         self._torque_lags: dict[str, TorqueLag] = {}
         self._torque_ratios: dict[str, TorqueRatio] = {}
+        self._experiments: dict[str, ExperimentResult] = {}
         self._all_rehearsed: dict[str, tuple[RehearsedFit, ...]] = {}
 
     def tune(self) -> Tuning:
@@ -164,7 +171,7 @@ class _Tuner:
         recorded = {name: self._experiment(name) for name in self._names}
         if self._settings.is_shaken:
             self._shaken = {name: self._shake(name) for name in self._names}
-        tried = self._trials({name: self._candidates(recorded.pop(name)) for name in self._names})
+        tried = self._trials({name: self._candidates(name, recorded.pop(name)) for name in self._names})
         is_simulated = self._settings.is_simulated
         axes = {
             name: keep_best(self._configuration.axes[name], each, self._file(name), is_simulated=is_simulated)
@@ -176,22 +183,55 @@ class _Tuner:
             [*self._runs.warnings, *self._warnings],
             torque_lags=self._torque_lags,
             torque_ratios=self._torque_ratios,
+            experiments=self._experiments,
             rehearsed=self._all_rehearsed,
         )
 
-    def _experiment(self, name: str) -> Recording:
-        """Record the experiment of an axis."""
+    def _experiment(self, name: str) -> list[ExperimentPart]:
+        """Record the experiment of an axis, part by part, until what is unknown does not matter any more."""
         bounds = experiment_of(name, self._configuration.axes[name])
-        run, duration_s = experiment_run(self._configuration, name)
-        unit = "rad" if self._configuration.axes[name].model.axis == "rotary" else "m"
-        self._dialog.confirm(experiment_text(run, name, bounds, duration_s))
-        speeds = allowed_speeds(run, {name: bounds})
-        recording = read(self._runs.run(run, duration_s, f"{name}_experiment.mcap", speeds), name)
+        lengths = part_durations(bounds.duration_s)
+        runs = [experiment_run(self._configuration, name, length_s) for length_s in lengths]
+        duration_s = math.fsum(duration_s for _, duration_s in runs)
+        self._dialog.confirm(experiment_text(runs[0][0], name, bounds, duration_s, lengths))
+        speeds = allowed_speeds(runs[0][0], {name: bounds})
+        observer = Observer(self._configuration, name)
+        parts: list[ExperimentPart] = []
+        unknown, problem = None, ""
+        for number, (length_s, (run, duration_s)) in enumerate(zip(lengths, runs, strict=True), start=1):
+            file = f"{name}_experiment{f'_{number}' if len(lengths) > 1 else ''}.mcap"
+            parts.append(ExperimentPart(self._part(name, run, duration_s, file, speeds, length_s), length_s))
+            if problem:
+                continue
+            try:
+                with self._dialog.working(f"{name}: estimating what is unknown of the friction"):
+                    unknown = observer.take(parts[-1])
+            except FrictionHilError as error:
+                unknown, problem = None, str(error)
+                continue
+            if unknown.is_negligible:
+                break
+            if number < len(lengths):
+                self._dialog.report(f"{name}: after {sum(lengths[:number]):g} s: {unknown.text}")
+        result = ExperimentResult(tuple(each.duration_s for each in parts), bounds.duration_s, unknown, problem)
+        self._experiments[name] = result
+        for text in (*dict.fromkeys(each for part in parts for each in part.recording.problems), result.text):
+            self._dialog.report(f"{name}: {text}")
+        return parts
+
+    def _part(
+        self, name: str, run: Configuration, duration_s: float, file: str, speeds: Mapping[str, float], part_s: float
+    ) -> Recording:
+        """Record a part of the experiment of an axis, with a torque."""
+        axis = self._configuration.axes[name]
+        recording = read(self._runs.run(run, duration_s, file, speeds), name)
         [facts] = (each for each in recording.metadata["facts"] if each["name"] == name)
         self._resolutions[name] = facts["position_resolution"]
-        if warning := refuse_limit_cycle(sliding_part(recording, self._configuration), bounds.velocity, unit):
+        unit = "rad" if axis.model.axis == "rotary" else "m"
+        slow = sliding_part(recording, self._configuration, part_s)
+        if warning := refuse_limit_cycle(slow, experiment_of(name, axis).velocity, unit):
             self._dialog.report(warning)
-        return recording
+        return with_torque(recording, axis.mode)
 
     def _shake(self, name: str) -> dict[str, Recording]:
         """Record an axis that is shaken while it slides, and the others, which are held."""
@@ -202,17 +242,13 @@ class _Tuner:
         recorded = read_all(self._runs.run(run, duration_s, f"{name}_shaken.mcap", speeds))
         return {**recorded, name: with_torque(recorded[name], run.axes[name].mode)}
 
-    def _candidates(self, recording: Recording) -> list[CandidateFit]:
+    def _candidates(self, name: str, parts: Sequence[ExperimentPart]) -> list[CandidateFit]:
         """Identify an axis from its experiment; return the models to try on it, and write the first of them."""
-        name = recording.axis
         axis = self._configuration.axes[name]
-        recording = with_torque(recording, axis.mode)
-        for problem in recording.problems:
-            self._dialog.report(f"{name}: {problem}")
         problems: list[str] = []
         with self._dialog.working(f"{name}: identifying friction and inertia") as show:
             found = identified(
-                recording,
+                parts,
                 self._configuration,
                 self._settings.families,
                 on_fit=lambda step: show(f"{name}: {step.stage}: {step.label}", step.number, step.count),
@@ -231,13 +267,15 @@ class _Tuner:
         with self._dialog.working(f"{name}: mechanics behind the motor"):
             held = dict(self._shaken.get(name, {}))
             shaken = [held.pop(name)] if held else []
-            mechanics = self._mechanics[name] = find_mechanics([recording], found[0], shaken=shaken, held=held)
+            mechanics = self._mechanics[name] = find_mechanics(
+                [each.recording for each in parts], found[0], shaken=shaken, held=held
+            )
         for line in (*mechanics.lines, *mechanics.notes):
             self._dialog.report(f"{name}: {line}")
         for flag in mechanics.flags:
             self._dialog.report(f"{name}: {flag}")
             self._warnings.append(f"{name}: {flag}")
-        chosen = self._rehearsed(recording, found)
+        chosen = self._rehearsed(parts[-1].recording, found)  # none is longer
         for each, fit in chosen:
             if problem := inertia_problem(fit):
                 self._dialog.report(f"{name}: {label(each, fit)}: {problem}; the model file keeps the former one")

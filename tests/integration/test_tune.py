@@ -85,6 +85,9 @@ def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
     assert lag["value_s"] == pytest.approx(learned.mechanics.torque_lag_s, rel=1e-5)
     assert lag["is_replaced"] == (not lag["reason"])
     assert (x["in_place"], x["file"]) == (True, str(tmp_path / "learned.yaml"))
+    took = x["experiment"]
+    assert (took["duration_s"], took["parts_s"]) == (10.0, [10.0])
+    assert took["reason"].startswith("the configured duration is over: standard deviation ")
     [tried] = x["tried"]
     assert tried["reduction"]["rms"] > 2.0
     assert learned.fit["trial"] == {name: tried[name] for name in ("uncompensated", "compensated", "motions")}
@@ -198,8 +201,13 @@ def test_a_static_model_is_learned_where_the_axis_slides(tmp_path) -> None:
 
 
 def test_a_model_that_does_not_help_is_not_put_to_use(tmp_path) -> None:
-    """By Modbus: what is learned is right there too, and with a gain of zero it takes nothing away."""
-    configuration = configured("modbus rtu", tmp_path, compensation={"gain": 0.0, "fade_s": 0.1})
+    """By Modbus: what is learned is right there too, and with a gain of zero it takes nothing away.
+
+    Then little has to be known, and the experiment ends early.
+    """
+    experiment = {**EXPERIMENT, "duration_s": 60.0}
+    compensation = {"gain": 0.0, "fade_s": 0.1}
+    configuration = configured("modbus rtu", tmp_path, compensation=compensation, experiment=experiment)
 
     with simulated_drives(configuration):
         tuning = ("tune", configuration, *UNASKED, "--output", tmp_path / "tuned", "--models", "coulomb")
@@ -212,6 +220,13 @@ def test_a_model_that_does_not_help_is_not_put_to_use(tmp_path) -> None:
         False,
         True,
     )
+    assert "for at most 6" in done.stderr
+    assert "it moves in parts of 15, 15, 30 s, as many as needed" in done.stderr
+    ended = "x: the experiment took 30 s of 60 s in 2 parts: what is unknown does not matter any more: "
+    assert ended in done.stderr
+    assert ended in " ".join(done.stdout.split())
+    files = {path.name for path in (tmp_path / "tuned").glob("x_experiment*.mcap")}
+    assert files == {"x_experiment_1.mcap", "x_experiment_2.mcap"}
     assert not (tmp_path / "learned.yaml").exists()
     friction = load_model_file(tmp_path / "tuned" / "x.yaml").friction_model.parameters
     assert 0.8 * TRUE_FRICTION["coulomb"] < friction["coulomb"] < TRUE_FRICTION["static"]
@@ -321,7 +336,7 @@ def test_nobody_moves_before_the_user_says_so(answer, tmp_path) -> None:
 
 def test_ctrl_c_while_it_moves_brings_the_axis_to_rest(tmp_path) -> None:
     configuration = configured("canopen", tmp_path, experiment={**EXPERIMENT, "duration_s": 600.0})
-    recording = tmp_path / "tuned" / "x_experiment.mcap"
+    recording = tmp_path / "tuned" / "x_experiment_1.mcap"
     with simulated_drives(configuration):
         moving = subprocess.Popen(
             [*COMMAND, "tune", str(configuration), *ONE, *UNASKED, "--output", str(tmp_path / "tuned")],

@@ -21,7 +21,7 @@ from friction_hil.recordings import Recording
 from friction_hil.recordings.edges import between_counts
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
-from friction_hil.tuning.candidates import _parts, _sliding_settings
+from friction_hil.tuning.candidates import ExperimentPart, _parts, sliding_settings
 from friction_hil.tuning.choice import inertia_problem, model_content
 from friction_hil.tuning.motions import experiment_run
 from tests.servo_drives import axis_dict, configuration
@@ -82,7 +82,7 @@ def found(bits: int, period_s: float) -> Identification:
     sweeps = experiment_sweeps(bounds, recording.metadata["facts"][0]["position_resolution"], period_s)
     slow = recording["time_s"] < 0.5 + sum(sweep.duration_s for sweep in sweeps[:2])
     part = Recording("slow.mcap", "x", {k: v[slow] for k, v in recording.columns.items()}, recording.metadata)
-    wanted = _sliding_settings(part, axes, ("stribeck",))
+    wanted = sliding_settings(part, axes, ("stribeck",))
     return identify([part], wanted)
 
 
@@ -105,8 +105,8 @@ def test_friction_and_inertia_are_found_whatever_the_encoder(bits: int, period_s
 def test_each_point_of_a_table_is_a_friction_that_the_axis_showed() -> None:
     """The first one too: there are slower rows, but none in which it slides, so that nothing would determine it."""
     recording, axes = recorded(12, 1e-3), machine(1e-3)
-    *_, (part, wanted) = _parts(recording, axes, ("table",), lambda _: None)
-    [fit, *_] = identify([part], wanted).fits
+    *_, (slow, wanted) = _parts([ExperimentPart(recording, EXPERIMENT["duration_s"])], axes, ("table",), lambda _: None)
+    [fit, *_] = identify(slow, wanted).fits
     points = fit.friction[0]["points"]
     true = models.create("lugre", **FRICTION, damping_velocity=0.2)
     assert [torque for _, torque in points] == pytest.approx([true.steady_state(v).item() for v, _ in points], rel=0.15)
@@ -120,12 +120,13 @@ def plain(result: Identification) -> Fit:
 def test_where_presliding_is_not_seen_only_static_models_are_identified_and_that_is_said() -> None:
     said: list[str] = []
     recording, axes = recorded(12, 1e-3), machine(1e-3)
-    parts = list(_parts(recording, axes, (), said.append))
+    experiment = [ExperimentPart(recording, EXPERIMENT["duration_s"])]
+    parts = list(_parts(experiment, axes, (), said.append))
     assert len(parts) == 1
     assert all(models.describe(family).is_static for family in parts[0][1].families)
     assert len(said) == 1
     assert "does not show presliding: its stiffness and damping (sigma0, sigma1) are not determined" in said[0]
-    named = list(_parts(recording, axes, ("lugre",), said.append))
+    named = list(_parts(experiment, axes, ("lugre",), said.append))
     assert [settings.families for _, settings in named] == [("lugre",)], "what the user names is identified"
     assert len(said) == 1
 

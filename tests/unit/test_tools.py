@@ -366,10 +366,10 @@ def test_unknown_benchmark_is_answered_with_what_there_is() -> None:
     done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
     assert (
-        "did you mean 'latency'? There are: compensation, exchange, export, health, help, latency, learning, loop, "
+        "did you mean 'latency'? There are: compensation, exchange, experiment, export, health, help, latency, "
         in done.stderr
     )
-    assert ", models, neural, recordings, serial, servo, tune\n" in done.stderr
+    assert ", learning, loop, models, neural, recordings, serial, servo, tune\n" in done.stderr
 
 
 def test_benchmark_of_recordings_has_every_format(

@@ -164,6 +164,12 @@ def test_an_axis_that_is_moved_by_hand_is_not_said_to_be_held() -> None:
         "to show presliding too, the encoder needs counts of 0.00064 rad or less"
     )
 
+    text = experiment_text(run, "x", experiment_of("x", configuration.axes["x"]), 66.0, (15.0, 15.0, 30.0))
+
+    assert (
+        "(stopped above 7.5 rad/s), for at most 66 s, without compensation; it moves in parts of 15, 15, 30 s" in text
+    )
+
 
 def test_an_axis_is_shaken_alone_within_the_bounds_of_its_experiment_and_that_is_announced() -> None:
     configuration = machine(x=axis(), y=axis(**BY_HAND))

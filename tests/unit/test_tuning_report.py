@@ -9,6 +9,7 @@ import pytest
 from friction_hil.identification.torque_lag import LagEstimate
 from friction_hil.reports.tuning_report import write_reports
 from friction_hil.tuning.rehearsed import RehearsedFit
+from friction_hil.tuning.sequential import ExperimentResult
 from friction_hil.tuning.torque_lag import TorqueLag
 from tests.unit.test_tuning_judge import model_with, tuning_of
 
@@ -64,3 +65,10 @@ def test_the_report_has_the_torque_lag_with_its_error(tuning, tmp_path) -> None:
     tuning.torque_lags["spindle"] = replace(lag, value_s=0.0, is_determined=False, reason="the axis <stood>")
     page = write_reports(tmp_path, tuning).read_text()
     assert "<p>Torque lag not determined: the axis &lt;stood&gt;; 0 ms of the former model is kept.</p>" in page
+
+
+def test_the_report_says_how_long_the_experiment_took_and_why(tuning, tmp_path) -> None:
+    tuning.experiments["spindle"] = ExperimentResult((15.0, 15.0), 30.0, None, "the axis <stood>")
+    page = write_reports(tmp_path, tuning).read_text()
+    assert "<p>The experiment took 30 s in 2 parts: the configured duration is over; what is unknown" in page
+    assert "is not estimated: the axis &lt;stood&gt;.</p>" in page

@@ -150,6 +150,7 @@ def _axis(name: str, tuning: Tuning) -> dict[str, Any]:
         "flags": best.fit.flags,
         "parameters": best.model["friction"]["parameters"],
         "mechanics": best.model["mechanics"],
+        "experiment": tuning.experiments[name].figures if name in tuning.experiments else None,
         "torque_lag": None if lag is None else lag.figures,
         "torque_ratio": None if ratio is None else ratio.figures,
         "tried": [
@@ -176,6 +177,8 @@ def _print(tuning: Tuning, config: Path, *, is_simulated: bool) -> None:
     for name, axis in tuning.axes.items():
         for flag in axis.best.fit.flags:
             say(f"{name}: {flag}", stderr=False)
+    for name, experiment in tuning.experiments.items():
+        say(f"{name}: {experiment.text}", stderr=False)
     for name, lag in tuning.torque_lags.items():
         say(f"{name}: {lag.text}", stderr=False)
     for name, ratio in tuning.torque_ratios.items():
