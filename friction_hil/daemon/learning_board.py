@@ -88,8 +88,15 @@ def first_report(mode: str, unit: str, gain: float) -> dict[str, Any]:
         "in_use": {},
         "parameters": None,
         "relative_errors": None,
-        "residual_layer": None,
         "proposed": None,
+        "residual_layer": {
+            "state": "",
+            "explained": 0.0,
+            "tried": 0,
+            "error_before": None,
+            "error_after": None,
+            "text": "",
+        },
     }
 
 

@@ -35,9 +35,9 @@ def result(report: Mapping[str, Any]) -> str:
     return ", ".join(words) + _layer(report["residual_layer"], report["unit"])
 
 
-def _layer(layer: Mapping[str, Any] | None, unit: str) -> str:
+def _layer(layer: Mapping[str, Any], unit: str) -> str:
     """Return what the residual layer has done; nothing before it was looked for."""
-    if layer is None or not layer["state"]:
+    if not layer["state"]:
         return ""
     if layer["state"] != "on":
         return f"; residual layer: {layer['state']}, off"

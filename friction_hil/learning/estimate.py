@@ -171,15 +171,12 @@ class Estimate:
         standard deviations; about 1 or less if it does not.
     torque_error : float
         Standard deviation of the friction torque along this motion by the errors of the parameters, N m.
-    misfit : float
-        Root mean square of what the parameters cannot explain, N m.
     """
 
     belief: Belief
     residual: float
     surprise: float
     torque_error: float
-    misfit: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,7 +323,6 @@ def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float
         residual=float(np.sqrt(np.average(left**2, weights=weights**2))),
         surprise=surprise,
         torque_error=float(np.sqrt(np.mean(variance))),
-        misfit=float(np.sqrt(np.mean(_near(left, window.period_s) ** 2))),
     )
 
 

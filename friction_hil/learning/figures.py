@@ -12,7 +12,8 @@ class LayerFigures:
     ----------
     state : str
         Empty as long as nothing was looked at, then "noise only", "on trial", "no gain", "without a verdict" (the
-        motion changed during the trial), "refused" (by the daemon or the user), "on", or "no longer a gain": it was on.
+        motion changed during the trial), "refused" (by the daemon or the user), "on", "no longer a gain": it was on; or
+        "not proven for this motion".
     explained : float
         Share of the mean square of what the model leaves of the torque that the layer explains, of rows that it was
         not learned from, in the last window.

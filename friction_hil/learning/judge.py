@@ -7,11 +7,13 @@ import numpy as np
 
 from friction_hil.numerics.jit import Array
 
-_ALIKE = 0.15  # relative difference of two motions that count as the same work
+ALIKE = 0.15  # relative difference of two motions that count as the same work
 HELPS = 0.98  # errors by so much lower count as help
-_PEAK_GROWS = 1.1  # and the peak must not grow by more
-HARMS = 1.5  # times the largest error before
+_PEAK_GROWS, _MOST_PEAK_GROWS = 1.1, 1.5  # and the peak must not grow by more; more where the errors are far lower
+# Spans, s, and how many times the largest error before is harm there. Over a longer one less is left to chance.
+_SPANS_S, _HARMS = (0.5, 1.0, 2.0, 4.0), (1.5, 1.2, 1.15, 1.1)
 _EFFORT_GROWS, _CLEARLY = 1.5, 0.8  # more effort than that takes errors that are clearly lower
+CHANCE = "no more than chance"
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +29,8 @@ class Work:
     top_speed : float
     rms, peak : float
         Of the following error, SI.
-    worst : float
-        Largest root mean square within half a second.
+    worst : tuple of float
+        Largest root mean square within each of the spans that harm is judged by.
     effort : float
         Root mean square of the compensation, N m.
     scatter : float
@@ -41,7 +43,7 @@ class Work:
     top_speed: float
     rms: float
     peak: float
-    worst: float
+    worst: tuple[float, ...]
     effort: float
     scatter: float
 
@@ -53,7 +55,7 @@ class Work:
     def is_like(self, other: "Work") -> bool:
         """True if the motion was that of ``other``."""
         return all(
-            abs(mine - theirs) <= _ALIKE * max(mine, theirs)
+            abs(mine - theirs) <= ALIKE * max(mine, theirs)
             for mine, theirs in (
                 (self.speed, other.speed),
                 (self.acceleration, other.acceleration),
@@ -64,28 +66,60 @@ class Work:
 
 
 def work_of(
-    position: Array, position_demand: Array, velocity_demand: Array, compensation: Array, period_s: float
+    position: Array,
+    position_demand: Array,
+    velocity_demand: Array,
+    compensation: Array,
+    period_s: float,
+    unsettled: int = 0,
 ) -> Work:
-    """Return what rows (n,) of an axis show."""
-    error = position_demand - position
+    """Return what rows (n,) of an axis show; the errors of the ``unsettled`` first ones do not count."""
+    error = (position_demand - position)[unsettled:]
     halves = max(round(0.5 / period_s), 1)
     squares = [np.mean(error[k : k + 2 * halves] ** 2) for k in range(0, max(error.size - halves, 1), 2 * halves)]
     return Work(
-        speed=_rms(velocity_demand),
-        acceleration=_rms(np.diff(velocity_demand)) / period_s,
+        speed=rms(velocity_demand),
+        acceleration=rms(np.diff(velocity_demand)) / period_s,
         travel=float(np.ptp(position_demand)),
         top_speed=float(np.max(np.abs(velocity_demand))),
-        rms=_rms(error),
+        rms=rms(error),
         peak=float(np.max(np.abs(error))),
-        worst=max(_rms(error[k : k + halves]) for k in range(0, error.size, max(halves // 2, 1))),
-        effort=_rms(compensation),
+        worst=tuple(_worst(error, round(span / period_s)) for span in _SPANS_S),
+        effort=rms(compensation),
         scatter=float(np.std(squares, ddof=1) / math.sqrt(len(squares))) if len(squares) > 1 else 0.0,
     )
 
 
-def is_harmful(now: Work, before: Work, resolution: float) -> bool:
-    """Return True if the errors of a moment exceed all before."""
-    return now.rms > HARMS * before.worst + 2.0 * resolution
+def no_help(error: Array, before: Work, period_s: float) -> tuple[float, float] | None:
+    """Return the errors before and since a part of a change if the latest are not below those before, else None.
+
+    With part a of a change the mean square of the error is c - 2 b a + d a^2: if a third does not lower it, the whole
+    raises it.
+    """
+    now = rms(error[-round(_SPANS_S[1] / period_s) :])
+    return (before.worst[1], now) if now > before.worst[1] else None
+
+
+def is_harmful(error: Array, before: Work, resolution: float, period_s: float) -> bool:
+    """Return True if the latest errors exceed all before.
+
+    Parameters
+    ----------
+    error : (n,) array
+        Following error since a change, SI.
+    before : Work
+        Without the change.
+    resolution : float
+        Step of the position, SI.
+    period_s : float
+    """
+    for span_s, factor, worst in zip(_SPANS_S, _HARMS, before.worst, strict=True):
+        rows = round(span_s / period_s)
+        if rows > error.size:
+            break
+        if rms(error[-rows:]) > factor * max(worst, resolution / math.sqrt(12.0)):
+            return True
+    return False
 
 
 def objection(after: Work, before: Work, resolution: float) -> str:
@@ -96,12 +130,21 @@ def objection(after: Work, before: Work, resolution: float) -> str:
     needed = _CLEARLY if is_effort_higher else HELPS
     if max(after.rms, floor) >= needed * max(before.rms, floor):
         return "more effort for no less error" if is_effort_higher else "no gain"
-    if after.peak > _PEAK_GROWS * before.peak + 2.0 * resolution:
+    allowed = min(_PEAK_GROWS * math.sqrt(max(before.rms, floor) / max(after.rms, floor)), _MOST_PEAK_GROWS)
+    if after.peak > allowed * before.peak + 2.0 * resolution:
         return f"the peak rose to {after.peak / before.peak:.1f} times what it was" if before.peak else "the peak rose"
     if gained < math.hypot(before.scatter, after.scatter):
-        return "no more than chance"
+        return CHANCE
     return ""
 
 
-def _rms(values: Array) -> float:
+def rms(values: Array) -> float:
+    """Return the root mean square of values (n,); 0 if there are none."""
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def _worst(error: Array, rows: int) -> float:
+    """Return the largest root mean square within so many rows."""
+    sums = np.concatenate([[0.0], np.cumsum(error * error)])
+    rows = max(min(rows, error.size), 1)
+    return math.sqrt(max(float(np.max(sums[rows:] - sums[:-rows])), 0.0) / rows)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from friction_hil.daemon.control.message import TEXT_BYTES
-from friction_hil.learning.learner import Proposal, Step
+from friction_hil.learning.proposal import Proposal, Step
 
 _MOST_NAMED, _NAMED = 3, 0.005  # parameters in a notice, and their least relative change
 
@@ -25,6 +25,8 @@ def described(
     """
     if proposal.step is Step.BACK:
         return f"learning takes back: {proposal.text}"
+    if proposal.step is Step.KNOWN:
+        return f"learning goes on with {proposal.text}"
     words = "learning tries" if is_tried else "learning would try"
     for most in range(_MOST_NAMED, 0, -1):
         shown = _changes(before, after, most)

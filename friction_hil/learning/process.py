@@ -25,10 +25,11 @@ from friction_hil.errors import FrictionHilError
 from friction_hil.friction.model import as_dict
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning.estimate import Mechanics, estimate
-from friction_hil.learning.learner import COLUMNS, Learner, Proposal, Step
+from friction_hil.learning.learner import Learner
 from friction_hil.learning.notices import described, fitting
+from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.learning.proven import Proven, digest, recall, store
-from friction_hil.learning.window import Window
+from friction_hil.learning.window import COLUMNS, Window
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
 
@@ -144,13 +145,13 @@ class AxisLearning:
         notes: list[str] = list(self.learner.notes)
         handed: list[str] = []
         self.learner.notes.clear()
-        after = self.learner.in_use
         if proposal is not None:
+            after, gain = self.learner.wanted
             text = described(proposal, self._in_use, after, self.name, is_tried=self.is_tried)
             if self.is_tried:
                 handed.append(text)
             else:
-                proposed = {"parameters": after, "gain": proposal.gain, "text": text}
+                proposed = {"parameters": after, "gain": gain, "text": text}
                 before = self._proposals.get(proposal.step)
                 # a residual layer is found anew each time: that there is one is said once
                 if before is None or not (proposal.step is Step.LAYER or _is_alike(proposed, before)):

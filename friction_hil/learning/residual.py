@@ -88,6 +88,20 @@ class Layer:
         return "ripple of order " + ", ".join(f"{each:g}" for each in self.orders)
 
 
+def between(layer: Layer | None, other: Layer | None, part: float) -> Layer | None:
+    """Return what lies a part of the way from a layer to another one; None is a layer without torque."""
+    if layer == other:
+        return other
+    found: dict[float, Array] = {}
+    for each, factor in ((layer, 1.0 - part), (other, part)):
+        if each is not None:
+            for order, pair in zip(each.orders, each.amplitudes, strict=True):
+                found[order] = found.get(order, 0.0) + factor * np.array(pair)
+    is_linear = any(each is not None and each.is_linear for each in (layer, other))
+    pairs = tuple((float(pair[0]), float(pair[1])) for pair in found.values())
+    return Layer(tuple(found), pairs, is_linear)
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """What a window shows of a layer.
@@ -155,7 +169,7 @@ class Residual:
                 return Finding(None, is_spent=True)
         speed = np.abs(left.velocity)
         is_moving = speed > _MOVING * float(np.max(speed, initial=0.0))
-        if np.count_nonzero(is_moving) < _STRETCHES * _PARTS:
+        if np.count_nonzero(is_moving) < _STRETCHES * _PARTS or not np.isfinite(left.torque).all():
             return Finding(None)
         weights = is_moving / np.hypot(_typical(left.torque[is_moving]), left.doubt)
         if not self._orders:
@@ -207,6 +221,12 @@ class Residual:
         """Take note that a trial was no gain, refused or without a verdict; ``used`` is the layer that stays."""
         figures.state = why if used is None else "on"
         self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
+
+    def changed_motion(self, used: Layer | None, figures: LayerFigures) -> None:
+        """Take note of another motion and of what is proven for it; what was learned goes on."""
+        self._spent = 0
+        if figures.tried:
+            figures.state = "on" if used is not None else "not proven for this motion"
 
     def end(self, figures: LayerFigures) -> None:
         """Begin anew: the layer in use was switched off."""

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from friction_hil.learning.learner import COLUMNS, Step
+from friction_hil.learning.proposal import Step
+from friction_hil.learning.window import COLUMNS
 from tests.compensation_grids import TINY, grid_of
 from tools.benchmarks.learning import command, rows
 from tools.benchmarks.learning.axis import COLUMNS as RECORDED
@@ -39,5 +40,5 @@ def test_the_benchmark_of_learning_prints_one_json_object(short):
 def test_learning_is_deterministic(short):
     of = setup(grid_of(short.parent, TINY), "servo", "stiff", 0, "off", 8.0)
     runs = [follow(of, 8.0, is_learning=True) for _ in range(2)]
-    assert [proposal.step for _, proposal in runs[0].hand_overs] == [Step.PARAMETERS]
+    assert [proposal.step for _, proposal in runs[0].hand_overs] == 2 * [Step.PARAMETERS]
     np.testing.assert_array_equal(runs[0].errors, runs[1].errors)

@@ -1,5 +1,6 @@
 """Changes while the loop runs: applied between two cycles, without a step of torque, and reproduced by replay."""
 
+import copy
 import json
 from dataclasses import asdict, replace
 
@@ -278,6 +279,23 @@ def test_the_state_of_another_model_is_that_of_the_latest_motion(changed, models
     )
     assert not cold.any()
     assert np.abs(warm).max() > 1e-6
+
+
+def test_a_model_of_the_same_family_begins_with_the_present_state(changed):
+    """The latest cycles may be those of a rest, which say nothing of the state."""
+    from friction_hil.compensator import INPUTS, STATE
+
+    part = changed.rows[250:251, : len(columns.NAMES) + changed.axes[0].state_width]
+    inputs = {name: part[:, columns.NAMES.index(name)] for name in INPUTS}
+    state = part[0, len(columns.NAMES) :]
+    present = self_contained(changed.config)
+    model = copy.deepcopy(present["axes"]["x"]["model"])
+    model["friction"]["parameters"]["coulomb"] *= 1.1
+    latest = {"x": (inputs, state)}
+    (change, _) = prepare(present, "test", {"x.model": model}, changed.facts, latest, has_network=False).axes
+    first = STATE.fields["friction"][1] // 8
+    assert abs(state[first]) > 1e-6
+    np.testing.assert_allclose(change.friction[0], state[first], rtol=0.2)
 
 
 def test_a_fault_of_a_daemon_that_waits_is_reset_by_somebody_before_a_start():

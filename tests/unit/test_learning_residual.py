@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 
 import friction_hil as fh
 from friction_hil.daemon import learning_words
+from friction_hil.daemon.learning_board import first_report
 from friction_hil.learning.estimate import LeftOver
 from friction_hil.learning.figures import LayerFigures
-from friction_hil.learning.learner import WINDOW_TICKS, Step
+from friction_hil.learning.motions import WINDOW_TICKS
+from friction_hil.learning.proposal import Step
 from friction_hil.learning.residual import SHARE, Layer, Residual
 from tests.compensators import LUGRE, PERIOD_S
 from tests.unit.test_learning import Driven, motion
@@ -108,7 +110,7 @@ def test_a_layer_that_helps_is_kept_and_told():
     _, last = driven.proposals[-1]
     assert last.step is Step.LAYER
     assert {7.0, 24.0} <= {each["order"] for each in last.model.modifiers["ripple"]}
-    driven.take(WINDOW_TICKS + 6, until=Step.BACK, error=3e-4, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
+    driven.take(WINDOW_TICKS + 14, until=Step.BACK, error=3e-4, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
     figures = driven.learner.figures.layer
     assert figures.state == "on"
     assert figures.error_after < 0.5 * figures.error_before
@@ -116,7 +118,7 @@ def test_a_layer_that_helps_is_kept_and_told():
 
 def test_a_layer_without_a_gain_is_off():
     driven = rippled(1e-3)
-    driven.take(WINDOW_TICKS + 6, until=Step.BACK, error=1e-3, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
+    driven.take(WINDOW_TICKS + 14, until=Step.BACK, error=1e-3, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
     _, back = driven.proposals[-1]
     assert (back.step, dict(back.model.modifiers)) == (Step.BACK, {})
     assert driven.learner.figures.layer.state == "no gain"
@@ -140,14 +142,13 @@ def test_an_axis_without_a_residual_never_gets_a_layer():
     ],
 )
 def test_the_last_line_of_a_run_names_the_layer(figures, words):
-    report = {"re_identified": 0, "taken_back": 0, "stopped": 0, "error_before": None, "error_after": None}
-    report |= {"mode": "on", "unit": "rad", "residual_layer": asdict(figures)}
+    report = first_report("on", "rad", 0.9) | {"residual_layer": asdict(figures)}
     assert learning_words.result(report) == f"re-identified 0 times{words}"
 
 
 def test_a_layer_is_off_at_once_where_the_position_jumps():
     driven = rippled(1e-3)
-    driven.take(WINDOW_TICKS + 6, error=3e-4, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
+    driven.take(WINDOW_TICKS + 14, error=3e-4, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
     at, before = driven.ticks, len(driven.proposals)
 
     def slip(rows):
@@ -158,3 +159,7 @@ def test_a_layer_is_off_at_once_where_the_position_jumps():
     _, back = driven.proposals[before]
     assert (back.step, dict(back.model.modifiers)) == (Step.BACK, {})
     assert driven.learner.figures.layer.state == "no longer a gain"
+
+
+def test_a_report_has_the_figures_of_the_layer_before_anything_was_learned():
+    assert first_report("on", "rad", 0.9)["residual_layer"] == asdict(LayerFigures())

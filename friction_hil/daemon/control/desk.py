@@ -27,7 +27,7 @@ _LOOK_S = 0.01
 _STOP_S = 20.0  # more than all time-outs of a stop together
 _START_S = 20.0  # beyond enable_timeout_s: a first motion
 _RESET_S = 2.0
-_LATEST = 500  # cycles over which another model finds the state in which it would be
+LATEST_CYCLES = 500  # cycles over which another model finds the state in which it would be
 _KEYS = {"status": (), "observe": (), "set": ("values",), "tell": ("text",), "start": (), "stop": (), "reset": ()}
 _MAY_HAVE = {"set": ("reason",)}
 
@@ -163,7 +163,7 @@ class Desk:
 
         with self._preparing:
             before, models_of, _ = self._present()
-            rows = self._state.rows(_LATEST)
+            rows = self._state.rows(LATEST_CYCLES)
             latest = {
                 name: found
                 for k, name in enumerate(self._names)

@@ -123,7 +123,8 @@ def prepare(
                 is_other = fact.name in models
                 if is_other:
                     _check_model(fact.name, after, has_network=has_network)
-                one = _change(after, new, fact, rows.get(fact.name), is_other=is_other)
+                before = configuration["axes"][fact.name]["model"] if is_other else None
+                one = _change(after, new, fact, rows.get(fact.name), before)
             is_enabled = after.compensation.enabled if fact.name in switched else None
             if is_enabled:
                 _check_takes_torque(fact)
@@ -247,18 +248,30 @@ def _change(
     configuration: Configuration,
     fact: AxisFacts,
     latest: tuple[Mapping[str, Array], Array] | None,
-    *,
-    is_other: bool,
+    before: Mapping[str, Any] | None,
 ) -> AxisChange:
-    """Return new settings of an axis, and the state of its model if that is another one."""
+    """Return new settings of an axis, and the state of its model if another one than ``before``; None: it stays."""
     check_torque(fact.name, axis, fact)
     compensator = make_compensator(axis, axis.model, fact, configuration.period_s)
-    friction = state_in(compensator, latest, fact.name) if is_other else None
+    friction = None
+    if before is not None:
+        kinds = [_kind(model["friction"]) for model in (before, axis.model.model_dump(mode="json"))]
+        friction = state_in(compensator, latest, fact.name, is_alike=kinds[0] == kinds[1])
     return AxisChange(None, compensator.record, friction)
 
 
-def state_in(compensator: Compensator, latest: tuple[Mapping[str, Array], Array] | None, name: str) -> Array:
+def _kind(friction: Mapping[str, Any]) -> tuple[Any, set[str]]:
+    """Return what the states of a friction model depend on."""
+    return friction["model"], {name for name, value in (friction.get("modifiers") or {}).items() if value}
+
+
+def state_in(
+    compensator: Compensator, latest: tuple[Mapping[str, Array], Array] | None, name: str, *, is_alike: bool
+) -> Array:
     """Return the state in which a model would be after the latest cycles.
+
+    At rest these say nothing of the bristles, which have been bent since the last motion: a model of the same family
+    begins with the present state.
 
     Parameters
     ----------
@@ -268,6 +281,8 @@ def state_in(compensator: Compensator, latest: tuple[Mapping[str, Array], Array]
         Inputs (n,) of the cycles by name, and the state of the present compensator before the first of them.
     name : str
         Of the axis, for messages.
+    is_alike : bool
+        The present model is of the same family, with the same modifiers.
 
     Raises
     ------
@@ -278,7 +293,7 @@ def state_in(compensator: Compensator, latest: tuple[Mapping[str, Array], Array]
     if latest is not None:
         inputs, state = latest
         compensator.state[:] = state[: compensator.state.size]
-        compensator.adopt(compensator.record, initial)
+        compensator.adopt(compensator.record, compensator.friction_state if is_alike else initial)
         for values in zip(*(inputs[each].tolist() for each in INPUTS), strict=True):
             compensator.step(*values)
             if compensator.is_faulty:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from friction_hil.compensator import INPUTS, Compensator
+from friction_hil.daemon.control.desk import LATEST_CYCLES
 from friction_hil.daemon.control.prepare import state_in
 from friction_hil.numerics.jit import Array
 from friction_hil.servo.assembly import controller_record, machine_record, servo_state
@@ -70,13 +71,13 @@ class Axis:
         self._pending = [0.0] * (sensors.delay_cycles + 1)
         self._random = np.random.default_rng(seed)
         self._torque_step = plant.rated_torque / 1000.0
-        self._inputs: list[tuple[float, ...]] = []
-        self._state_before = compensator.state.copy()
+        self._inputs: list[list[tuple[float, ...]]] = []  # of the latest moves
+        self._states: list[Array] = []  # before each of them
 
     def state_of(self, other: Compensator) -> Array:
         """Return the state of another model after the last move, as the daemon computes it."""
-        rows = np.array(self._inputs).T
-        return state_in(other, (dict(zip(INPUTS, rows, strict=True)), self._state_before), "x")
+        rows = np.concatenate([np.array(move) for move in self._inputs]).T
+        return state_in(other, (dict(zip(INPUTS, rows, strict=True)), self._states[0]), "x", is_alike=True)
 
     def change_plant(self, plant: Plant, drive: DriveLoops | None = None) -> None:
         """Go on with another plant or other loops, from the same motion."""
@@ -101,7 +102,10 @@ class Axis:
         noise = given.torque_noise * self._random.standard_normal(cycles)
         compensator, state = self.compensator, self.state
         view = state[0]
-        self._inputs, self._state_before = [], compensator.state.copy()
+        kept = max(LATEST_CYCLES // cycles - 1, 0)
+        inputs: list[tuple[float, ...]] = []
+        self._inputs = [*self._inputs[max(len(self._inputs) - kept, 0) :], inputs]
+        self._states = [*self._states[max(len(self._states) - kept, 0) :], compensator.state.copy()]
         for k in range(cycles):
             i = k * self.samples
             position = np.floor((view["position"] + given.slip) / resolution) * resolution
@@ -110,9 +114,9 @@ class Axis:
                 given.reported = np.floor(torque / self._torque_step + 0.5) * self._torque_step
             motion = (demands[0][i], demands[1][i], ahead[0][k])
             given_now = (float(self.cycle), position, view["velocity"], given.reported)
-            inputs = (*given_now, *motion, True, True, ahead[1][k], np.nan)
-            self._inputs.append(inputs)
-            torque = compensator.step(*inputs)
+            values = (*given_now, *motion, True, True, ahead[1][k], np.nan)
+            inputs.append(values)
+            torque = compensator.step(*values)
             rows[:, k] = (
                 self.cycle,
                 position,

@@ -1,0 +1,197 @@
+"""Kinds of motion, told apart by the demand alone, and what was proven for each of them.
+
+Parameters that were judged on one motion may harm another, which passes through speeds and stretches of presliding of
+its own. A kind of motion is therefore described by the range of what its demand does within spans of a quarter of a
+second up to six seconds: top speed, travel, acceleration. A demand outside of these ranges is another motion; a large
+difference shows in the shortest span, after a quarter of a second, whatever the period of the motion is. Rests are left
+out: they say nothing, and no time without motion makes a kind another one.
+"""
+
+import math
+from collections import deque
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from friction_hil.learning.judge import ALIKE
+from friction_hil.learning.residual import Layer, between
+from friction_hil.numerics.jit import Array
+
+WINDOW_TICKS = 24  # of motion, before it counts as a kind; the longest span
+_SPANS_TICKS = (1, 2, 4, 8, 16, WINDOW_TICKS)
+_RECOGNISED_TICKS = 4  # of motion within what is known of a kind
+_PARTS = 10  # of a tick: spans begin at each, so that their ranges do not depend on where ticks begin in a period
+_MARGIN = 2  # of parts, by which a span of a motion may be longer or shorter
+_REMEMBERED_TICKS = 54  # of both sides of a comparison
+_MOST_KINDS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Used:
+    """What a compensator has: coordinates of its parameters, its gain and its residual layer."""
+
+    x: Array
+    gain: float
+    layer: Layer | None = None
+
+    def towards(self, other: "Used", part: float) -> "Used":
+        """Return what lies a part of the way to another one."""
+        layer = between(self.layer, other.layer, part)
+        return Used(self.x + part * (other.x - self.x), self.gain + part * (other.gain - self.gain), layer)
+
+
+@dataclass(slots=True)
+class Kind:
+    """A kind of motion.
+
+    Attributes
+    ----------
+    used : Used
+        Proven for it: the model file until something better was kept.
+    pause : int
+        Windows without a trial after the next one that is taken back.
+    rest : int
+        Windows until the next trial.
+    refused_error : float
+        Root mean square of the following error before the last trial that was taken back, SI.
+    ranges : (2, spans, 3) array or None
+        Least and most top speed, travel and mean square of the acceleration, of each span; NaN where none was so long.
+        None: the motion has just begun.
+    """
+
+    used: Used
+    pause: int
+    rest: int = 0
+    refused_error: float = math.inf
+    ranges: Array | None = None
+
+
+class Motions:
+    """The present kind of motion, and those that were seen before.
+
+    Parameters
+    ----------
+    file : Used
+        For every motion that nothing was proven for.
+    pause : int
+        Of a new kind.
+    period_s : float
+
+    Attributes
+    ----------
+    now : Kind
+    """
+
+    def __init__(self, file: Used, pause: int, period_s: float) -> None:
+        self._file, self._first_pause, self._rate_hz = file, pause, 1.0 / period_s
+        self._parts: deque[tuple[float, ...]] = deque(maxlen=_PARTS * _REMEMBERED_TICKS)
+        self._velocity = math.nan  # last demanded
+        self._kinds: list[Kind] = []  # the last one is that of the latest motion
+        self.now = Kind(file, pause)
+
+    def take(self, position: Array, velocity: Array) -> bool:
+        """Take the demand (n,) of a tick; return True if it is of another kind: `now` is a new one."""
+        before = self._velocity if math.isfinite(self._velocity) else velocity[0]
+        changes = np.diff(velocity, prepend=before) * self._rate_hz
+        self._velocity = float(velocity[-1])
+        is_new = False
+        for part in np.array_split(np.arange(position.size), min(_PARTS, position.size)):
+            p, v = position[part], velocity[part]
+            if np.any(v):
+                is_new = True
+                own = (np.max(np.abs(v)), np.min(p), np.max(p), np.mean(changes[part] ** 2))
+                self._parts.append(tuple(map(float, own)))
+        if not is_new:
+            return False
+        if self.now.ranges is None:
+            return self._meet()
+        if _is_within(_latest(self._parts), self.now.ranges):
+            return False
+        self._parts.clear()
+        self.now = Kind(self._file, self._first_pause)
+        return True
+
+    def keep(self, used: Used) -> None:
+        """Take note that something was proven for the present motion, over all of it so far."""
+        seen = _ranges(self._parts, _MARGIN)
+        known = seen if self.now.ranges is None else self.now.ranges
+        self.now.ranges = np.stack([np.fmin(known[0], seen[0]), np.fmax(known[1], seen[1])])
+        self.now.used, self.now.pause = used, self._first_pause
+        self._remember()
+
+    def drop_layers(self) -> bool:
+        """Take the residual layers of all motions away; return True if the present one had one."""
+        is_layered = self.now.used.layer is not None
+        for kind in (*self._kinds, self.now):
+            if kind.used.layer is not None:
+                kind.used = replace(kind.used, layer=None)
+        return is_layered
+
+    def interrupt(self) -> None:
+        """Take note that rows are missing: the next ones do not continue the motion."""
+        self._parts.clear()
+        self._velocity = math.nan
+
+    def _meet(self) -> bool:
+        """Look whether a motion that has just begun is a known one; return True if so."""
+        if len(self._parts) >= _PARTS * _RECOGNISED_TICKS:
+            seen = _ranges(list(self._parts)[-_PARTS * _RECOGNISED_TICKS :])
+            for kind in reversed(self._kinds):
+                assert kind.ranges is not None
+                if kind is not self.now and _is_within(seen, kind.ranges):
+                    self.now = kind
+                    self._remember()
+                    for _ in range(len(self._parts) - _PARTS * _RECOGNISED_TICKS):
+                        self._parts.popleft()
+                    return True
+        if len(self._parts) >= _PARTS * WINDOW_TICKS:
+            self.now.ranges = _ranges(self._parts, _MARGIN)
+            self._remember()
+        return False
+
+    def _remember(self) -> None:
+        self._kinds = [*(kind for kind in self._kinds if kind is not self.now), self.now][-_MOST_KINDS:]
+
+
+def _ranges(parts: Collection[tuple[float, ...]], margin: int = 0) -> Array:
+    """Return least and most of each span of a motion, (2, spans, 3).
+
+    Parameters
+    ----------
+    parts : sequence of tuple
+    margin : int
+        The least is that of spans by so many parts shorter, the most that of longer ones: rests shift the parts.
+    """
+    rows = np.array(list(parts))
+    found = np.full((2, len(_SPANS_TICKS), 3), np.nan)
+    for k, ticks in enumerate(_SPANS_TICKS):
+        if len(rows) < ticks * _PARTS:
+            break
+        found[0, k] = _spans(rows, ticks * _PARTS - margin).min(axis=0)
+        found[1, k] = _spans(rows, min(ticks * _PARTS + margin, len(rows))).max(axis=0)
+    return found
+
+
+def _spans(rows: Array, length: int) -> Array:
+    """Return top speed, travel and mean square of the acceleration of all spans of a length, (k, 3)."""
+    top, low, high, square = np.lib.stride_tricks.sliding_window_view(rows, length, axis=0).swapaxes(0, 1)
+    return np.column_stack([top.max(axis=1), high.max(axis=1) - low.min(axis=1), square.mean(axis=1)])
+
+
+def _latest(parts: Collection[tuple[float, ...]]) -> Array:
+    """Return the same as `_ranges` of the last span of each length alone."""
+    rows = np.array(list(parts))
+    found = np.full((2, len(_SPANS_TICKS), 3), np.nan)
+    for k, ticks in enumerate(_SPANS_TICKS):
+        if len(rows) < ticks * _PARTS:
+            break
+        found[:, k] = _spans(rows[-ticks * _PARTS :], ticks * _PARTS)[0]
+    return found
+
+
+def _is_within(seen: Array, known: Array) -> bool:
+    """Return True if ranges do not exceed others by more than what two motions of a kind differ by."""
+    alike = np.array([1.0 - ALIKE, 1.0 - ALIKE, (1.0 - ALIKE) ** 2])  # the last one is a square
+    is_outside = (seen[0] < alike * known[0]) | (seen[1] * alike > known[1])  # False for NaN
+    return not bool(np.any(is_outside))
