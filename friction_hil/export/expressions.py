@@ -89,7 +89,7 @@ class Expressions:
         if len(arms) < 2:
             return arms[0][1] if arms else {}
         result: dict[str, Any] = {}
-        for name in arms[0][1].keys() & arms[1][1].keys():
+        for name in [each for each in arms[0][1] if each in arms[1][1]]:  # in an order that no hash decides
             first, second = (environment[name] for _, environment in arms)
             if is_same(first, second):
                 result[name] = first
@@ -261,7 +261,7 @@ class Expressions:
             if values[1:] and len(self._block) > before:
                 raise self._refusal(each, "a condition that is not always evaluated must not change anything")
             if isinstance(values[-1], Constant) and bool(values[-1].value) == (name == "or"):
-                break
+                return math_of.truth(values[-1])  # whatever stands before it
         return math_of.joined(name, values)
 
     def _see_ifexp(self, node: ast.IfExp) -> Any:
@@ -382,8 +382,9 @@ def _as_value(value: Any) -> Any:
     return math_of.known(value) if isinstance(value, (bool, int, float)) else Known(value)
 
 
+@cache
 def as_load(node: ast.expr) -> ast.expr:
-    """Return the target of an assignment as an expression."""
+    """Return the target of an assignment as an expression; sources are read once, and so are their nodes."""
     return ast.parse(ast.unparse(node), mode="eval").body
 
 
