@@ -11,7 +11,7 @@ from friction_hil.checked_yaml.section import Section, key
 from friction_hil.config.axis import AxisConfig, Name
 from friction_hil.config.bus import BusConfig
 from friction_hil.config.live import LiveConfig
-from friction_hil.config.recording import RecordingConfig
+from friction_hil.config.recording import JOINT_STATES, RecordingConfig
 from friction_hil.config.simulation import SimulationConfig, mechanism_mistakes
 
 
@@ -68,6 +68,9 @@ def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
     period_us = 1e6 * configuration.period_s
     if configuration.realtime.spin_us >= period_us:
         yield ("realtime", "spin_us"), f"must be below the period, {period_us:g} µs"
+    recording = configuration.recording
+    if recording is not None and recording.ros and JOINT_STATES in configuration.axes:
+        yield ("axes", JOINT_STATES), "is the name of a topic of recording.ros, too: give the axis another name"
     is_sidecar = configuration.bus is not None and configuration.bus.role == "sidecar"
     for name, axis in configuration.axes.items():
         if is_sidecar and axis.trajectory.kind != "master":

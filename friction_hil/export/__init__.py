@@ -188,8 +188,13 @@ def save(content: Mapping[str, str | bytes], folder: str | Path = ".", *, overwr
 
 
 def identifier(text: str) -> str:
-    """Return a text as a name that any language takes, in small letters; empty if nothing of it can stay."""
-    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
+    """Return a text as a name that any language takes, in small letters; empty if nothing of it can stay.
+
+    >>> identifier("LeftArm 2.yaml")
+    'left_arm_2_yaml'
+    """
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", text)  # AxisX is axis_x, as which it is a package of Modelica again
+    name = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_")
     return (f"axis_{name}" if name[:1].isdigit() else name)[:_LONGEST_NAME].rstrip("_")
 
 

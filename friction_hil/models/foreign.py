@@ -5,6 +5,7 @@ They hold less than a model file; what is missing is named in the result, and in
 
 import json
 import math
+import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ from friction_hil.models import mjcf_joints, xml_input
 from friction_hil.models.model_file import ModelFile
 
 _MOST_BYTES = 100_000_000
+_LARGEST = sys.float_info.max  # JSON has whole numbers of any length
 _NEVER_THERE = (
     "standard errors, recordings and errors of a fit",
     "the range of velocity and temperature in which it holds",
@@ -205,8 +207,8 @@ def _bam(content: bytes, path: str, joint: str | None) -> Stated:
 
     def value(name: str, default: float | None = None) -> float:
         number = given.get(name, default)
-        if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
-            raise UsageError(f"{path}: {name} must be a finite number, not {number!r}")
+        if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) <= _LARGEST:
+            raise UsageError(f"{path}: {name} must be a finite number, not {str(number)[:40]}")
         return float(number)
 
     parameters = {"coulomb": value("friction_base")}

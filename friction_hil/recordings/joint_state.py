@@ -8,7 +8,9 @@ counted from after the four bytes of the encoding.
 import struct
 from collections.abc import Sequence
 
-TOPIC = "/joint_states"
+from friction_hil.config.recording import JOINT_STATES
+
+TOPIC = f"/{JOINT_STATES}"
 SCHEMA = "sensor_msgs/msg/JointState"
 _LINE = "=" * 80
 TEXT = f"""std_msgs/Header header

@@ -15,6 +15,7 @@ from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
+from friction_hil.config.recording import JOINT_STATES
 from friction_hil.errors import RecordingError
 from friction_hil.recordings import joint_state
 from friction_hil.recordings import mcap_format as layout
@@ -310,8 +311,8 @@ def _check_joint_states(path: Path, axes: Sequence[str], columns: Sequence[str])
     missing = [name for name in joint_state.COLUMNS if name not in columns]
     if missing:
         raise RecordingError(f"{path}: joint states need the columns {', '.join(missing)}")
-    if joint_state.TOPIC[1:] in axes:
-        raise RecordingError(f"{path}: an axis is called {joint_state.TOPIC[1:]}, as the topic of the joint states")
+    if JOINT_STATES in axes:
+        raise RecordingError(f"{path}: an axis is called {JOINT_STATES}, as the topic of the joint states")
 
 
 def _check_names(path: Path, columns: Sequence[str]) -> None:

@@ -1,6 +1,8 @@
 """Exports to C do, compiled, what this library does: every model, and the whole compensator."""
 
 import ctypes
+import math
+import random
 import re
 import shutil
 import subprocess
@@ -69,6 +71,24 @@ def test_after_a_gap_of_any_length_the_compensator_goes_on_as_this_library(libra
         assert np.quantile(error, 0.97 if single else 1.0) < (1e-5 if single else 1e-12), name
 
 
+def test_no_input_does_what_the_language_leaves_undefined(tmp_path, capfd):
+    """Numbers of any size, also those that are none, and gaps of any length; UBSan writes what it finds."""
+    sanitized = ("-fsanitize=undefined,float-cast-overflow,bounds-strict", "-O0")
+    chosen, values = random.Random(0), (0.0, 1e-300, -1e-12, 1.0, -1e3, 9e15, -1e30, math.nan, math.inf, -math.inf)
+    tried = {name: COMPENSATORS[name] for name in ("geared", "kalman")}
+    write(tmp_path, [subject(one.model, name, one) for name, one in tried.items()])
+    made = ctypes.CDLL(str(shared(tmp_path, [tmp_path / f"{name}.c" for name in tried], *sanitized)))
+    for name, one in tried.items():
+        rows, cycle = [], 0
+        for _ in range(300):
+            cycle += chosen.choice((0, 1, 1, 2, 30, 2**31, 2**32 - 1))
+            rows.append([float(cycle), *(chosen.choice(values) for _ in INPUTS[1:])])
+            for flag in ("is_fresh", "is_enabled"):
+                rows[-1][INPUTS.index(flag)] = float(chosen.random() > 0.1)
+        assert np.abs(compensator_steps(made, name, rows)).max() <= one.settings.torque_limit
+    assert "runtime error" not in capfd.readouterr().err
+
+
 def test_the_header_states_the_sizes_that_the_compiler_finds(library):
     for name, kind in (
         ("coulomb", "model"),
@@ -122,7 +142,9 @@ def test_a_name_that_hides_a_file_or_type_of_the_language_is_refused(to, name):
         fh.export.files("coulomb:coulomb=1", to=to, name=name)
 
 
-@pytest.mark.parametrize(("name", "wanted"), [("a__b", "a_b"), ("a_", "a"), ("9", "axis_9"), ("b" * 41, "b" * 40)])
+@pytest.mark.parametrize(
+    ("name", "wanted"), [("a__b", "a_b"), ("a_", "a"), ("AxisX", "axis_x"), ("9", "axis_9"), ("b" * 41, "b" * 40)]
+)
 def test_a_name_that_some_language_refuses_is_refused(name, wanted):
     with pytest.raises(UsageError, match=f"such as {wanted}$"):
         fh.export.files("coulomb:coulomb=1", to="st", name=name)

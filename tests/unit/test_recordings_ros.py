@@ -12,7 +12,7 @@ import friction_hil as fh
 from friction_hil.config.recording import RecordingConfig
 from friction_hil.daemon.companion.job import Job
 from friction_hil.daemon.companion.new_file import begin_file
-from friction_hil.errors import RecordingError
+from friction_hil.errors import ConfigurationError, RecordingError
 from friction_hil.recordings.mcap_writer import McapWriter
 
 COLUMNS = ["cycle", "time_s", "position", "velocity", "torque"]
@@ -94,6 +94,19 @@ def test_without_the_key_there_are_none(tmp_path):
     writer.write(values())
     writer.close()
     assert b"JointState" not in (tmp_path / "run.mcap").read_bytes()
+
+
+def test_an_axis_with_the_name_of_the_topic_is_a_mistake_in_the_configuration(tmp_path):
+    path = tmp_path / "machine.yaml"
+    text = Path("config/single_axis_csp.yaml").read_text().replace("models/", f"{Path('config').resolve()}/models/")
+    text = text.replace("\n  x:", "\n  joint_states:")
+    path.write_text(text)
+    recording = fh.config.load(path).recording
+    assert recording is not None
+    assert not recording.ros
+    path.write_text(text.replace("\nrecording:\n", "\nrecording:\n  ros: true\n"))
+    with pytest.raises(ConfigurationError, match=r"axes\.joint_states.*another name"):
+        fh.config.load(path)
 
 
 @pytest.mark.parametrize(
