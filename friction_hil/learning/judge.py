@@ -11,8 +11,9 @@ ALIKE = 0.15  # relative difference of two motions that count as the same work
 HELPS = 0.98  # errors by so much lower count as help
 _PEAK_GROWS, _MOST_PEAK_GROWS = 1.1, 1.5  # and the peak must not grow by more; more where the errors are far lower
 # Spans, s, and how many times the largest error before is harm there. Over a longer one less is left to chance.
-_SPANS_S, _HARMS = (0.5, 1.0, 2.0, 4.0), (1.5, 1.2, 1.1, 1.05)
+_SPANS_S, _HARMS = (0.5, 1.0, 2.0, 4.0), (1.5, 1.2, 1.15, 1.1)
 _EFFORT_GROWS, _CLEARLY = 1.5, 0.8  # more effort than that takes errors that are clearly lower
+CHANCE = "no more than chance"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,14 +90,14 @@ def work_of(
     )
 
 
-def is_no_help(error: Array, before: Work, period_s: float) -> bool:
-    """Return True if the latest errors since a part of a change are not below those before.
+def no_help(error: Array, before: Work, period_s: float) -> tuple[float, float] | None:
+    """Return the errors before and since a part of a change if the latest are not below those before, else None.
 
     With part a of a change the mean square of the error is c - 2 b a + d a^2: if a third does not lower it, the whole
     raises it.
     """
-    rows = round(_SPANS_S[1] / period_s)
-    return rms(error[-rows:]) > before.worst[1]
+    now = rms(error[-round(_SPANS_S[1] / period_s) :])
+    return (before.worst[1], now) if now > before.worst[1] else None
 
 
 def is_harmful(error: Array, before: Work, resolution: float, period_s: float) -> bool:
@@ -133,7 +134,7 @@ def objection(after: Work, before: Work, resolution: float) -> str:
     if after.peak > allowed * before.peak + 2.0 * resolution:
         return f"the peak rose to {after.peak / before.peak:.1f} times what it was" if before.peak else "the peak rose"
     if gained < math.hypot(before.scatter, after.scatter):
-        return "no more than chance"
+        return CHANCE
     return ""
 
 

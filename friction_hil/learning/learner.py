@@ -9,89 +9,39 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 
-from friction_hil.compensator.load import gravity_torque
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
+from friction_hil.learning import oddity
 from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief, left_over
 from friction_hil.learning.figures import Figures
-from friction_hil.learning.judge import Work, is_harmful, is_no_help, objection, rms, work_of
+from friction_hil.learning.judge import CHANCE, Work, is_harmful, no_help, objection, rms, work_of
 from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
+from friction_hil.learning.oddity import WARM_TICKS
+from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.learning.residual import Finding, Layer, Residual
-from friction_hil.learning.window import Window, velocity_of
+from friction_hil.learning.window import COLUMNS, Window, joined, velocity_of, window_of
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import quantity
 
-COLUMNS = (
-    "cycle",
-    "position",
-    "torque",
-    "position_demand",
-    "velocity_demand",
-    "load_estimate",
-    "temperature_estimate",
-    "compensation",
-    "gain_factor",
-)
 TICK_S = 0.25
-_WARM_TICKS = 4  # before a window: they bring the state of the model to where it was
 _SETTLING_TICKS = 3  # beyond the fade: the first strokes after a change are of neither side
 _UNJUDGED_TICKS = 1  # errors may be due to the change itself, in the midst of a reversal
 _MISLED_TICKS = 2
-_FIRST_PART, _FIRST_TICKS = (
-    1.0 / 3.0,
-    4,
-)  # of a change, for so long: the square of the error grows with that of the change
+_FIRST_PART, _FIRST_TICKS = 1.0 / 3.0, 4  # of a change, for so long: if wrong, it does a ninth of the harm
 _DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
 _SURPRISE = 12.0  # a change that drift does not explain
 _WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
 _GAIN_WORTH = 0.01
 _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
 _FIRST_PAUSE, _LONGEST_PAUSE = 1, 40  # windows without a trial, after one that was taken back
-_ODD_TICKS = 2  # one may be that of a reversal
-_ODD = 2.0  # times what was left unexplained before: the axis is not what it was
-_ODD_LEVEL = 0.05  # and this part of the friction level at least
 _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
-_FROZEN_TICKS, _FROZEN_LEVEL = 3, 0.2  # the compensation changed by so much meanwhile, the torque feedback not at all
-_GLITCH = 8.0  # times the largest change of the following error within a period before
 _STOPPED_TICKS = 40
-_LEAST_MOVING = 0.25  # part of a tick; a shorter motion says too little
-_UNFILTERED = 20  # last rows of a record, which its filters do not reach
+_EXPLAINS = 0.8  # times the unexplained torque of former parameters
+_WORSE = 1.2  # times the error at the last trial: another one does not wait any longer
 _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
-
-
-class Step(Enum):
-    """What a proposal is."""
-
-    PARAMETERS = "parameters"
-    GAIN = "gain"
-    LAYER = "residual layer"
-    BACK = "back"
-    KNOWN = "known"
-
-
-@dataclass(frozen=True, slots=True)
-class Proposal:
-    """What is to be handed over.
-
-    Attributes
-    ----------
-    step : Step
-    model : FrictionModel or None
-        None: the model stays.
-    gain : float
-        Factor on the model's torque.
-    text : str
-        Why.
-    """
-
-    step: Step
-    model: FrictionModel | None
-    gain: float
-    text: str
 
 
 @dataclass(slots=True)
@@ -156,7 +106,7 @@ class Learner:
         self._motions = Motions(self._file, _FIRST_PAUSE, period_s)
         self._resumed: Used | None = None
         self._misled = 0  # ticks in which the model file explained the torque better, one after the other
-        self._ticks: deque[dict[str, Array]] = deque(maxlen=_WARM_TICKS + WINDOW_TICKS)
+        self._ticks: deque[dict[str, Array]] = deque(maxlen=WARM_TICKS + WINDOW_TICKS)
         self._fresh = 0  # ticks that no estimate has used yet
         self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
         self._trial: _Trial | None = None
@@ -234,7 +184,7 @@ class Learner:
         if self._trial is not None and self._trial.step is Step.LAYER:
             self._residual.was_refused(self._former.layer, self.figures.layer, "refused")
         else:
-            self._wait()
+            self._wait(math.inf)
         self._trial, self._used, self._same = None, self._former, 0
         self.figures.gain = self._used.gain
 
@@ -247,7 +197,8 @@ class Learner:
         """Take the rows of a tick, `COLUMNS`; return what is to be handed over, which then counts as handed over."""
         tick = {name: np.asarray(rows[name]) for name in COLUMNS}
         self._belief = self._belief.older(_DRIFT, TICK_S)
-        if (reason := self._broken(tick)) is not None:
+        recent = [*list(self._ticks)[1 - oddity.FROZEN_TICKS :], tick]
+        if (reason := oddity.broken(joined(recent), self._belief.coordinates.model.level)) is not None:
             return self._stop(reason)
         if self._motions.take(tick["position_demand"], tick["velocity_demand"]):
             return self._change_motion()
@@ -289,39 +240,40 @@ class Learner:
         """Refine the belief by the last window."""
         self._fresh, self._finding = 0, None
         ticks = list(self._ticks)
-        joined = self._joined(ticks)
-        if not np.any(joined["velocity_demand"]):
+        rows = joined(ticks)
+        if not np.any(rows["velocity_demand"]):
             return
         warm_s = TICK_S * max(len(ticks) - WINDOW_TICKS, 0) if len(ticks) > WINDOW_TICKS else 2.0 * TICK_S
         try:
-            found = estimate(self._window(joined, self._used.layer), self._belief, self._resolution, warm_s)
+            found = estimate(self._window(rows, self._used.layer), self._belief, self._resolution, warm_s)
         except NUMERICAL:
             return
         if found.surprise > _SURPRISE:
             self._belief = self._belief.doubted()
             try:
-                found = estimate(self._window(joined, self._used.layer), self._belief, self._resolution, warm_s)
+                found = estimate(self._window(rows, self._used.layer), self._belief, self._resolution, warm_s)
             except NUMERICAL:
                 return
         self._estimate, self._belief = found, found.belief
-        self._usual = rms(self._unexplained(replace(self._used, x=self._belief.x), ticks)[_WARM_TICKS:])
+        self._usual = rms(self._unexplained(replace(self._used, x=self._belief.x), ticks)[WARM_TICKS:])
         self.figures.errors = self._belief.errors
         if self._has_layer:
-            left = left_over(self._window(joined), self._belief, self._resolution, warm_s)
+            left = left_over(self._window(rows), self._belief, self._resolution, warm_s)
             self._finding = self._residual.look(left, self._used.layer)
 
     def _propose(self) -> Proposal | None:
         """Return what is worth a trial."""
         if self._estimate is None or self._same < WINDOW_TICKS or self._motions.now.ranges is None:
             return None
-        if self._motions.now.rest:
-            self._motions.now.rest -= 1
-            return None
-        before = self._work(WINDOW_TICKS)
-        if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
-            return None
+        before, now = self._work(WINDOW_TICKS), self._motions.now
         level = self._belief.coordinates.model.level
         refined = self._belief.shown(self._used.x)
+        if now.rest and before.rms <= _WORSE * now.refused_error:
+            now.rest -= 1
+            return None
+        now.rest = 0
+        if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
+            return None
         change = self._torque_change(self._used.x[:-MECHANICS], refined[:-MECHANICS]) / level
         is_fixed = self._is_gain_fixed or self._is_gain_doubted
         gain = self._used.gain if is_fixed else self._known_gain()
@@ -381,18 +333,18 @@ class Learner:
     def _judge(self, trial: _Trial) -> Proposal | None:
         """Look at a trial: it goes on, or it is kept, or it is taken back."""
         trial.ticks += 1
-        rows = self._joined(list(self._ticks)[-max(trial.ticks - _UNJUDGED_TICKS, 1) :])
+        rows = joined(list(self._ticks)[-max(trial.ticks - _UNJUDGED_TICKS, 1) :])
         error = rows["position_demand"] - rows["position"]
         is_judged = trial.ticks > _UNJUDGED_TICKS
         if is_judged and is_harmful(error, trial.before, self._resolution, self._period_s):
             return self._take_back(f"the error rose from {self._size(trial.before.rms)} to {self._size(rms(error))}")
-        if np.any(np.diff(self._joined(list(self._ticks)[-2:])["gain_factor"]) < 0.0):
+        if np.any(np.diff(joined(list(self._ticks)[-2:])["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
         if not trial.is_whole:
             if trial.ticks < self._first_ticks:
                 return None
-            if is_no_help(error, trial.before, self._period_s):
-                shown = f"{self._size(trial.before.rms)} -> {self._size(rms(error))}"
+            if (both := no_help(error, trial.before, self._period_s)) is not None:
+                shown = " -> ".join(map(self._size, both))
                 return self._take_back(f"error {shown} with a third of the change")
             trial.is_whole, trial.ticks = True, 0
             return self._hand_over(trial.step, trial.tried, "the whole of a change of which a third did no harm")
@@ -401,7 +353,8 @@ class Learner:
         after = self._work(WINDOW_TICKS)
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
-        if why := objection(after, trial.before, self._resolution):
+        why = objection(after, trial.before, self._resolution)
+        if why and not (why == CHANCE and self._explains_more(trial.tried)):
             return self._take_back(f"error {self._size(trial.before.rms)} -> {self._size(after.rms)}: {why}")
         self._trial, self._kept = None, trial.tried
         self._motions.keep(trial.tried)
@@ -413,21 +366,32 @@ class Learner:
         self.notes.append(f"learning keeps the {trial.step.value}: error {shown}")
         return None
 
+    def _explains_more(self, tried: Used) -> bool:
+        """Return True if a trial explains the torque since then, which it was not estimated from, clearly better.
+
+        Where friction drifts, the error with the former parameters would have risen meanwhile: no gain over before may
+        be one over what would be now.
+        """
+        left = [rms(self._unexplained(x, list(self._ticks))[WARM_TICKS:]) for x in (tried, self._motions.now.used)]
+        return left[0] < _EXPLAINS * left[1]
+
     def _take_back(self, reason: str, *, is_harmless: bool = False) -> Proposal:
-        if self._trial is not None and self._trial.step is Step.LAYER:
+        trial, self._trial = self._trial, None
+        if trial is not None and trial.step is Step.LAYER:
             why = "without a verdict" if is_harmless else "no gain"
             self._residual.was_refused(self._motions.now.used.layer, self.figures.layer, why)
         elif not is_harmless:
+            assert trial is not None
             self.figures.taken_back += 1
             self._is_gain_doubted = not self._is_gain_doubted
-            self._wait()
-        self._trial = None
+            self._wait(trial.before.rms)
         return self._hand_over(Step.BACK, self._motions.now.used, reason)
 
-    def _wait(self) -> None:
-        """Leave the present motion without a trial for a while, longer each time."""
+    def _wait(self, error: float) -> None:
+        """Leave the present motion without a trial for a while, longer each time, or until it has a larger error."""
         now = self._motions.now
         now.rest, now.pause = now.pause, min(2 * now.pause, _LONGEST_PAUSE)
+        now.refused_error = error
 
     def _change_motion(self) -> Proposal | None:
         """Go on with what is proven for the present motion, which is another one: the model file where nothing is."""
@@ -456,62 +420,29 @@ class Learner:
             self._residual.end(self.figures.layer)
         return self._take_back(reason, is_harmless=True) if is_layered or self._trial is not None else None
 
-    def _broken(self, tick: dict[str, Array]) -> str | None:
-        """Return why a tick is not to be used at all; None if it is."""
-        finite = [name for name in COLUMNS if name not in ("load_estimate", "temperature_estimate")]
-        if not all(np.isfinite(tick[name]).all() for name in finite):
-            return "the record has gaps"
-        level = self._belief.coordinates.model.level
-        last = self._joined([*list(self._ticks)[1 - _FROZEN_TICKS :], tick])
-        if np.ptp(last["torque"]) == 0.0 and np.ptp(last["compensation"]) > _FROZEN_LEVEL * level:
-            return "the torque feedback is frozen"
-        return None
-
     def _oddity(self, tick: dict[str, Array]) -> str | None:
         """Return why an axis is not what it was in the same motion; None if it is."""
-        if len(self._ticks) < _WARM_TICKS:
+        if len(self._ticks) < WARM_TICKS:
             return None
-        past = self._joined(list(self._ticks))
-        errors = [rows["position_demand"] - rows["position"] for rows in (past, tick)]
-        usual = float(np.max(np.abs(np.diff(errors[0]))))
-        jump = float(np.max(np.abs(np.diff(errors[1], prepend=errors[0][-1]))))
-        if jump > _GLITCH * usual + 16.0 * self._resolution:
+        if jump := oddity.jump(joined(list(self._ticks)), tick, self._resolution):
             return f"the position jumps by {self._size(jump)}"
         if self._estimate is not None:
             own = replace(self._used, x=self._belief.x)
-            left = self._unexplained(own, [*list(self._ticks)[-_WARM_TICKS:], tick])[-_ODD_TICKS:]
-            if np.min(left) > _ODD * self._usual + _ODD_LEVEL * self._belief.coordinates.model.level:
+            left = self._unexplained(own, [*list(self._ticks)[-WARM_TICKS:], tick])
+            if oddity.is_other_axis(left, self._usual, self._belief.coordinates.model.level):
                 return "the torque is not that of the model any more"
         return None
 
     def _unexplained(self, used: Used, ticks: list[dict[str, Array]]) -> Array:
-        """Return the root mean square of each tick's torque (n,) that a model leaves unexplained, N m.
-
-        Rows without demanded motion are left out: at rest friction has any value to break-away. 0 for a tick of rest.
-        """
-        rows = self._joined(ticks)
-        window = self._window(rows, used.layer)
-        belief = self._belief
-        velocity = velocity_of(window, self._resolution)
-        model = belief.coordinates.model_at(used.x[:-MECHANICS])
-        friction = model.simulate(velocity, self._period_s, **window.inputs())
-        acceleration = np.append(np.diff(velocity), 0.0) / self._period_s
-        inertia, static, _ = belief.x[-MECHANICS:]
-        left = window.torque - friction - (1.0 + inertia) * belief.mechanics.inertia * acceleration
-        left -= static * belief.coordinates.model.level + gravity_torque(*belief.mechanics.static, window.position)
-        counted = slice(0, -_UNFILTERED)  # in each tick, so that an old one compares with the latest
-        is_moving = (rows["velocity_demand"] != 0.0).reshape(len(ticks), -1)[:, counted]
-        counts = is_moving.sum(axis=1)
-        squares = np.where(is_moving, left.reshape(len(ticks), -1)[:, counted] ** 2, 0.0).sum(axis=1)
-        is_shown = counts >= _LEAST_MOVING * self.rows_per_tick
-        return np.asarray(np.where(is_shown, np.sqrt(squares / np.maximum(counts, 1)), 0.0))
+        """Return the root mean square of each tick's torque (n,) that a model leaves unexplained, N m."""
+        return oddity.unexplained(used, ticks, self._belief, self._period_s, self._resolution)
 
     def _fall_back(self) -> Proposal | None:
         """Return to the model file where that explains the torque clearly better than what was kept elsewhere."""
         is_file = np.array_equal(self._used.x, self._file.x) and self._used.layer is None
-        if self._trial is not None or is_file or len(self._ticks) < _WARM_TICKS + 1:
+        if self._trial is not None or is_file or len(self._ticks) < WARM_TICKS + 1:
             return None
-        ticks = list(self._ticks)[-_WARM_TICKS - 1 :]
+        ticks = list(self._ticks)[-WARM_TICKS - 1 :]
         used, file = (self._unexplained(each, ticks)[-1] for each in (self._used, self._file))
         level = self._belief.coordinates.model.level
         self._misled = self._misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
@@ -524,7 +455,7 @@ class Learner:
 
     def _torque_change(self, before: Array, after: Array) -> float:
         """Return the root mean square by which two sets of parameters differ along the last window, N m."""
-        window = self._window(self._joined(list(self._ticks)))
+        window = self._window(joined(list(self._ticks)))
         velocity = velocity_of(window, self._resolution)
         coordinates = self._belief.coordinates
         torques = [
@@ -534,7 +465,7 @@ class Learner:
 
     def _work(self, ticks: int) -> Work:
         """Return what the last ticks show; their errors from when the last change of settings or motion is over."""
-        rows = self._joined(list(self._ticks)[-ticks:])
+        rows = joined(list(self._ticks)[-ticks:])
         unsettled = min(max(ticks - self._same + self._settling, 0), ticks - 1) * self.rows_per_tick
         return work_of(
             rows["position"],
@@ -547,15 +478,4 @@ class Learner:
 
     def _window(self, rows: Mapping[str, Array], layer: Layer | None = None) -> Window:
         """Return the motion of rows, and their torque without that of a layer."""
-        return Window(
-            self._period_s,
-            rows["position"],
-            rows["torque"] - (0.0 if layer is None else layer.torque(rows["position"])),
-            rows["position_demand"],
-            rows["load_estimate"],
-            rows["temperature_estimate"],
-        )
-
-    @staticmethod
-    def _joined(ticks: list[dict[str, Array]]) -> dict[str, Array]:
-        return {name: np.concatenate([tick[name] for tick in ticks]) for name in COLUMNS}
+        return window_of(rows, self._period_s, None if layer is None else layer.torque(rows["position"]))

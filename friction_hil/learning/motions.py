@@ -53,6 +53,8 @@ class Kind:
         Windows without a trial after the next one that is taken back.
     rest : int
         Windows until the next trial.
+    refused_error : float
+        Root mean square of the following error before the last trial that was taken back, SI.
     ranges : (2, spans, 3) array or None
         Least and most top speed, travel and mean square of the acceleration, of each span; NaN where none was so long.
         None: the motion has just begun.
@@ -61,6 +63,7 @@ class Kind:
     used: Used
     pause: int
     rest: int = 0
+    refused_error: float = math.inf
     ranges: Array | None = None
 
 

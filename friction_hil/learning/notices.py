@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from friction_hil.daemon.control.message import TEXT_BYTES
-from friction_hil.learning.learner import Proposal, Step
+from friction_hil.learning.proposal import Proposal, Step
 
 _MOST_NAMED, _NAMED = 3, 0.005  # parameters in a notice, and their least relative change
 

@@ -25,10 +25,11 @@ from friction_hil.errors import FrictionHilError
 from friction_hil.friction.model import as_dict
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning.estimate import Mechanics, estimate
-from friction_hil.learning.learner import COLUMNS, Learner, Proposal, Step
+from friction_hil.learning.learner import Learner
 from friction_hil.learning.notices import described, fitting
+from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.learning.proven import Proven, digest, recall, store
-from friction_hil.learning.window import Window
+from friction_hil.learning.window import COLUMNS, Window
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
 

@@ -1,5 +1,6 @@
 """A stretch of an axis's ordinary record, and the motion in it: finer than the counts of the encoder."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,6 +8,18 @@ import numpy as np
 
 from friction_hil.identification.fine import moves_by_bands
 from friction_hil.numerics.jit import Array
+
+COLUMNS = (
+    "cycle",
+    "position",
+    "torque",
+    "position_demand",
+    "velocity_demand",
+    "load_estimate",
+    "temperature_estimate",
+    "compensation",
+    "gain_factor",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,3 +68,20 @@ def velocity_of(window: Window, resolution: float) -> Array:
     deviation = window.position - known
     velocity = np.diff(known) * rate + moves_by_bands(deviation, rate, resolution)
     return np.concatenate([[0.0], velocity])
+
+
+def joined(ticks: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    """Return the rows of ticks, `COLUMNS`, one after the other."""
+    return {name: np.concatenate([tick[name] for tick in ticks]) for name in COLUMNS}
+
+
+def window_of(rows: Mapping[str, Array], period_s: float, known: Array | None = None) -> Window:
+    """Return the window of rows, `COLUMNS`, their torque without one that is ``known`` (n,), N m."""
+    return Window(
+        period_s,
+        rows["position"],
+        rows["torque"] if known is None else rows["torque"] - known,
+        rows["position_demand"],
+        rows["load_estimate"],
+        rows["temperature_estimate"],
+    )

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from friction_hil.learning.learner import COLUMNS, Step
+from friction_hil.learning.proposal import Step
+from friction_hil.learning.window import COLUMNS
 from tests.compensation_grids import TINY, grid_of
 from tools.benchmarks.learning import command, rows
 from tools.benchmarks.learning.axis import COLUMNS as RECORDED

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 import friction_hil as fh
 from friction_hil.learning.coordinates import DEFAULT_ERROR, coordinates_of, value_of, with_values
 from friction_hil.learning.estimate import MECHANICS, Mechanics, estimate, first_belief
-from friction_hil.learning.learner import COLUMNS, TICK_S, WINDOW_TICKS, Learner, Step
+from friction_hil.learning.learner import TICK_S, Learner
+from friction_hil.learning.motions import WINDOW_TICKS
+from friction_hil.learning.proposal import Step
 from friction_hil.learning.proven import Proven, recall, store
-from friction_hil.learning.window import Window
+from friction_hil.learning.window import COLUMNS, Window
 from tests.compensators import INERTIA, LUGRE, MODELS, PERIOD_S, quantised, resolution
 
 COUNT = resolution(20)
@@ -215,6 +217,27 @@ def test_what_does_not_help_is_taken_back(tried):
     assert (back.step, back.gain) == (Step.BACK, 0.9)
     np.testing.assert_array_equal(back.model.values, WRONG.values)
     assert (tried.learner.figures.kept, tried.learner.figures.taken_back) == (0, 1)
+
+
+@pytest.mark.parametrize(("true", "is_kept"), [(LUGRE, True), (WRONG, False)])
+def test_a_gain_that_may_be_chance_is_kept_if_the_torque_since_then_is_explained_better(true, is_kept):
+    driven = Driven()
+    for second in range(40):
+        error = 1e-3 * (1.0 + 0.6 * (-1.0) ** (second // 2)) * (1.0 if driven.proposals == [] else 0.93)
+        is_tried = len(driven.proposals) == 2
+        driven.take(4, error=error, true=true if is_tried else LUGRE)
+        if driven.learner.figures.kept or driven.learner.figures.taken_back:
+            break
+    assert (driven.learner.figures.kept, driven.learner.figures.taken_back) == (is_kept, not is_kept)
+    assert is_kept or "chance" in driven.proposals[-1][1].text
+
+
+@pytest.mark.parametrize(("error", "windows"), [(1e-3, 2), (1.3e-3, 1)])
+def test_the_next_trial_waits_unless_the_error_grows_meanwhile(first, error, windows):
+    first.take(8, until=Step.BACK, error=1.02e-3)
+    at = first.ticks
+    first.take(4 * WINDOW_TICKS, until=Step.PARAMETERS, error=error)
+    assert windows <= (first.ticks - at) / WINDOW_TICKS < windows + 1
 
 
 def test_what_harms_is_taken_back_within_a_second(tried):

@@ -13,7 +13,8 @@ from friction_hil.daemon import learning_words
 from friction_hil.daemon.learning_board import first_report
 from friction_hil.learning.estimate import LeftOver
 from friction_hil.learning.figures import LayerFigures
-from friction_hil.learning.learner import WINDOW_TICKS, Step
+from friction_hil.learning.motions import WINDOW_TICKS
+from friction_hil.learning.proposal import Step
 from friction_hil.learning.residual import SHARE, Layer, Residual
 from tests.compensators import LUGRE, PERIOD_S
 from tests.unit.test_learning import Driven, motion

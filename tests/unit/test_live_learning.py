@@ -20,8 +20,8 @@ from friction_hil.daemon.control.message import TEXT_BYTES
 from friction_hil.daemon.control.names import find
 from friction_hil.daemon.learning_board import STARTING, LearningBoard, first_report, read_report
 from friction_hil.daemon.learning_service import LearningService
-from friction_hil.learning.learner import Proposal, Step
 from friction_hil.learning.notices import described, fitting
+from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.live import LiveFigures, attach
 from friction_hil.live.web.content import _values
 from friction_hil.live.web.metrics import metrics_text

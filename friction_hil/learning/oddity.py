@@ -1,0 +1,97 @@
+"""Records that are not those of the axis as it was: nothing is to be learned from them."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from friction_hil.compensator.load import gravity_torque
+from friction_hil.learning.estimate import MECHANICS, Belief
+from friction_hil.learning.motions import Used
+from friction_hil.learning.window import COLUMNS, joined, velocity_of, window_of
+from friction_hil.numerics.jit import Array
+
+WARM_TICKS = 4  # before those that count: they bring the state of the model to where it was
+FROZEN_TICKS = 3
+_FROZEN_LEVEL = 0.2  # the compensation changed by so much meanwhile, the torque feedback not at all
+_GLITCH, _GLITCH_COUNTS = 8.0, 16.0  # times the largest change of the following error within a period before
+_ODD_TICKS = 2  # one may be that of a reversal
+_ODD = 2.0  # times what was left unexplained before
+_ODD_LEVEL = 0.05  # and this part of the friction level at least
+_LEAST_MOVING = 0.25  # part of a tick; a shorter motion says too little
+_UNFILTERED = 20  # last rows of a record, which its filters do not reach
+
+
+def broken(rows: Mapping[str, Array], level: float) -> str | None:
+    """Return why the last rows are not to be used at all; None if they are.
+
+    Parameters
+    ----------
+    rows : mapping of str to (n,) array
+        `COLUMNS` of `FROZEN_TICKS` ticks.
+    level : float
+        Of the friction, N m.
+    """
+    finite = [name for name in COLUMNS if name not in ("load_estimate", "temperature_estimate")]
+    if not all(np.isfinite(rows[name]).all() for name in finite):
+        return "the record has gaps"
+    if np.ptp(rows["torque"]) == 0.0 and np.ptp(rows["compensation"]) > _FROZEN_LEVEL * level:
+        return "the torque feedback is frozen"
+    return None
+
+
+def jump(past: Mapping[str, Array], tick: Mapping[str, Array], resolution: float) -> float:
+    """Return by how much the position jumps within a tick; 0 if it does no more than in the past of the same motion."""
+    errors = [rows["position_demand"] - rows["position"] for rows in (past, tick)]
+    usual = float(np.max(np.abs(np.diff(errors[0]))))
+    found = float(np.max(np.abs(np.diff(errors[1], prepend=errors[0][-1]))))
+    return found if found > _GLITCH * usual + _GLITCH_COUNTS * resolution else 0.0
+
+
+def is_other_axis(left: Array, usual: float, level: float) -> bool:
+    """Return True if the torque is not that of the model any more.
+
+    Parameters
+    ----------
+    left : (n,) array
+        Result of `unexplained`, N m.
+    usual : float
+        Its root mean square in the window of the estimate, N m.
+    level : float
+        Of the friction, N m.
+    """
+    return bool(np.min(left[-_ODD_TICKS:]) > _ODD * usual + _ODD_LEVEL * level)
+
+
+def unexplained(
+    used: Used, ticks: Sequence[Mapping[str, Array]], belief: Belief, period_s: float, resolution: float
+) -> Array:
+    """Return the root mean square of each tick's torque (n,) that a model leaves unexplained, N m.
+
+    Rows without demanded motion are left out: at rest friction has any value to break-away. 0 for a tick of rest.
+
+    Parameters
+    ----------
+    used : Used
+        Of its coordinates those of the friction count; the mechanics are those of the belief.
+    ticks : sequence of mapping
+        `COLUMNS`, the same number of rows in each.
+    belief : Belief
+    period_s : float
+    resolution : float
+        Step of the position, rad or m.
+    """
+    rows = joined(ticks)
+    window = window_of(rows, period_s, None if used.layer is None else used.layer.torque(rows["position"]))
+    velocity = velocity_of(window, resolution)
+    model = belief.coordinates.model_at(used.x[:-MECHANICS])
+    friction = model.simulate(velocity, period_s, **window.inputs())
+    acceleration = np.append(np.diff(velocity), 0.0) / period_s
+    inertia, static, _ = belief.x[-MECHANICS:]
+    left = window.torque - friction - (1.0 + inertia) * belief.mechanics.inertia * acceleration
+    left -= static * belief.coordinates.model.level + gravity_torque(*belief.mechanics.static, window.position)
+    counted = slice(0, -_UNFILTERED)  # in each tick, so that an old one compares with the latest
+    is_moving = (rows["velocity_demand"] != 0.0).reshape(len(ticks), -1)[:, counted]
+    counts = is_moving.sum(axis=1)
+    squares = np.where(is_moving, left.reshape(len(ticks), -1)[:, counted] ** 2, 0.0).sum(axis=1)
+    is_shown = counts >= _LEAST_MOVING * len(window) / len(ticks)
+    return np.asarray(np.where(is_shown, np.sqrt(squares / np.maximum(counts, 1)), 0.0))
