@@ -22,6 +22,7 @@ _PARSER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _LARGEST_FILE = 16 * 2**20  # bytes
 _MOST_VALUES = 200_000  # with anchors expanded
 _DEEPEST = 50
+_TOO_DEEP = f"more than {_DEEPEST} nested levels are not allowed"
 _TEXT = "tag:yaml.org,2002:str"
 
 # YAML 1.2.2, section 10.3.2, except for leading zeros: 012 is 10 in YAML 1.1 and 12 in 1.2, hence it is text here.
@@ -174,7 +175,7 @@ class _Builder:
     def _node(self, event: Any, depth: int) -> YamlNode:
         line = _line(event)
         if depth > _DEEPEST:
-            raise _error(self._path, line, f"more than {_DEEPEST} nested levels are not allowed")
+            raise _error(self._path, line, _TOO_DEEP)
         if isinstance(event, yaml.AliasEvent):
             return self._alias(event, line)
         if event.tag not in (None, "!"):
@@ -283,6 +284,8 @@ def _explain(error: yaml.MarkedYAMLError, text: str) -> tuple[int | None, str]:
     problem = str(error.problem)
     if character == "\t" or "\t" in row[: len(row) - len(row.lstrip())]:
         return mark.line + 1, "a tab is not allowed as indentation in YAML; use spaces"
+    if "nesting depth" in problem:  # a limit of libyaml's own, since PyYAML 6.0.4
+        return mark.line + 1, _TOO_DEEP
     if "cannot start any token" in problem:
         return mark.line + 1, f"a text that begins with {character!r} needs quotes"
     if "mapping values are not allowed" in problem:

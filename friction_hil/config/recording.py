@@ -13,7 +13,6 @@ _MOST_S = 604_800.0  # a week
 _MOST_MB = 1e9
 _FILES_IN_BUDGET = 10  # at least, unless rotate_mb says otherwise
 _FEWEST_FILES_IN_BUDGET = 2
-JOINT_STATES = "joint_states"  # name of the topic, by the convention of ROS
 
 
 class RecordingConfig(Section):

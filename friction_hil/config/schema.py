@@ -11,8 +11,9 @@ from friction_hil.checked_yaml.section import Section, key
 from friction_hil.config.axis import AxisConfig, Name
 from friction_hil.config.bus import BusConfig
 from friction_hil.config.live import LiveConfig
-from friction_hil.config.recording import JOINT_STATES, RecordingConfig
+from friction_hil.config.recording import RecordingConfig
 from friction_hil.config.simulation import SimulationConfig, mechanism_mistakes
+from friction_hil.ros import JOINT_STATES
 
 
 class Realtime(Section):

@@ -8,7 +8,7 @@ counted from after the four bytes of the encoding.
 import struct
 from collections.abc import Sequence
 
-from friction_hil.config.recording import JOINT_STATES
+from friction_hil.ros import JOINT_STATES
 
 TOPIC = f"/{JOINT_STATES}"
 SCHEMA = "sensor_msgs/msg/JointState"

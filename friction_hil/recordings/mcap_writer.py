@@ -15,7 +15,6 @@ from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from friction_hil.config.recording import JOINT_STATES
 from friction_hil.errors import RecordingError
 from friction_hil.recordings import joint_state
 from friction_hil.recordings import mcap_format as layout
@@ -23,6 +22,7 @@ from friction_hil.recordings.columns import CYCLE, TIME
 from friction_hil.recordings.joint_state import JointStates
 from friction_hil.recordings.recording import Array, Recording
 from friction_hil.recordings.source import new_file
+from friction_hil.ros import JOINT_STATES
 
 CHUNK_S = 1.0
 _CHUNK_BYTES = 8 << 20

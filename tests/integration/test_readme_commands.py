@@ -37,7 +37,7 @@ WITHOUT_DRIVES = (
         0,
     ),
     (f"friction-hil export {ROOT}/config/models/lugre_axis.yaml --to mjcf --speed 2", 0),
-    ("friction-hil import lugre_axis.xml --from mjcf --output imported.yaml", 0),
+    ("friction-hil import lugre_axis_mjcf.xml --from mjcf --output imported.yaml", 0),
     ("friction-hil train --from-model coulomb:coulomb=0.1 --speed 1 --samples 1000 --hidden 2 --output net.yaml", 0),
 )
 WITH_DRIVES = (

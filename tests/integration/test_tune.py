@@ -251,7 +251,10 @@ def test_mistakes_are_reported_before_anything_moves(tmp_path) -> None:
     configuration.write_text(yaml.safe_dump(data))
     nowhere = run("tune", configuration, *UNASKED, check=False)
 
-    assert re.search(r"axes\.yaml:\d+: axes\.x\.experiment: is missing: tune moves the axis", missing.stderr)
+    assert re.search(
+        r"axes\.yaml:\d+: axes\.x\.experiment: is missing: it says how far",
+        missing.stderr,
+    )
     assert "no axis is called 'z'" in nobody.stderr
     assert "is not empty" in used.stderr
     assert "--yes" in unasked.stderr

@@ -274,7 +274,7 @@ def test_the_report_needs_nothing_else_and_is_the_same_each_time(tmp_path):
 
 def test_somebody_elses_report_stays(tmp_path):
     (tmp_path / "report.html").write_text("mine")
-    with pytest.raises(UsageError, match=r"report\.html.*--output"):
+    with pytest.raises(UsageError, match=r"report\.html.*choose another folder"):
         study_report.claim(tmp_path)
     assert (tmp_path / "report.html").read_text() == "mine"
 
