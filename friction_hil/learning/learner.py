@@ -15,9 +15,18 @@ import numpy as np
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning import oddity
-from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief, left_over
+from friction_hil.learning.estimate import (
+    MECHANICS,
+    Belief,
+    Estimate,
+    Mechanics,
+    estimate,
+    first_belief,
+    left_over,
+    uncompensated,
+)
 from friction_hil.learning.figures import Figures
-from friction_hil.learning.judge import CHANCE, Work, is_harmful, no_help, objection, rms, work_of
+from friction_hil.learning.judge import CHANCE, HELPS, Work, is_harmful, no_help, objection, rms, work_of
 from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.proposal import Proposal, Step
@@ -33,6 +42,8 @@ _MISLED_TICKS = 2
 _FIRST_PART, _FIRST_TICKS = 1.0 / 3.0, 4  # of a change, for so long: if wrong, it does a ninth of the harm
 _DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
 _SURPRISE = 12.0  # a change that drift does not explain
+_CONTRADICTED, _FINE = 1.5, 0.005  # times the residual of the last window, and this part of the level: is it a change?
+_LESS = 0.7  # times that residual without what was known: it was wrong
 _WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
 _GAIN_WORTH = 0.01
 _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
@@ -112,6 +123,7 @@ class Learner:
         self._trial: _Trial | None = None
         self._estimate: Estimate | None = None
         self._usual = 0.0  # torque that the estimate leaves unexplained, N m
+        self._residual_torque = math.inf  # of the last estimate, whatever the motion
         self._stopped, self._why_stopped = 0, ""  # ticks until learning begins again
         self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
         fade = math.ceil(fade_s / TICK_S)
@@ -236,25 +248,29 @@ class Learner:
         coordinates = self._belief.coordinates
         return dict(zip(coordinates.names, coordinates.at(used.x[:-MECHANICS]).tolist(), strict=True))
 
+    @property
+    def _warm_s(self) -> float:
+        """Beginning of the record that only brings the model's state to where it was, s."""
+        return TICK_S * (len(self._ticks) - WINDOW_TICKS if len(self._ticks) > WINDOW_TICKS else 2)
+
     def _refine(self) -> None:
         """Refine the belief by the last window."""
         self._fresh, self._finding = 0, None
-        ticks = list(self._ticks)
+        ticks, warm_s = list(self._ticks), self._warm_s
         rows = joined(ticks)
         if not np.any(rows["velocity_demand"]):
             return
-        warm_s = TICK_S * max(len(ticks) - WINDOW_TICKS, 0) if len(ticks) > WINDOW_TICKS else 2.0 * TICK_S
+        window, level = self._window(rows, self._used.layer), self._belief.coordinates.model.level
         try:
-            found = estimate(self._window(rows, self._used.layer), self._belief, self._resolution, warm_s)
+            found = estimate(window, self._belief, self._resolution, warm_s)
+            if found.surprise > _SURPRISE or found.residual > _CONTRADICTED * self._residual_torque + _FINE * level:
+                # large residuals count less: a record that contradicts what is known may hardly change it
+                anew = estimate(window, self._belief.doubted(), self._resolution, warm_s)
+                if found.surprise > _SURPRISE or anew.residual < _LESS * found.residual:
+                    found = anew
         except NUMERICAL:
             return
-        if found.surprise > _SURPRISE:
-            self._belief = self._belief.doubted()
-            try:
-                found = estimate(self._window(rows, self._used.layer), self._belief, self._resolution, warm_s)
-            except NUMERICAL:
-                return
-        self._estimate, self._belief = found, found.belief
+        self._estimate, self._belief, self._residual_torque = found, found.belief, found.residual
         self._usual = rms(self._unexplained(replace(self._used, x=self._belief.x), ticks)[WARM_TICKS:])
         self.figures.errors = self._belief.errors
         if self._has_layer:
@@ -282,10 +298,20 @@ class Learner:
             self._is_gain_doubted = False
             return None
         tried = replace(self._used, x=refined if is_other else self._used.x, gain=gain)
+        if not self._promises(tried):
+            self._is_gain_doubted = False
+            return None
         words = [f"torque changes by {100.0 * change:.1f} % of the friction level"] * is_other
         gains = f"{self._used.gain:.2f}", f"{gain:.2f}"
         words += [f"gain {gains[0]} -> {gains[1]}"] * (gains[0] != gains[1])
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
+
+    def _promises(self, tried: Used) -> bool:
+        """Return True if a change would have left less of the friction in the last window than what is in use."""
+        window = self._window(joined(list(self._ticks)), self._used.layer)
+        models = [(self._belief.coordinates.model_at(each.x[:-MECHANICS]), each.gain) for each in (tried, self._used)]
+        after, before = uncompensated(window, self._belief, self._resolution, models, self._warm_s)
+        return after < HELPS * before
 
     def _propose_layer(self) -> Proposal | None:
         """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
@@ -397,6 +423,7 @@ class Learner:
         """Go on with what is proven for the present motion, which is another one: the model file where nothing is."""
         now = self._motions.now
         self._trial = self._estimate = None
+        self._is_gain_doubted = False
         self._residual.changed_motion(now.used.layer, self.figures.layer)
         self._ticks.clear()
         self._fresh = self._same = 0

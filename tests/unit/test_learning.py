@@ -32,14 +32,14 @@ def motion(t, amplitude=0.2, frequency=0.5):
     return amplitude * (1.0 - np.cos(w * t)), amplitude * w * np.sin(w * t)
 
 
-def record(seconds, true=LUGRE, begin_s=0.0, count=COUNT, error=0.0, seed=None, **course):
+def record(seconds, true=LUGRE, begin_s=0.0, count=COUNT, error=0.0, seed=None, inertia=INERTIA, **course):
     """Rows of an axis that follows a sine with a sine of an error; its torque is that of friction and inertia."""
     t = np.arange(round(seconds / PERIOD_S)) * PERIOD_S + begin_s
     demand, velocity = motion(t, **course)
     before = np.arange(-round(2.0 / PERIOD_S), t.size) * PERIOD_S + begin_s  # so that the state is that of the motion
     past = np.diff(motion(before, **course)[0], prepend=motion(before[:1] - PERIOD_S, **course)[0]) / PERIOD_S
     friction = true.simulate(past, PERIOD_S, position=motion(before, **course)[0])[-t.size :]
-    torque = friction + INERTIA * np.gradient(velocity, PERIOD_S)
+    torque = friction + inertia * np.gradient(velocity, PERIOD_S)
     if seed is not None:
         torque = torque + 0.001 * np.random.default_rng(seed).standard_normal(t.size)
     values = {
@@ -142,9 +142,9 @@ def test_age_makes_a_belief_less_sure_but_not_less_than_at_first():
 class Driven:
     """A learner that is given rows tick by tick."""
 
-    def __init__(self, model=WRONG, gain=0.9):
+    def __init__(self, model=WRONG, gain=0.9, **options):
         self.learner = Learner(
-            model, Mechanics(INERTIA), {}, period_s=PERIOD_S, resolution=COUNT, gain=gain, fade_s=0.5
+            model, Mechanics(INERTIA), {}, period_s=PERIOD_S, resolution=COUNT, gain=gain, fade_s=0.5, **options
         )
         self.ticks, self.proposals, self.notes = 0, [], []
 
@@ -288,6 +288,21 @@ def test_rest_teaches_nothing():
 def test_the_true_model_is_left_alone():
     driven = Driven(LUGRE, gain=1.0).take(4 * WINDOW_TICKS, error=2.0 * COUNT)
     assert driven.proposals == []
+
+
+def test_a_truer_model_that_leaves_more_of_the_friction_with_its_gain_is_not_tried():
+    high = with_values(LUGRE, {name: LUGRE.given[name] / 0.9 for name in ("coulomb", "static", "sigma0", "sigma2")})
+    driven = Driven(high, is_gain_fixed=True).take(3 * WINDOW_TICKS, error=1e-3)
+    assert driven.learner.belief.parameters["coulomb"] == pytest.approx(LUGRE.given["coulomb"], rel=0.02)
+    assert driven.proposals == []
+
+
+def test_a_record_that_contradicts_what_is_known_outweighs_it():
+    driven = Driven(has_layer=False).take(4 * WINDOW_TICKS, inertia=0.7 * INERTIA, error=1e-3)
+    driven.take(WINDOW_TICKS + 1, amplitude=3.0, frequency=1.0, error=1e-3)
+    found = driven.learner.belief.parameters
+    for name in ("sigma2", "coulomb"):
+        assert found[name] == pytest.approx(LUGRE.given[name], rel=0.03)
 
 
 def test_nothing_is_tried_below_the_counts_of_the_encoder():
