@@ -27,7 +27,7 @@ from friction_hil.learning.estimate import (
 )
 from friction_hil.learning.figures import Figures
 from friction_hil.learning.judge import CHANCE, HELPS, Work, is_harmful, no_help, objection, rms, work_of
-from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
+from friction_hil.learning.motions import WINDOW_TICKS, Kind, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.learning.residual import Finding, Layer, Residual
@@ -45,12 +45,16 @@ _SURPRISE = 12.0  # a change that drift does not explain
 _CONTRADICTED, _FINE = 1.5, 0.005  # times the residual of the last window, and this part of the level: is it a change?
 _LESS = 0.7  # times that residual without what was known: it was wrong
 _WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
+_OTHER = 0.03  # the same: change since a trial that was taken back, after which the next one does not wait
+_FALLS = 0.02  # relative change of the friction since the last change of parameters: it falls
 _GAIN_WORTH = 0.01
+_LESS_GAIN, _LIMITED = 0.05, 20  # step of a lower gain, and windows of proposals for which it stays the highest
 _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
 _FIRST_PAUSE, _LONGEST_PAUSE = 1, 40  # windows without a trial, after one that was taken back
 _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
 _STOPPED_TICKS = 40
 _EXPLAINS = 0.8  # times the unexplained torque of former parameters
+_STEADY, _MOST_DRIFTED = 0.05, 1.25  # change of what the former compensation leaves within a trial: none, and most
 _WORSE = 1.2  # times the error at the last trial: another one does not wait any longer
 _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
 
@@ -60,6 +64,8 @@ class _Trial:
     step: Step
     tried: Used
     before: Work
+    former: Used
+    left: float  # of the friction by the former compensation, in the window before, N m
     text: str = ""
     is_whole: bool = False  # False: only a part of it is in force
     ticks: int = 0
@@ -284,21 +290,24 @@ class Learner:
         before, now = self._work(WINDOW_TICKS), self._motions.now
         level = self._belief.coordinates.model.level
         refined = self._belief.shown(self._used.x)
-        if now.rest and before.rms <= _WORSE * now.refused_error:
+        if now.rest and before.rms <= _WORSE * now.refused_error and not self._is_another(refined, now.refused):
             now.rest -= 1
             return None
         now.rest = 0
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
-        change = self._torque_change(self._used.x[:-MECHANICS], refined[:-MECHANICS]) / level
-        is_fixed = self._is_gain_fixed or self._is_gain_doubted
-        gain = self._used.gain if is_fixed else self._known_gain()
+        present, next_one = self._torques(self._used.x, refined)
+        change, decline = rms(next_one - present) / level, 1.0 - rms(next_one) / rms(present)
+        falls = decline if decline > _FALLS and self._used is not self._file else 0.0
+        gain = self._next_gain(now, falls)
         is_other = change > _WORTH
         if not is_other and abs(gain - self._used.gain) <= _GAIN_WORTH:
             self._is_gain_doubted = False
             return None
         tried = replace(self._used, x=refined if is_other else self._used.x, gain=gain)
-        if not self._promises(tried):
+        # more torque than the friction will be makes an axis swing, which the torque of now does not show
+        is_less = falls > 0.0 or not (is_other or gain > self._used.gain)
+        if not is_less and not self._promises(replace(tried, gain=max(gain, self._used.gain))):
             self._is_gain_doubted = False
             return None
         words = [f"torque changes by {100.0 * change:.1f} % of the friction level"] * is_other
@@ -306,12 +315,36 @@ class Learner:
         words += [f"gain {gains[0]} -> {gains[1]}"] * (gains[0] != gains[1])
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
 
+    def _next_gain(self, now: Kind, falls: float) -> float:
+        """Return the gain to go on with: less where the known one was no help to this motion, or where friction falls.
+
+        Until the next change it will have fallen by as much as since the last one, ``falls``.
+        """
+        if self._is_gain_fixed:
+            return self._used.gain
+        if self._is_gain_doubted:
+            return max(self._used.gain - _LESS_GAIN, self._least_gain)
+        now.limited = max(now.limited - 1, 0)
+        most = now.limit if now.limited else 1.0
+        return max(min(self._known_gain(), most) - falls, self._least_gain)
+
+    def _is_another(self, refined: Array, refused: Used | None) -> bool:
+        """Return True if parameters are others than those that were refused: friction has changed since then."""
+        if refused is None:
+            return False
+        former, found = self._torques(refused.x, refined)
+        return rms(found - former) > _OTHER * self._belief.coordinates.model.level
+
     def _promises(self, tried: Used) -> bool:
         """Return True if a change would have left less of the friction in the last window than what is in use."""
-        window = self._window(joined(list(self._ticks)), self._used.layer)
-        models = [(self._belief.coordinates.model_at(each.x[:-MECHANICS]), each.gain) for each in (tried, self._used)]
-        after, before = uncompensated(window, self._belief, self._resolution, models, self._warm_s)
+        after, before = self._left(tried, self._used)
         return after < HELPS * before
+
+    def _left(self, *compensations: Used) -> list[float]:
+        """Return the friction that each would have left in the last window, N m."""
+        window = self._window(joined(list(self._ticks)), self._used.layer)
+        models = [(self._belief.coordinates.model_at(each.x[:-MECHANICS]), each.gain) for each in compensations]
+        return uncompensated(window, self._belief, self._resolution, models, self._warm_s)
 
     def _propose_layer(self) -> Proposal | None:
         """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
@@ -340,7 +373,7 @@ class Learner:
         return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
 
     def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:
-        self._trial = _Trial(step, tried, before, text)
+        self._trial = _Trial(step, tried, before, self._used, self._left(self._used)[0], text)
         self._is_turn_of_layer = step is not Step.LAYER
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
@@ -379,18 +412,33 @@ class Learner:
         after = self._work(WINDOW_TICKS)
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
-        why = objection(after, trial.before, self._resolution)
+        expected = self._expected(trial)
+        why = objection(after, expected, self._resolution)
+        shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
+        if expected is not trial.before:
+            shown += f" (without the change {self._size(expected.rms)} by now)"
         if why and not (why == CHANCE and self._explains_more(trial.tried)):
-            return self._take_back(f"error {self._size(trial.before.rms)} -> {self._size(after.rms)}: {why}")
+            return self._take_back(f"error {shown}: {why}")
         self._trial, self._kept = None, trial.tried
         self._motions.keep(trial.tried)
+        if trial.tried.gain < trial.former.gain - _GAIN_WORTH:
+            self._motions.now.limit, self._motions.now.limited = trial.tried.gain, _LIMITED
         if trial.step is Step.LAYER:
             self._residual.was_kept(trial.tried.layer, self.figures.layer, after.rms)
         self.figures.kept += trial.step is Step.PARAMETERS
         self.figures.error = after.rms
-        shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
         self.notes.append(f"learning keeps the {trial.step.value}: error {shown}")
         return None
+
+    def _expected(self, trial: _Trial) -> Work:
+        """Return what the axis would have done meanwhile with the former compensation, where friction has drifted.
+
+        The more of the friction it would leave now, the larger its error would be.
+        """
+        drifted = self._left(trial.former)[0] / trial.left
+        if abs(drifted - 1.0) <= _STEADY:
+            return trial.before
+        return trial.before.scaled(min(max(drifted, 1.0 / _MOST_DRIFTED), _MOST_DRIFTED))
 
     def _explains_more(self, tried: Used) -> bool:
         """Return True if a trial explains the torque since then, which it was not estimated from, clearly better.
@@ -410,14 +458,14 @@ class Learner:
             assert trial is not None
             self.figures.taken_back += 1
             self._is_gain_doubted = not self._is_gain_doubted
-            self._wait(trial.before.rms)
+            self._wait(trial.before.rms, trial.tried)
         return self._hand_over(Step.BACK, self._motions.now.used, reason)
 
-    def _wait(self, error: float) -> None:
-        """Leave the present motion without a trial for a while, longer each time, or until it has a larger error."""
+    def _wait(self, error: float, refused: Used | None = None) -> None:
+        """Leave the present motion without a trial for a while, longer each time, or until error or friction change."""
         now = self._motions.now
         now.rest, now.pause = now.pause, min(2 * now.pause, _LONGEST_PAUSE)
-        now.refused_error = error
+        now.refused_error, now.refused = error, refused
 
     def _change_motion(self) -> Proposal | None:
         """Go on with what is proven for the present motion, which is another one: the model file where nothing is."""
@@ -480,15 +528,12 @@ class Learner:
         self._misled, self._motions.now.used = 0, self._file
         return self._hand_over(Step.BACK, self._file, "the model file explains the torque of this motion better")
 
-    def _torque_change(self, before: Array, after: Array) -> float:
-        """Return the root mean square by which two sets of parameters differ along the last window, N m."""
+    def _torques(self, *coordinates: Array) -> list[Array]:
+        """Return the friction torques (n,) of sets of parameters along the last window, N m."""
         window = self._window(joined(list(self._ticks)))
         velocity = velocity_of(window, self._resolution)
-        coordinates = self._belief.coordinates
-        torques = [
-            coordinates.model_at(x).simulate(velocity, self._period_s, **window.inputs()) for x in (before, after)
-        ]
-        return float(np.sqrt(np.mean((torques[1] - torques[0]) ** 2)))
+        models = [self._belief.coordinates.model_at(x[:-MECHANICS]) for x in coordinates]
+        return [model.simulate(velocity, self._period_s, **window.inputs()) for model in models]
 
     def _work(self, ticks: int) -> Work:
         """Return what the last ticks show; their errors from when the last change of settings or motion is over."""

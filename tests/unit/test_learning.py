@@ -56,6 +56,11 @@ def record(seconds, true=LUGRE, begin_s=0.0, count=COUNT, error=0.0, seed=None, 
     return {name: values[name] for name in COLUMNS}
 
 
+def levels(factor):
+    """The true model with levels that are so many times as high."""
+    return with_values(LUGRE, {name: factor * LUGRE.given[name] for name in ("coulomb", "static", "sigma2")})
+
+
 def window(rows):
     names = ("position", "torque", "position_demand", "load_estimate", "temperature_estimate")
     return Window(PERIOD_S, *(rows[name] for name in names))
@@ -229,7 +234,24 @@ def test_a_gain_that_may_be_chance_is_kept_if_the_torque_since_then_is_explained
         if driven.learner.figures.kept or driven.learner.figures.taken_back:
             break
     assert (driven.learner.figures.kept, driven.learner.figures.taken_back) == (is_kept, not is_kept)
-    assert is_kept or "chance" in driven.proposals[-1][1].text
+    assert is_kept or "without the change" in driven.proposals[-1][1].text
+
+
+def test_friction_that_has_changed_since_a_refused_trial_is_no_reason_to_wait(first):
+    first.take(8, until=Step.BACK, error=1.02e-3)
+    at = first.ticks
+    first.take(4 * WINDOW_TICKS, until=Step.PARAMETERS, error=1e-3, true=levels(1.1))
+    assert 1 <= (first.ticks - at) / WINDOW_TICKS < 2
+
+
+def test_where_friction_falls_the_gain_leaves_room_until_the_next_change(tried):
+    tried.take(WINDOW_TICKS + 6, error=3e-4)
+    gain = tried.proposals[-1][1].gain
+    tried.take(2 * WINDOW_TICKS, until=Step.PARAMETERS, error=3e-4, true=levels(0.93))
+    tried.take(8, until=Step.PARAMETERS, error=2e-4, true=levels(0.93))
+    whole = tried.proposals[-1][1]
+    assert value_of(whole.model, "coulomb") < 0.97 * 0.08
+    assert 0.9 <= whole.gain < gain - 0.02
 
 
 @pytest.mark.parametrize(("error", "windows"), [(1e-3, 2), (1.3e-3, 1)])
