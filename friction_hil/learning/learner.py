@@ -499,8 +499,14 @@ class Learner:
         """Return why an axis is not what it was in the same motion; None if it is."""
         if len(self._ticks) < WARM_TICKS:
             return None
-        if jump := oddity.jump(joined(list(self._ticks)), tick, self._resolution):
+        past = list(self._ticks)
+        if jump := oddity.jump(joined(past), tick, self._resolution, is_known=len(past) >= WINDOW_TICKS):
             return f"the position jumps by {self._size(jump)}"
+        settled = [*past[-max(self._same - self._settling, 0) :], tick] if self._same > self._settling else []
+        if settled and (times := oddity.follows_otherwise(settled, self._resolution, self._period_s)):
+            return (
+                f"the following error is {times:.2g} times what it was, in the same motion with the same compensation"
+            )
         if self._estimate is not None:
             own = replace(self._used, x=self._belief.x)
             left = self._unexplained(own, [*list(self._ticks)[-WARM_TICKS:], tick])

@@ -357,6 +357,27 @@ def test_a_record_that_is_not_that_of_the_axis_ends_learning_within_a_second(tri
     assert tried.learner.figures.stopped == 1
 
 
+@pytest.mark.parametrize("error", [6e-3, 2e-4])
+def test_an_error_that_changes_without_a_reason_ends_learning_within_a_second(error):
+    driven = Driven(LUGRE, gain=1.0).take(40, error=1e-3).take(4, error=error)
+    assert driven.proposals == []
+    assert any("following error" in note for note in driven.notes)
+
+
+def test_an_error_that_another_demand_explains_ends_nothing():
+    driven = Driven(LUGRE, gain=1.0)
+    for tick in range(60):  # a long stroke at constant speed, a short and hard one from time to time
+        t = (tick * 250 + np.arange(250)) * PERIOD_S
+        is_stroke = tick % 20 > 16
+        velocity = 0.05 + (0.5 * np.sin(math.tau * 4.0 * t) if is_stroke else 0.0 * t)
+        rows = record(TICK_S, begin_s=tick * TICK_S)
+        demand = np.cumsum(velocity) * PERIOD_S
+        error = (1e-3 if is_stroke else 5e-5) * np.sin(math.tau * 4.0 * t)
+        rows |= {"velocity_demand": velocity, "position_demand": demand, "position": quantised(demand - error, COUNT)}
+        driven.learner.take(rows)
+    assert not any("following error" in note for note in driven.learner.notes)
+
+
 def test_a_torque_that_is_no_longer_updated_is_named():
     """Where it would fit the model: a constant one of sliding, over a reversal of the demand."""
     driven = Driven().take(5, error=1e-3)
