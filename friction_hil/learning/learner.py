@@ -47,6 +47,7 @@ _LESS = 0.7  # times that residual without what was known: it was wrong
 _WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
 _OTHER = 0.03  # the same: change since a trial that was taken back, after which the next one does not wait
 _FALLS = 0.02  # relative change of the friction since the last change of parameters: it falls
+_MORE_LEFT = 2.0  # times what is left of the friction now: the most that a truer model may leave with its gain
 _GAIN_WORTH = 0.01
 _LESS_GAIN, _LIMITED = 0.05, 20  # step of a lower gain, and windows of proposals for which it stays the highest
 _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
@@ -336,15 +337,25 @@ class Learner:
         return rms(found - former) > _OTHER * self._belief.coordinates.model.level
 
     def _promises(self, tried: Used) -> bool:
-        """Return True if a change would have left less of the friction in the last window than what is in use."""
-        after, before = self._left(tried, self._used)
-        return after < HELPS * before
+        """Return True if a change would have left less of the friction in the last window than what is in use.
+
+        A truer model may leave a little more with its gain: what a drive cannot correct is the part that changes fast.
+        """
+        in_use = self._used
+        whole = replace(tried, gain=1.0), replace(in_use, gain=1.0)
+        after, before, true_after, true_before = self._left(tried, in_use, *whole)
+        return after < HELPS * before or (true_after < HELPS * true_before and after < _MORE_LEFT * before)
 
     def _left(self, *compensations: Used) -> list[float]:
         """Return the friction that each would have left in the last window, N m."""
-        window = self._window(joined(list(self._ticks)), self._used.layer)
-        models = [(self._belief.coordinates.model_at(each.x[:-MECHANICS]), each.gain) for each in compensations]
+        window = self._window(joined(list(self._ticks)))
+        models = [(self._model(each), each.gain) for each in compensations]
         return uncompensated(window, self._belief, self._resolution, models, self._warm_s)
+
+    def _model(self, used: Used) -> FrictionModel:
+        """Return the friction model of a compensation with its layer."""
+        model = self._belief.coordinates.model_at(used.x[:-MECHANICS])
+        return model if used.layer is None else used.layer.on(model)
 
     def _propose_layer(self) -> Proposal | None:
         """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
@@ -382,9 +393,7 @@ class Learner:
     def _hand_over(self, step: Step, to: Used, text: str) -> Proposal:
         self._former = self._used
         is_other = not np.array_equal(to.x, self._used.x) or to.layer != self._used.layer
-        model = self._belief.coordinates.model_at(to.x[:-MECHANICS]) if is_other else None
-        if model is not None and to.layer is not None:
-            model = to.layer.on(model)
+        model = self._model(to) if is_other else None
         self._used, self._same = to, 0
         self.figures.gain = to.gain
         return Proposal(step, model, to.gain, text)
