@@ -274,7 +274,7 @@ def _is_enabled(columns: _Columns) -> Any:
 
 def _changes(columns: _Columns) -> Array:
     """Return the number of the change of settings that is in force in each row (n,); all axes have the same."""
-    return np.max([each[names.CHANGE] for each in columns.values()], axis=0)
+    return np.asarray(np.max([each[names.CHANGE] for each in columns.values()], axis=0))
 
 
 def _circle(recordings: Mapping[str, Recording]) -> tuple[Configuration, Circle]:

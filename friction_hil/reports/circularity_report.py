@@ -173,11 +173,14 @@ def _learning(circularity: Circularity, loop: Mapping[str, Any]) -> str:
 
 def _figures(circularity: Circularity) -> str:
     factor, unit = unit_of_figures(circularity)
-    named = [(f"following error of {axis}, {name}", *values) for axis, name, *values in figure_rows(circularity)]
+    shown = [
+        (f"following error of {axis}, {name}", errors, ratios)
+        for axis, name, errors, ratios in figure_rows(circularity)
+    ]
     first, *others = (each.circular_range for each in circularity.laps)
     ranges = [digits(each * factor) for each in (first, *others)], [digits(first / each, 2) for each in others]
-    rows = []
-    for name, (without, *errors), ratios in [*named, ("radius error, largest minus smallest", *ranges)]:
+    rows: list[tuple[str, ...]] = []
+    for name, (without, *errors), ratios in [*shown, ("radius error, largest minus smallest", *ranges)]:
         rows.append((name, unit, without, *itertools.chain(*zip(errors, ratios, strict=True))))
     header = ("", "unit", "without", "model as given", "times smaller", "after learning", "times smaller")
     return table(header[: len(rows[0])], rows, ("", "without", "with", "", "learned", ""))
