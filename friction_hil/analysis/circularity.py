@@ -99,7 +99,8 @@ class Circularity:
     uncompensated, compensated : Laps
         Compensated: with the settings of the configuration.
     learned : Laps or None
-        With the settings that learning has handed over; None if it has not, or so late that no lap is left.
+        With the settings that learning has handed over; None if it has not, if it has taken all of them back, or so
+        late that there are not as many laps.
     learned_axes : dict of AxisConfig
         Axes by name with these settings; empty without such laps.
     columns : dict of dict of (n,) arrays
@@ -225,8 +226,10 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
 
     without, with_compensation = (laps(stop) for _, stop in phases.values())
     change, stop = _learned_phase(configuration, cycle, columns, is_running, count * lap)
-    learned = laps(stop) if change else None
-    settings = {name: settings_after(each, configuration, change) for name, each in recordings.items() if change}
+    settings = {name: settings_after(each, configuration, change) for name, each in recordings.items()}
+    if all(_is_same(each, configuration.axes[name]) for name, each in settings.items()):
+        settings = {}  # nothing was changed, or all was taken back
+    learned = laps(stop) if settings else None
     for each in columns.values():
         each.update(time_s=cycle * period_s, is_usable=is_usable.astype(np.float64))
     unit = "rad" if configuration.axes[first].model.axis == "rotary" else "m"
@@ -260,6 +263,12 @@ def _learned_phase(
         if stop - start >= least - 1e-6:
             return int(number), stop
     return 0, 0.0
+
+
+def _is_same(settings: AxisConfig, given: AxisConfig) -> bool:
+    """Return True if an axis has the friction model and the gain that it was given."""
+    has_gain = settings.compensation.gain == given.compensation.gain
+    return has_gain and settings.model.friction == given.model.friction
 
 
 def _fading(configuration: Configuration) -> float:

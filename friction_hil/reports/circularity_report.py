@@ -145,7 +145,12 @@ def learning_lines(circularity: Circularity, loop: Mapping[str, Any]) -> list[st
     reports = loop.get("learning", {}).get("axes", {})
     lines = [learning_words.last_line(axis, report) for axis, report in reports.items()]
     if reports and circularity.learned is None:
-        lines.append("There are no laps with what was learned: learning changed nothing until the end, or too late.")
+        lines.append("There are no laps with what was learned: learning has kept nothing so far.")
+        if loop["missed"]:
+            lines.append(
+                f"The computer missed {loop['missed']} periods, after each of which learning begins its window of motion "
+                "again: friction-hil demo --pace sync does without real time."
+            )
     for axis, settings in circularity.learned_axes.items():
         if axis in reports and not _is_kept(settings, reports[axis]):
             lines.append(f"{axis}: the laps after learning had a change that was still on trial, and was not kept.")

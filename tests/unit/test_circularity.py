@@ -210,6 +210,13 @@ def test_settings_that_last_for_less_than_the_laps_are_not_those_after_learning(
     assert analyse(make_learned(late=9 * LAP)).learned is None
 
 
+def test_what_was_taken_back_was_not_learned():
+    result = analyse(make_learned(gain=0.9))
+    assert result.learned is None
+    assert result.learned_axes == {}
+    assert result.learning_not_helped == []
+
+
 def test_what_was_learned_is_compared_with_both():
     worse = analyse(make_learned(lambda angle: 6e-4 + 0.0 * angle))
     assert worse.learning_not_helped == ["x rms", "x peak", "y rms", "y peak"]
@@ -389,7 +396,7 @@ LEARNED_REPORT = {
 
 
 def said_in_report(path, result, report):
-    loop = {"cycles": 1, "late_p50_us": 2.0, "late_p99_us": 31.0, "missed": 0, "learning": {"axes": {"x": report}}}
+    loop = {"cycles": 1, "late_p50_us": 2.0, "late_p99_us": 31.0, "missed": 7, "learning": {"axes": {"x": report}}}
     write_report(path, result, draw_circle(result), loop, "", "real")
     return re.sub(r"\s+", " ", " ".join(Page(path.read_text()).text))
 
@@ -411,4 +418,4 @@ def test_the_report_says_what_the_laps_after_learning_are_not(tmp_path):
     )
     nothing = {**LEARNED_REPORT, "re_identified": 0}
     said = said_in_report(tmp_path / "report.html", analyse(make_circle()), nothing)
-    assert "no laps with what was learned" in said
+    assert "no laps with what was learned: learning has kept nothing so far. The computer missed 7 periods" in said
