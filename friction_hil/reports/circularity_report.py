@@ -148,8 +148,8 @@ def learning_lines(circularity: Circularity, loop: Mapping[str, Any]) -> list[st
         lines.append("There are no laps with what was learned: learning has kept nothing so far.")
         if loop["missed"]:
             lines.append(
-                f"The computer missed {loop['missed']} periods; after each of them learning begins its window of motion "
-                "anew. friction-hil demo --pace sync does without real time."
+                f"The computer missed {loop['missed']} periods; after each of them learning begins its window of "
+                "motion anew. friction-hil demo --pace sync does without real time."
             )
     for axis, settings in circularity.learned_axes.items():
         if axis in reports and not _is_kept(settings, reports[axis]):
