@@ -83,6 +83,7 @@ configuration; <code>friction-hil replay RECORDING --verify</code> runs the comp
     path.write_text(page(title, f'{MARK} {__version__}">', body, _STYLE), encoding="utf-8")
 
 
+_REMEDY = "friction-hil demo --pace sync does without real time"
 _NAMES = ("without compensation", "with the model as given", "after learning")  # of the laps
 _CIRCLE_CAPTION = (
     "Distance from the centre minus the nominal radius, over the angle. Where {x} or {y} reverses, friction changes "
@@ -146,11 +147,9 @@ def learning_lines(circularity: Circularity, loop: Mapping[str, Any]) -> list[st
     lines = [learning_words.last_line(axis, report) for axis, report in reports.items()]
     if reports and circularity.learned is None:
         lines.append("There are no laps with what was learned: learning has kept nothing so far.")
-        if loop["missed"]:
-            lines.append(
-                f"The computer missed {loop['missed']} periods; after each of them learning begins its window of "
-                "motion anew. friction-hil demo --pace sync does without real time."
-            )
+    is_late = loop["missed"] > 0 or any(each.left_out for each in circularity.laps)
+    if reports and is_late and (circularity.learned is None or circularity.learning_not_helped):
+        lines.append(f"The computer was late at times, which costs learning its motion: {_REMEDY}.")
     for axis, settings in circularity.learned_axes.items():
         if axis in reports and not _is_kept(settings, reports[axis]):
             lines.append(f"{axis}: the laps after learning had a change that was still on trial, and was not kept.")
