@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from friction_hil.checked_yaml.text import dump, parse
 from friction_hil.daemon.child import Child
 from friction_hil.daemon.control.ask import Question
-from friction_hil.daemon.control.names import default_name, socket_path
+from friction_hil.daemon.control.names import socket_path
 from friction_hil.errors import FrictionHilError, RecordingError
 from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.page import claim_folder, generator
@@ -165,8 +165,9 @@ def _run_processes(path: Path, pace: str, show: ShowProgress) -> tuple[dict[str,
         run = ["run", str(path), "--duration", f"{moving_s:g}", "--record", str(path.parent / RECORDING), "--json"]
         # what an earlier run has learned would spoil the comparison: its folder is empty
         state = {"STATE_DIRECTORY": str(path.parent)}
-        with Child([*run, "--pace", pace], path.parent, state) as daemon:
-            progress = _Progress(configuration, moving_s, socket_path(default_name(path)), pace)
+        name = f"demo-{os.getpid()}"  # another demo may run, or a daemon of the same configuration
+        with Child([*run, "--pace", pace, "--name", name], path.parent, state) as daemon:
+            progress = _Progress(configuration, moving_s, socket_path(name), pace)
             while not daemon.wait(_TICK_S):
                 if pace == "sync" or daemon.said:  # its first message comes when it has found its drives
                     show(*progress.look())

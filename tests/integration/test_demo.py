@@ -8,12 +8,14 @@ import signal
 import subprocess
 import sys
 import uuid
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from friction_hil.analysis.circularity import analyse
 from friction_hil.cli import main
+from friction_hil.daemon.control.lock import ControlSocket
 from friction_hil.daemon.learning_board import first_report
 from friction_hil.demo import demonstration as demo
 from friction_hil.errors import UsageError
@@ -52,7 +54,8 @@ class Outcome:
 
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory):
-    return Outcome(tmp_path_factory.mktemp("demo") / "deeper" / "folder")
+    with closing(ControlSocket("demo")):  # a daemon of the same configuration runs already
+        return Outcome(tmp_path_factory.mktemp("demo") / "deeper" / "folder")
 
 
 def test_compensation_takes_the_friction_out_of_the_circle(outcome):
