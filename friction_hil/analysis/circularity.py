@@ -99,8 +99,7 @@ class Circularity:
     uncompensated, compensated : Laps
         Compensated: with the settings of the configuration.
     learned : Laps or None
-        With the settings that learning has handed over; None if it has not, if it has taken all of them back, or so
-        late that there are not as many laps.
+        With the settings that learning has kept; None if it has kept none, or so late that there are not as many laps.
     learned_axes : dict of AxisConfig
         Axes by name with these settings; empty without such laps.
     columns : dict of dict of (n,) arrays
@@ -180,9 +179,9 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
     """Analyse the whole laps in steady motion of a run with ``baseline_s``, as many without as with compensation.
 
     The laps without compensation end where it fades in, those with compensation where the settings change for the first
-    time or the motion ends. Those with what was learned are the last ones with settings that stay the same for as many
-    laps. After a missed period or late feedback, rows are left out until the drives have recovered: their error is not
-    due to friction.
+    time or the motion ends. Those with what was learned are the last ones with the settings of the end, when a change
+    that was still on trial has been taken back. After a missed period or late feedback, rows are left out until the
+    drives have recovered: their error is not due to friction.
 
     Parameters
     ----------
@@ -225,11 +224,10 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
         return Laps(count, (start * period_s, stop * period_s), wanted, angle[used], radius_error[used], figures)
 
     without, with_compensation = (laps(stop) for _, stop in phases.values())
-    change, stop = _learned_phase(configuration, cycle, columns, is_running, count * lap)
-    settings = {name: settings_after(each, configuration, change) for name, each in recordings.items()}
-    if all(_is_same(each, configuration.axes[name]) for name, each in settings.items()):
-        settings = {}  # nothing was changed, or all was taken back
-    learned = laps(stop) if settings else None
+    kept = _settings_at_end(recordings, configuration, columns)
+    stop = _learned_end(recordings, configuration, cycle, columns, is_running, kept, count * lap) if kept else None
+    learned = None if stop is None else laps(stop)
+    settings = {} if stop is None else kept
     for each in columns.values():
         each.update(time_s=cycle * period_s, is_usable=is_usable.astype(np.float64))
     unit = "rad" if configuration.axes[first].model.axis == "rotary" else "m"
@@ -250,19 +248,34 @@ def _phases(
     }
 
 
-def _learned_phase(
-    configuration: Configuration, cycle: Array, columns: _Columns, is_running: Any, least: float
-) -> tuple[int, float]:
-    """Return the last change of the settings that was in force for ``least`` cycles of steady motion, and their end.
+def _settings_at_end(
+    recordings: Mapping[str, Recording], configuration: Configuration, columns: _Columns
+) -> dict[str, AxisConfig]:
+    """Return the settings of each axis at the end, where a trial was taken back; nothing if they are as given."""
+    last = int(_changes(columns).max())
+    settings = {name: settings_after(each, configuration, last) for name, each in recordings.items()}
+    is_as_given = all(_is_same(each, configuration.axes[name]) for name, each in settings.items())
+    return {} if is_as_given else settings
 
-    Zeros if there is none.
-    """
+
+def _learned_end(
+    recordings: Mapping[str, Recording],
+    configuration: Configuration,
+    cycle: Array,
+    columns: _Columns,
+    is_running: Any,
+    kept: Mapping[str, AxisConfig],
+    least: float,
+) -> float | None:
+    """Return the end of the last steady motion of ``least`` cycles with the settings ``kept``; None without one."""
     changes, is_on = _changes(columns), is_running & _is_enabled(columns)
     for number in np.unique(changes[is_on & (changes > 0.0)])[::-1]:
         start, stop = following.settled(cycle, is_on & (changes == number), _fading(configuration))
-        if stop - start >= least - 1e-6:
-            return int(number), stop
-    return 0, 0.0
+        if stop - start >= least - 1e-6 and all(
+            _is_same(settings_after(each, configuration, int(number)), kept[name]) for name, each in recordings.items()
+        ):
+            return stop
+    return None
 
 
 def _is_same(settings: AxisConfig, given: AxisConfig) -> bool:

@@ -2,7 +2,6 @@
 
 import html
 import itertools
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,6 @@ from friction_hil.reports.page import generator, page, picture, table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from friction_hil.config import AxisConfig
     from friction_hil.friction import FrictionModel
 
 MARK = generator("demo")
@@ -146,25 +144,11 @@ def learning_lines(circularity: Circularity, loop: Mapping[str, Any]) -> list[st
     reports = loop.get("learning", {}).get("axes", {})
     lines = [learning_words.last_line(axis, report) for axis, report in reports.items()]
     if reports and circularity.learned is None:
-        lines.append("There are no laps with what was learned: learning has kept nothing so far.")
+        lines.append("There are no laps with what was learned: learning has kept nothing, or too late.")
     is_late = loop["missed"] > 0 or any(each.left_out for each in circularity.laps)
     if reports and is_late and (circularity.learned is None or circularity.learning_not_helped):
         lines.append(f"The computer was late at times, which costs learning its motion: {_REMEDY}.")
-    for axis, settings in circularity.learned_axes.items():
-        if axis in reports and not _is_kept(settings, reports[axis]):
-            lines.append(f"{axis}: the laps after learning had a change that was still on trial, and was not kept.")
     return lines
-
-
-def _is_kept(settings: "AxisConfig", report: Mapping[str, Any]) -> bool:
-    """Return True if an axis has some settings when the run ends; what is on trial then is taken back."""
-    friction = settings.model.friction
-    parameters = friction.parameters
-    is_same = all(math.isclose(parameters[name], value) for name, value in report["in_use"].items())
-    has_layer = report["residual_layer"]["state"] == "on"
-    return (
-        is_same and math.isclose(settings.compensation.gain, report["gain"]) and has_layer == bool(friction.modifiers)
-    )
 
 
 def _learning(circularity: Circularity, loop: Mapping[str, Any]) -> str:
