@@ -1,5 +1,6 @@
-"""Circularity test of machine tools: a recorded circle, without and with compensation. Pure."""
+"""Circularity test of machine tools: a recorded circle, without and with compensation, and after learning. Pure."""
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,13 +10,17 @@ import numpy as np
 
 from friction_hil.analysis import following
 from friction_hil.analysis.following import SETTLE_S, Figures
-from friction_hil.config import Circle, Configuration, from_dict
+from friction_hil.config import AxisConfig, Circle, Configuration, from_dict
 from friction_hil.daemon.assembly import ramp_s
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
+from friction_hil.recordings import columns as names
 from friction_hil.recordings.recording import Array, Recording
+from friction_hil.replay.changes import settings_after
 
+FIGURES = ("rms", "peak")  # of a following error, in the order in which they are shown
 RING_SHARE = 0.2  # distance between two rings of the scale, as a fraction of the drawn radius
+_Columns = Mapping[str, Mapping[str, Array]]  # by axis and name
 _RINGS = 3  # number of rings that the largest error reaches
 _COLUMNS = (*following.COLUMNS, "velocity_estimate", "compensation")
 
@@ -42,7 +47,7 @@ class RingScale:
 
 @dataclass(frozen=True, slots=True)
 class Laps:
-    """Whole laps in steady motion, either all without or all with compensation.
+    """Whole laps in steady motion with the same settings, either all without or all with compensation.
 
     Attributes
     ----------
@@ -79,7 +84,7 @@ class Laps:
 
 @dataclass(frozen=True, slots=True)
 class Circularity:
-    """Analysis of a circle without and with compensation.
+    """Analysis of a circle without and with compensation, and with what was learned.
 
     Attributes
     ----------
@@ -92,6 +97,11 @@ class Circularity:
     unit : str
         Unit of the position: rad or m.
     uncompensated, compensated : Laps
+        Compensated: with the settings of the configuration.
+    learned : Laps or None
+        With the settings that learning has kept; None if it has kept none, or so late that there are not as many laps.
+    learned_axes : dict of AxisConfig
+        Axes by name with these settings; empty without such laps.
     columns : dict of dict of (n,) arrays
         Columns of the recording by axis, in the rows that both axes have; in addition ``time_s``, the following
         ``error`` (NaN without fresh feedback), and ``is_usable``: 0 where the computer was late.
@@ -103,18 +113,41 @@ class Circularity:
     unit: str
     uncompensated: Laps
     compensated: Laps
+    learned: Laps | None
+    learned_axes: dict[str, AxisConfig]
     columns: dict[str, dict[str, Array]]
 
-    def factor(self, axis: str, figure: str) -> float:
-        """Return the ratio of ``figure`` (rms or peak) without to with compensation."""
-        return float(
-            getattr(self.uncompensated.figures[axis], figure) / getattr(self.compensated.figures[axis], figure)
-        )
+    @property
+    def laps(self) -> list[Laps]:
+        """The laps that there are: without compensation, with it, with what was learned."""
+        return [self.uncompensated, self.compensated, *([] if self.learned is None else [self.learned])]
+
+    def factor(self, axis: str, figure: str, laps: Laps | None = None) -> float:
+        """Return the ratio of ``figure`` (rms or peak) without compensation to that of ``laps``: the compensated."""
+        return _ratio(self.uncompensated, laps or self.compensated, axis, figure)
 
     @property
     def not_helped(self) -> list[str]:
         """Axes and figures that compensation did not reduce; empty if it helped everywhere."""
-        return [f"{axis} {name}" for axis in self.axes for name in ("rms", "peak") if not self.factor(axis, name) > 1.0]
+        return self._not_lower(self.compensated, self.uncompensated)
+
+    @property
+    def learning_not_helped(self) -> list[str]:
+        """Axes and figures that are not lower with what was learned than with the model as given."""
+        return [] if self.learned is None else self._not_lower(self.learned, self.compensated)
+
+    @property
+    def learning_harmed(self) -> list[str]:
+        """Axes and figures that are not lower with what was learned than without compensation."""
+        return [] if self.learned is None else self._not_lower(self.learned, self.uncompensated)
+
+    def _not_lower(self, laps: Laps, than: Laps) -> list[str]:
+        pairs = itertools.product(self.axes, FIGURES)
+        return [f"{axis} {name}" for axis, name in pairs if not _ratio(than, laps, axis, name) > 1.0]
+
+
+def _ratio(before: Laps, after: Laps, axis: str, figure: str) -> float:
+    return float(getattr(before.figures[axis], figure) / getattr(after.figures[axis], figure))
 
 
 def ring_scale(radius: float, lowest: float, highest: float) -> RingScale:
@@ -145,8 +178,10 @@ def duration_s(configuration: Configuration, laps: int) -> float:
 def analyse(recordings: Mapping[str, Recording]) -> Circularity:
     """Analyse the whole laps in steady motion of a run with ``baseline_s``, as many without as with compensation.
 
-    The laps without compensation end where it fades in, the others where the motion ends. After a missed period or late
-    feedback, rows are left out until the drives have recovered: their error is not due to friction.
+    The laps without compensation end where it fades in, those with compensation where the settings change for the first
+    time or the motion ends. Those with what was learned are the last ones with the settings of the end, when a change
+    that was still on trial has been taken back. After a missed period or late feedback, rows are left out until the
+    drives have recovered: their error is not due to friction.
 
     Parameters
     ----------
@@ -174,7 +209,7 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
         raise RecordingError(f"{path}: a lap takes {lap * period_s:g} s; in steady motion there are only {present}")
 
     is_usable = ~following.is_recovering(cycle, list(columns.values()), period_s)
-    in_last_lap = is_running & (cycle >= phases["with"][1] - lap) & (cycle < phases["with"][1])
+    in_last_lap = is_running & (cycle > cycle[is_running][-1] - lap)
     offsets = [deviation(columns[name], 2.0 * np.pi * cycle / lap, in_last_lap) for name in recordings]
     angle, radius_error = np.arctan2(offsets[1], offsets[0]), np.hypot(*offsets) - circle.radius
 
@@ -189,24 +224,79 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
         return Laps(count, (start * period_s, stop * period_s), wanted, angle[used], radius_error[used], figures)
 
     without, with_compensation = (laps(stop) for _, stop in phases.values())
+    kept = _settings_at_end(recordings, configuration, columns)
+    stop = _learned_end(recordings, configuration, cycle, columns, is_running, kept, count * lap) if kept else None
+    learned = None if stop is None else laps(stop)
+    settings = {} if stop is None else kept
     for each in columns.values():
         each.update(time_s=cycle * period_s, is_usable=is_usable.astype(np.float64))
     unit = "rad" if configuration.axes[first].model.axis == "rotary" else "m"
-    return Circularity(configuration, (first, second), circle.radius, unit, without, with_compensation, columns)
+    three = without, with_compensation, learned
+    return Circularity(configuration, (first, second), circle.radius, unit, *three, settings, columns)
 
 
 def _phases(
-    configuration: Configuration, cycle: Array, columns: Mapping[str, Mapping[str, Array]], is_running: Any
+    configuration: Configuration, cycle: Array, columns: _Columns, is_running: Any
 ) -> dict[str, tuple[float, float]]:
-    """Return the first cycle and the end of steady motion ``without`` and ``with`` compensation."""
-    period_s, axes = configuration.period_s, configuration.axes.values()
-    starting = (ramp_s(axes) + SETTLE_S) / period_s
-    fading = (max(axis.compensation.fade_s for axis in axes) + SETTLE_S) / period_s
-    enabled = np.array([each["is_enabled"] for each in columns.values()])
+    """Return the first cycle and the end of steady motion ``without`` and ``with`` compensation as configured."""
+    starting = (ramp_s(configuration.axes.values()) + SETTLE_S) / configuration.period_s
+    without = is_running & ~np.any([each["is_enabled"] for each in columns.values()], axis=0)
+    as_given = is_running & _is_enabled(columns) & (_changes(columns) == 0.0)
     return {
-        "without": following.settled(cycle, is_running & ~enabled.any(axis=0), starting),
-        "with": following.settled(cycle, is_running & enabled.all(axis=0), fading),
+        "without": following.settled(cycle, without, starting),
+        "with": following.settled(cycle, as_given, _fading(configuration)),
     }
+
+
+def _settings_at_end(
+    recordings: Mapping[str, Recording], configuration: Configuration, columns: _Columns
+) -> dict[str, AxisConfig]:
+    """Return the settings of each axis at the end, where a trial was taken back; nothing if they are as given."""
+    last = int(_changes(columns).max())
+    settings = {name: settings_after(each, configuration, last) for name, each in recordings.items()}
+    is_as_given = all(_is_same(each, configuration.axes[name]) for name, each in settings.items())
+    return {} if is_as_given else settings
+
+
+def _learned_end(
+    recordings: Mapping[str, Recording],
+    configuration: Configuration,
+    cycle: Array,
+    columns: _Columns,
+    is_running: Any,
+    kept: Mapping[str, AxisConfig],
+    least: float,
+) -> float | None:
+    """Return the end of the last steady motion of ``least`` cycles with the settings ``kept``; None without one."""
+    changes, is_on = _changes(columns), is_running & _is_enabled(columns)
+    for number in np.unique(changes[is_on & (changes > 0.0)])[::-1]:
+        start, stop = following.settled(cycle, is_on & (changes == number), _fading(configuration))
+        if stop - start >= least - 1e-6 and all(
+            _is_same(settings_after(each, configuration, int(number)), kept[name]) for name, each in recordings.items()
+        ):
+            return stop
+    return None
+
+
+def _is_same(settings: AxisConfig, given: AxisConfig) -> bool:
+    """Return True if an axis has the friction model and the gain that it was given."""
+    has_gain = settings.compensation.gain == given.compensation.gain
+    return has_gain and settings.model.friction == given.model.friction
+
+
+def _fading(configuration: Configuration) -> float:
+    """Return the number of cycles after which a change of the compensation counts as steady."""
+    fade_s = max(axis.compensation.fade_s for axis in configuration.axes.values())
+    return (fade_s + SETTLE_S) / configuration.period_s
+
+
+def _is_enabled(columns: _Columns) -> Any:
+    return np.all([each["is_enabled"] for each in columns.values()], axis=0)
+
+
+def _changes(columns: _Columns) -> Array:
+    """Return the number of the change of settings that is in force in each row (n,); all axes have the same."""
+    return np.asarray(np.max([each[names.CHANGE] for each in columns.values()], axis=0))
 
 
 def _circle(recordings: Mapping[str, Recording]) -> tuple[Configuration, Circle]:
@@ -236,6 +326,8 @@ def _aligned(recordings: Mapping[str, Recording]) -> tuple[Array, dict[str, dict
     columns: dict[str, dict[str, Array]] = {}
     for (name, each), common in zip(recordings.items(), rows, strict=True):
         columns[name] = following.columns_of(each, common, _COLUMNS)
+        change = each.columns.get(names.CHANGE, np.zeros(len(each)))  # earlier versions had no changes
+        columns[name][names.CHANGE] = np.nan_to_num(change[common])
         columns[name]["error"] = following.error(columns[name])
     return cycle, columns
 

@@ -1,4 +1,4 @@
-"""``friction-hil demo``: two simulated axes draw a circle, without and with compensation."""
+"""``friction-hil demo``: two simulated axes draw a circle, without and with compensation, and after learning."""
 
 from typing import Any
 
@@ -19,10 +19,10 @@ from friction_hil.cli.options import folder_option, option_json
 )
 @option_json
 def command(**options: Any) -> int:
-    """Draw a circle with two simulated axes, without and then with friction compensation.
+    """Draw a circle with two simulated axes: without friction compensation, with it, and after learning.
 
-    Needs no hardware and takes about 20 s. Simulated drives and the daemon run as separate processes on a virtual CAN
-    bus. Exit status 1 if compensation did not help, or if a process failed.
+    Needs no hardware and takes a good minute. Simulated drives and the daemon run as separate processes on a virtual
+    CAN bus. Exit status 1 if compensation did not help, as given or as learned, or if a process failed.
     """
     from friction_hil.cli.work.demo import demonstrate  # imported here: --help must not wait for numba
 

@@ -1,10 +1,12 @@
 """A command of friction-hil as a child process, which ends with this process in any case."""
 
 import contextlib
+import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from friction_hil.errors import FrictionHilError
 
@@ -23,9 +25,13 @@ class Child:
         Command and its arguments, without the program's name.
     folder : Path
         Folder for its output.
+    environment : mapping, optional
+        Variables that it gets besides those of this process.
     """
 
-    def __init__(self, arguments: Sequence[str], folder: Path) -> None:
+    def __init__(
+        self, arguments: Sequence[str], folder: Path, environment: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         self._name = arguments[0]
         self._out, self._err = folder / f"{self._name}.out", folder / f"{self._name}.err"
         with open(self._out, "wb") as out, open(self._err, "wb") as err:
@@ -34,6 +40,7 @@ class Child:
                 stdin=subprocess.PIPE,
                 stdout=out,
                 stderr=err,
+                env={**os.environ, **environment},
                 start_new_session=True,
             )
 

@@ -35,6 +35,12 @@ def result(report: Mapping[str, Any]) -> str:
     return ", ".join(words) + _layer(report["residual_layer"], report["unit"])
 
 
+def last_line(axis: str, report: Mapping[str, Any]) -> str:
+    """Return what a run says at its end: the axis, its `result`, and why learning has ended if it has."""
+    ended = f", ended: {report['reason']}" if report["doing"] == "ended" else ""
+    return f"{axis}: {result(report)}{ended}"
+
+
 def _layer(layer: Mapping[str, Any], unit: str) -> str:
     """Return what the residual layer has done; nothing before it was looked for."""
     if not layer["state"]:

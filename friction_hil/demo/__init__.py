@@ -1,1 +1,1 @@
-"""The demonstration: a circle without and with compensation, by real processes on a virtual bus."""
+"""The demonstration: a circle without and with compensation and after learning, by real processes on a virtual bus."""

@@ -1,8 +1,10 @@
 """The demo: simulated drives and the daemon as separate processes, then a report on their recording.
 
-This process imports numpy, numba and matplotlib while the drives start, so that the user does not wait for both.
+This process imports numpy, numba and matplotlib, and compiles what learning needs, while the drives start, so that the
+user does not wait for both.
 """
 
+import contextlib
 import json
 import os
 import socket
@@ -17,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 from friction_hil.checked_yaml.text import dump, parse
 from friction_hil.daemon.child import Child
+from friction_hil.daemon.control.ask import Question
+from friction_hil.daemon.control.names import socket_path
 from friction_hil.errors import FrictionHilError, RecordingError
 from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.page import claim_folder, generator
@@ -27,7 +31,13 @@ if TYPE_CHECKING:
 
 REPORT, PICTURE, RECORDING = "report.html", "circularity.png", "recording.mcap"
 _LAPS = 2
+# From the laps with the model as given to the end: six windows of learning (see its README.md). Where the computer
+# misses periods, learning loses windows.
+_LEARNING_S = {"real": 48.0, "sync": 37.0}
 _TICK_S = 0.2
+_LOOK_S = 1.0  # from one question to the daemon to the next
+_PATIENCE_S = 0.5  # for its answer
+_RESOLUTION = 1e-6  # rad; any, for the compilation
 _STOPPING_S = 1.5  # from the end of the motion to the end of the daemon
 
 ShowProgress = Callable[[str, float | None], None]
@@ -55,7 +65,7 @@ class Demo:
 
 
 def run_demo(folder: Path, pace: str, show: ShowProgress) -> Demo:
-    """Let the simulated axes draw the circle, and write the report.
+    """Let the simulated axes draw the circle without and with compensation and after learning, and write the report.
 
     Parameters
     ----------
@@ -100,11 +110,13 @@ def claim(folder: Path) -> None:
 
 
 def _private_configuration(work: Path) -> Path:
-    """Copy the configuration of the demo, and give it a bus of its own."""
+    """Copy the configuration of the demo, turn learning on in it, and give it a bus of its own."""
     original = files("friction_hil.demo") / "demo.yaml"
     values = parse(original.read_text(encoding="utf-8"), str(original)).value
     values["bus"]["port"] = _free_port()
     del values["recording"]
+    for axis in values["axes"].values():
+        axis["compensation"]["learning"] = "on"
     copy = work / "demo.yaml"
     copy.write_text(dump(values), encoding="utf-8")
     return copy
@@ -144,26 +156,84 @@ def _run_processes(path: Path, pace: str, show: ShowProgress) -> tuple[dict[str,
         from friction_hil.config import load
 
         configuration = load(path)
-        moving_s = duration_s(configuration, _LAPS)
+        moving_s = duration_s(configuration, _LAPS) + _LEARNING_S[pace]
+        _compile_learning(configuration)
         while not drives.printed:
             drives.wait(_TICK_S)
             drives.refuse_failure(DemoError)
         show("starting the daemon", 0.1)
         run = ["run", str(path), "--duration", f"{moving_s:g}", "--record", str(path.parent / RECORDING), "--json"]
-        with Child([*run, "--pace", pace], path.parent) as daemon:
-            if pace == "sync":
-                show("drawing the circle in simulated time", 0.15)
-            began_s = 0.0
+        # what an earlier run has learned would spoil the comparison: its folder is empty
+        state = {"STATE_DIRECTORY": str(path.parent)}
+        name = f"demo-{os.getpid()}"  # another demo may run, or a daemon of the same configuration
+        with Child([*run, "--pace", pace, "--name", name], path.parent, state) as daemon:
+            progress = _Progress(configuration, moving_s, socket_path(name), pace)
             while not daemon.wait(_TICK_S):
-                if pace == "real" and daemon.said:  # its first message comes when it has found its drives
-                    began_s = began_s or time.monotonic()
-                    show(*_progress(configuration, time.monotonic() - began_s, moving_s))
+                if pace == "sync" or daemon.said:  # its first message comes when it has found its drives
+                    show(*progress.look())
             drives.refuse_failure(DemoError)
             daemon.refuse_failure(LoopFaultError if daemon.printed else DemoError)
         return json.loads(daemon.printed), daemon.said
 
 
-def _progress(configuration: "Configuration", elapsed_s: float, moving_s: float) -> tuple[str, float]:
-    baseline_s = max(axis.compensation.baseline_s for axis in configuration.axes.values())
-    state = "without" if elapsed_s < baseline_s else "with"
-    return f"drawing the circle {state} compensation", 0.15 + 0.75 * min(elapsed_s / (moving_s + _STOPPING_S), 1.0)
+def _compile_learning(configuration: "Configuration") -> None:
+    """Compile what learning needs, which beside a loop in real time would take as long as the motion."""
+    from friction_hil.learning.compilation import compile_estimate
+    from friction_hil.learning.estimate import Mechanics, first_belief
+
+    for axis in configuration.axes.values():
+        mechanics = Mechanics(axis.model.mechanics.inertia, (0.0, 0.0, 0.0))
+        compile_estimate(first_belief(axis.model.friction_model, mechanics, {}), configuration.period_s, _RESOLUTION)
+
+
+class _Progress:
+    """What the daemon does, by its own account.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    moving_s : float
+        Duration of the motion, s.
+    socket : Path
+        Control socket of the daemon.
+    pace : str
+        ``real`` or ``sync``.
+    """
+
+    def __init__(self, configuration: "Configuration", moving_s: float, socket: Path, pace: str) -> None:
+        axes = configuration.axes.values()
+        self._baseline_s = max(axis.compensation.baseline_s for axis in axes)
+        self._learning_from_s = moving_s - _LEARNING_S[pace]
+        self._moving_s, self._period_s = moving_s, configuration.period_s
+        self._socket, self._pace = socket, pace
+        self._next_look_s = 0.0
+        self._elapsed_s, self._kept = 0.0, ""
+
+    def look(self) -> tuple[str, float]:
+        """Return a text and the completed fraction of the demo."""
+        now_s = time.monotonic()
+        if now_s >= self._next_look_s:
+            self._next_look_s = now_s + _LOOK_S
+            with contextlib.suppress(FrictionHilError):  # it is not there yet, or ends: it says itself if it fails
+                with Question(self._socket, {"do": "status"}, _PATIENCE_S) as question:
+                    while (status := question.answer()) is None:
+                        pass
+                self._take(status)
+        done = 0.15 + 0.75 * min(self._elapsed_s / (self._moving_s + _STOPPING_S), 1.0)
+        if self._pace == "sync":
+            return "drawing the circle in simulated time", done
+        if self._elapsed_s < self._baseline_s:
+            return "drawing the circle without compensation", done
+        if self._elapsed_s < self._learning_from_s:
+            return "drawing the circle with compensation by the model as given", done
+        return f"learning from the motion{self._kept}", done
+
+    def _take(self, status: dict[str, Any]) -> None:
+        """Take what the daemon says of itself."""
+        self._elapsed_s = (status.get("cycle") or 0) * self._period_s
+        kept = {}
+        for name, axis in status.get("axes", {}).items():
+            if report := axis["learning"]:
+                kept[name] = report["re_identified"] + (report["residual_layer"]["state"] == "on")
+        if any(kept.values()):
+            self._kept = f"; kept so far: {', '.join(f'{name} {count}' for name, count in kept.items())}"

@@ -23,13 +23,13 @@ from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import FrictionHilError
 from friction_hil.friction.model import as_dict
-from friction_hil.identification.least_squares import NUMERICAL
-from friction_hil.learning.estimate import Mechanics, estimate
+from friction_hil.learning.compilation import compile_estimate
+from friction_hil.learning.estimate import Mechanics
 from friction_hil.learning.learner import Learner
 from friction_hil.learning.notices import described, fitting
 from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.learning.proven import Proven, digest, recall, store
-from friction_hil.learning.window import COLUMNS, Window
+from friction_hil.learning.window import COLUMNS
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
 
@@ -40,7 +40,6 @@ _LARGEST_SHARE = 0.25  # of a processor
 _NICENESS = 5
 _FOREVER = 2**62  # cycle that no run reaches
 _ALIKE = 0.05  # differences of a proposal from the former one that are not worth another notice
-_COMPILED_S = 0.5
 _IDLE = "the axis is not in compensated motion"
 _BUSY = "this process has used its share of the processor"
 _NO_TORQUE = "its drive does not report the torque"
@@ -90,11 +89,7 @@ class AxisLearning:
 
     def compile(self, resolution: float) -> None:
         """Compile what an estimate needs: for the first time on a machine, rows would be lost meanwhile."""
-        time_s = np.arange(round(_COMPILED_S / self.period_s)) * self.period_s
-        position, nothing = np.sin(math.tau * time_s), np.zeros(time_s.size)
-        window = Window(self.period_s, position, nothing, position, nothing, np.full(time_s.size, math.nan))
-        with contextlib.suppress(*NUMERICAL):  # of this motion, which no axis makes, the result does not matter
-            estimate(window, self.learner.belief, resolution)
+        compile_estimate(self.learner.belief, self.period_s, resolution)
 
     def take(self, rows: Mapping[str, Array]) -> Proposal | None:
         """Take the rows of a tick; those of an axis that is not compensated in motion only end a trial."""

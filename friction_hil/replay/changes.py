@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -76,34 +77,60 @@ class RecordedChanges:
     def _record(self, number: int) -> Any:
         """Return the settings of the compensator after a change; 0: at the start."""
         if number not in self._records:
-            axis = self._axis(number)
+            axis = _settings(self._recording, self._configuration, self._entries, number)
             made = make_compensator(axis, axis.model, self._facts, self._configuration.period_s)
             self._records[number] = made.record
         return self._records[number]
 
-    def _axis(self, number: int) -> AxisConfig:
-        name = self._recording.axis
-        if number == 0:
-            return self._configuration.axes[name]
-        entry = self._entry(number)
-        values = self_contained(self._configuration)
-        values["axes"][name]["compensation"] = entry["compensation"]
-        if entry["model_of"]:
-            values["axes"][name]["model"] = self._entry(entry["model_of"])["model"]
-        try:
-            return from_dict(values, f"{self._recording.path} (change {number})").axes[name]
-        except ConfigurationError as error:
-            raise RecordingError(str(error)) from None
-
     def _entry(self, number: int) -> dict[str, Any]:
-        try:
-            entry: dict[str, Any] = self._entries[number][self._recording.axis]
-        except KeyError:
-            raise RecordingError(
-                f"{self._recording.path}: change {number} of the settings, with which rows of axis "
-                f"{self._recording.axis!r} were computed, is not in the recording"
-            ) from None
-        return entry
+        return _entry(self._recording, self._entries, number)
+
+
+def settings_after(recording: Recording, configuration: Configuration, number: int) -> AxisConfig:
+    """Return the settings of a recorded axis after a change.
+
+    Parameters
+    ----------
+    recording : Recording
+    configuration : Configuration
+        At the start of the run.
+    number : int
+        As in the column ``change``; 0: before the first one.
+
+    Raises
+    ------
+    RecordingError
+        The change is not in the recording.
+    """
+    return _settings(recording, configuration, _entries(recording), number)
+
+
+def _settings(
+    recording: Recording, configuration: Configuration, entries: Mapping[int, Mapping[str, Any]], number: int
+) -> AxisConfig:
+    name = recording.axis
+    if number == 0:
+        return configuration.axes[name]
+    entry = _entry(recording, entries, number)
+    values = self_contained(configuration)
+    values["axes"][name]["compensation"] = entry["compensation"]
+    if entry["model_of"]:
+        values["axes"][name]["model"] = _entry(recording, entries, entry["model_of"])["model"]
+    try:
+        return from_dict(values, f"{recording.path} (change {number})").axes[name]
+    except ConfigurationError as error:
+        raise RecordingError(str(error)) from None
+
+
+def _entry(recording: Recording, entries: Mapping[int, Mapping[str, Any]], number: int) -> dict[str, Any]:
+    try:
+        entry: dict[str, Any] = entries[number][recording.axis]
+    except KeyError:
+        raise RecordingError(
+            f"{recording.path}: change {number} of the settings, with which rows of axis {recording.axis!r} were "
+            "computed, is not in the recording"
+        ) from None
+    return entry
 
 
 def inputs_of(recording: Recording, first: int, end: int) -> list[Array]:

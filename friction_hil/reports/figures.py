@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours: distinguishable with any colour vision, and in grey.
 BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#009e73", "#999999"
-WITHOUT, WITH = ORANGE, BLUE  # compensation
+WITHOUT, WITH, LEARNED = ORANGE, BLUE, GREEN  # compensation; learned: with what learning made of its model
 MEASURED, PREDICTED, RESIDUAL = GREY, BLUE, ORANGE
 INK = "#222222"
 FAULT = "#b00020"

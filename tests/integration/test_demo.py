@@ -8,17 +8,20 @@ import signal
 import subprocess
 import sys
 import uuid
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from friction_hil.analysis.circularity import analyse
 from friction_hil.cli import main
+from friction_hil.daemon.control.lock import ControlSocket
+from friction_hil.daemon.learning_board import first_report
 from friction_hil.demo import demonstration as demo
 from friction_hil.errors import UsageError
 from friction_hil.recordings import read_all
 from friction_hil.replay.verify import verify
-from tests.unit.test_circularity import make_circle
+from tests.unit.test_circularity import make_circle, make_learned
 
 COMMAND = [sys.executable, "-m", "friction_hil", "demo"]
 
@@ -51,7 +54,8 @@ class Outcome:
 
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory):
-    return Outcome(tmp_path_factory.mktemp("demo") / "deeper" / "folder")
+    with closing(ControlSocket("demo")):  # a daemon of the same configuration runs already
+        return Outcome(tmp_path_factory.mktemp("demo") / "deeper" / "folder")
 
 
 def test_compensation_takes_the_friction_out_of_the_circle(outcome):
@@ -63,15 +67,29 @@ def test_compensation_takes_the_friction_out_of_the_circle(outcome):
         assert after["rms"] > 1e-6  # wrong parameters cannot do better than this
 
 
+def test_learning_lowers_what_the_model_as_given_leaves(outcome):
+    result = json.loads(outcome.done.stdout)
+    for name, axis in result["axes"].items():
+        assert axis["learned"]["rms"] < 0.8 * axis["compensated"]["rms"]
+        assert axis["learned"]["peak"] < 0.9 * axis["compensated"]["peak"]
+        learned = result["learning"]["axes"][name]
+        assert learned["re_identified"] >= 1
+        assert learned["residual_layer"]["state"] == "on"  # the cogging, of which the model knows nothing
+        assert learned["error_after"] == pytest.approx(axis["learned"]["rms"], rel=0.05)
+
+
 def test_json_has_its_shape(outcome):
     result = json.loads(outcome.done.stdout)
-    assert list(result) == ["axes", "loop", "report", "recording"]
+    assert list(result) == ["axes", "loop", "learning", "report", "recording"]
     assert list(result["axes"]) == ["x", "y"]
     for axis in result["axes"].values():
         assert {name: list(figures) for name, figures in axis.items()} == {
             "uncompensated": ["rms", "peak"],
             "compensated": ["rms", "peak"],
+            "learned": ["rms", "peak"],
         }
+    assert list(result["learning"]["axes"]) == ["x", "y"]
+    assert result["learning"]["cpu_share"] is None  # what depends on the computer is not in simulated time
     loop = result["loop"]
     assert list(loop) == ["period_s", "cycles", "late_p50_us", "late_p99_us", "missed"]
     assert loop["period_s"] == 1e-3
@@ -99,10 +117,11 @@ def test_no_process_is_left(outcome):
 def test_the_recording_gives_the_same_figures_and_replays(outcome):
     recordings = read_all(outcome.output / "recording.mcap")
     circularity = analyse(recordings)
-    assert circularity.uncompensated.left_out == circularity.compensated.left_out == 0
+    assert [laps.left_out for laps in circularity.laps] == [0, 0, 0]
     shown = json.loads(outcome.done.stdout)["axes"]
     for name, recording in recordings.items():
         assert shown[name]["compensated"]["rms"] == circularity.compensated.figures[name].rms
+        assert recording["change"].max() >= 2.0
         assert verify(recording).is_verified
         assert not any(recording["compensation"][recording["is_enabled"] == 0.0][:1000])
 
@@ -199,19 +218,43 @@ def test_a_bus_that_does_not_open_is_explained(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("size", "status"), [(5e-4, 0), (4e-3, 1)])
-def test_exit_status_tells_whether_compensation_helped(size, status, tmp_path, monkeypatch, capsys):
-    circularity = analyse(make_circle(compensated=lambda angle: size + 0.0 * angle))
+@pytest.mark.parametrize(
+    ("size", "learned", "status", "said"),
+    [
+        (5e-4, 2e-4, 0, []),
+        (5e-4, None, 0, []),
+        (4e-3, None, 1, ["compensation did not help: x rms"]),
+        (5e-4, 6e-4, 0, ["learning did not help: x rms"]),
+        (5e-4, 4e-3, 1, ["learning made it worse: x rms", "learning did not help: y peak"]),
+    ],
+)
+def test_exit_status_tells_whether_compensation_helped(size, learned, status, said, tmp_path, monkeypatch, capsys):
+    def compensated(angle):
+        return size + 0.0 * angle
+
+    recordings = make_circle(compensated=compensated)
+    if learned is not None:
+        recordings = make_learned(lambda angle: learned + 0.0 * angle, compensated=compensated)
     loop = {"cycles": 1, "late_p50_us": 1.0, "late_p99_us": 2.0, "missed": 0}
-    made = demo.Demo(circularity, loop, "real", tmp_path / "a", tmp_path / "b", tmp_path / "c")
+    learning = {"axes": {"x": first_report("on", "rad", 0.97)}, "cpu_share": 0.1}
+    made = demo.Demo(
+        analyse(recordings), {**loop, "learning": learning}, "real", tmp_path / "a", tmp_path / "b", tmp_path / "c"
+    )
     monkeypatch.setattr(demo, "run_demo", lambda *_: made)
     for options in ([], ["--json"]):
         assert main(["demo", *options]) == status
-        said = capsys.readouterr()
-        assert ("compensation did not help: x rms" in said.err) == (status == 1)
-    result = json.loads(said.out)
+        shown = capsys.readouterr()
+        assert all(each in shown.err for each in said)
+        assert bool(shown.err) == bool(said)
+        if not options:
+            assert ("was learned  lower" in shown.out) == (learned is not None)
+            assert ("no laps with what was learned" in shown.out) == (learned is None)
+            assert "x: re-identified 0 times" in shown.out
+    result = json.loads(shown.out)
     assert result["axes"]["x"]["uncompensated"]["peak"] == pytest.approx(2e-3)
+    assert result["axes"]["x"]["learned"] == (learned and pytest.approx({"rms": learned / 2**0.5, "peak": learned}))
     assert result["loop"] == {"period_s": 1e-3, **loop}
+    assert result["learning"] == learning
 
 
 @pytest.fixture

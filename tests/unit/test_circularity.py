@@ -1,5 +1,6 @@
 """The circularity test on circles that are known exactly: laps, figures, what is left out, pictures, report."""
 
+import json
 import re
 from html.parser import HTMLParser
 
@@ -7,16 +8,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.patches import StepPatch
 
 from friction_hil.analysis.circularity import RING_SHARE, analyse, duration_s, ring_scale
 from friction_hil.analysis.following import RECOVERY_S, SETTLE_S
 from friction_hil.config import from_dict, self_contained
+from friction_hil.daemon.learning_board import first_report
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
-from friction_hil.recordings import Recording
-from friction_hil.reports.circularity_picture import draw_circle, draw_error, draw_friction
+from friction_hil.recordings import Event, Recording
+from friction_hil.recordings.recording import CHANGE
+from friction_hil.reports.circularity_picture import draw_circle, draw_error, draw_friction, draw_lap_errors
 from friction_hil.reports.circularity_report import MARK, write_report
-from friction_hil.reports.figures import WITH, WITHOUT
+from friction_hil.reports.figures import LEARNED, WITH, WITHOUT
 from friction_hil.reports.numbers import digits, readable
 from tests.servo_drives import PERIOD_S, axis_dict
 
@@ -76,6 +80,37 @@ def make_circle(
         }
         metadata = {"configuration": self_contained(configuration)}
         recordings[name] = Recording("circle.mcap", name, columns, metadata)
+    return recordings
+
+
+def make_learned(learned=lambda angle: 2e-4 + 0.0 * angle, *, gain=0.97, late=0, is_taken_back=False, **changes):
+    """A run in which learning hands over two changes, each followed by an error that may not count until it settles.
+
+    The first is in force for three laps, the last until the motion ends. ``late``: cycles by which both come later.
+    ``is_taken_back``: when the motion has ended, the first one comes back.
+    """
+    recordings = make_circle(laps=12, **changes)
+    running = np.flatnonzero(recordings["x"]["state"] == LoopState.RUNNING)
+    settling = round((FADE_S + SETTLE_S) / PERIOD_S)
+    first = running[0] + round((BASELINE_S + FADE_S + SETTLE_S) / PERIOD_S) + 2 * LAP + late
+    second = first + settling + 3 * LAP
+    cycle = np.arange(len(recordings["x"]))
+    change = np.where(cycle < first, 0.0, np.where(cycle < second, 1.0, 2.0))
+    third = running[-1] + 5
+    if is_taken_back:
+        change[third:] = 3.0
+    demand = [each["position_demand"] - middle for each, middle in zip(recordings.values(), (0.3, -0.2), strict=True)]
+    error = learned(np.arctan2(demand[1], demand[0]))
+    error[first : first + settling] = error[second : second + settling] = 0.05
+    for each, middle, wanted in zip(recordings.values(), (0.3, -0.2), demand, strict=True):
+        each.columns["change"] = change
+        is_learned = (change > 0.0) & np.isfinite(wanted)
+        each.columns["position"][is_learned] = (middle + wanted * (1.0 + error / RADIUS))[is_learned]
+        given = each.metadata["configuration"]["axes"]["x"]["compensation"]
+        for number, start, now in ((1, first, 0.93), (2, second, gain), (3, third, 0.93))[: 3 if is_taken_back else 2]:
+            entry = {"compensation": {**given, "gain": now}, "is_adopted": True, "model_of": 0}
+            text = json.dumps({"number": number, "text": "", "axes": {"x": entry, "y": entry}})
+            each.events.append(Event(float(start), CHANGE, text))
     return recordings
 
 
@@ -158,6 +193,46 @@ def test_equal_is_no_help():
     assert same.not_helped == ["x rms", "x peak", "y rms", "y peak"]
 
 
+def test_laps_after_learning_are_the_last_ones_with_the_same_settings():
+    result = analyse(make_learned())
+    assert [laps.count for laps in result.laps] == [2, 2, 2]
+    for laps, size in zip(result.laps, (2e-3, 5e-4, 2e-4), strict=True):
+        np.testing.assert_allclose(laps.radius_error, size, rtol=1e-6)
+    ends = [laps.interval_s[1] / PERIOD_S for laps in result.laps]
+    assert ends[1] == np.flatnonzero(result.columns["x"]["change"])[0]  # those as given end where the settings change
+    assert ends[2] == np.flatnonzero(result.columns["x"]["state"] == LoopState.RUNNING)[-1] + 1
+    assert result.factor("y", "peak", result.learned) == pytest.approx(10.0)
+    assert result.learned_axes["x"].compensation.gain == 0.97
+    assert result.not_helped == result.learning_not_helped == result.learning_harmed == []
+
+
+def test_settings_that_last_for_less_than_the_laps_are_not_those_after_learning():
+    late = analyse(make_learned(late=4 * LAP))  # the last change leaves no two laps
+    assert late.learned is None
+    assert late.learned_axes == {}
+
+
+def test_what_is_taken_back_at_the_end_was_on_trial():
+    recordings = make_learned(is_taken_back=True)
+    result = analyse(recordings)
+    assert result.learned.interval_s[1] / PERIOD_S == np.flatnonzero(result.columns["x"]["change"] == 2.0)[0]
+    assert result.learned_axes["y"].compensation.gain == 0.93
+
+
+def test_what_was_taken_back_was_not_learned():
+    result = analyse(make_learned(gain=0.9))
+    assert result.learned is None
+    assert result.learned_axes == {}
+    assert result.learning_not_helped == []
+
+
+def test_what_was_learned_is_compared_with_both():
+    worse = analyse(make_learned(lambda angle: 6e-4 + 0.0 * angle))
+    assert worse.learning_not_helped == ["x rms", "x peak", "y rms", "y peak"]
+    assert worse.learning_harmed == []
+    assert len(analyse(make_learned(lambda angle: 3e-3 + 0.0 * angle)).learning_harmed) == 4
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -233,6 +308,29 @@ def test_the_circle_is_magnified_as_it_says():
     assert {"+3 mrad", "−3 mrad", "x reverses", "y reverses"} <= set(texts)
 
 
+def test_after_learning_the_compensated_laps_are_drawn_once_more_and_larger():
+    result = analyse(make_learned())
+    figure = draw_circle(result)
+    left, right = figure.axes
+    assert [line.get_color() for line in left.lines if line.get_color() in (WITHOUT, WITH, LEARNED)] == [WITHOUT, WITH]
+    (line,) = [each for each in right.lines if each.get_color() == LEARNED]
+    (text,) = [each.get_text() for each in figure.texts if each.get_text().startswith("With compensation")]
+    magnification = float(text.split()[-2])
+    drawn = np.hypot(line.get_xdata(), line.get_ydata())
+    np.testing.assert_allclose(drawn, 1.0 + magnification * result.learned.radius_error / RADIUS)
+    assert {"10", "4.0"} <= {each.get_text() for each in right.texts}  # times lower
+
+
+def test_each_lap_has_its_error_over_time():
+    figure = draw_lap_errors(analyse(make_learned()))
+    (axes,) = figure.axes
+    x, _ = [each for each in axes.patches if isinstance(each, StepPatch)]
+    values, edges, _ = x.get_data()
+    assert np.diff(edges) == pytest.approx(LAP * PERIOD_S)
+    assert values[2] == pytest.approx(2e3 / np.sqrt(2.0), rel=1e-3)  # µrad
+    assert values[-2] == pytest.approx(2e2 / np.sqrt(2.0), rel=1e-3)
+
+
 def test_nothing_is_drawn_across_what_is_left_out():
     recordings = make_circle()
     drop(recordings, [START + round(1.2 / PERIOD_S)])
@@ -242,9 +340,10 @@ def test_nothing_is_drawn_across_what_is_left_out():
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("draw", [draw_circle, draw_error, draw_friction])
-def test_pictures_are_drawn_without_complaint(draw, tmp_path):
-    draw(analyse(make_circle())).savefig(tmp_path / "picture.png")
+@pytest.mark.parametrize("make", [make_circle, make_learned])
+@pytest.mark.parametrize("draw", [draw_circle, draw_error, draw_friction, draw_lap_errors])
+def test_pictures_are_drawn_without_complaint(draw, make, tmp_path):
+    draw(analyse(make())).savefig(tmp_path / "picture.png")
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -294,3 +393,36 @@ def test_the_report_has_everything_inside(tmp_path):
         "presliding stiffness N m/rad 2000 2000",
     ):
         assert row in said
+
+
+LEARNED_REPORT = {
+    **first_report("on", "rad", 0.97),
+    "re_identified": 2,
+    "error_before": 5e-4,
+    "error_after": 2e-4,
+    "doing": "watching",
+}
+
+
+def said_in_report(path, result, report):
+    loop = {"cycles": 1, "late_p50_us": 2.0, "late_p99_us": 31.0, "missed": 7, "learning": {"axes": {"x": report}}}
+    write_report(path, result, draw_circle(result), loop, "", "real")
+    return re.sub(r"\s+", " ", " ".join(Page(path.read_text()).text))
+
+
+def test_the_report_has_what_was_learned(tmp_path):
+    said = said_in_report(tmp_path / "report.html", analyse(make_learned()), LEARNED_REPORT)
+    assert "4.0 times smaller on x and 4.0 times smaller on y, after learning 10 times smaller on x" in said
+    assert "following error of x, peak µrad 2000 500 4.0 200 10 " in said
+    assert "x: re-identified 2 times, error 500 µrad -> 200 µrad" in said
+    assert "gain 0.9." in said
+    assert "gain 0.97." in said
+    assert "The computer was late" not in said
+
+
+def test_the_report_says_why_there_are_no_laps_after_learning(tmp_path):
+    nothing = {**LEARNED_REPORT, "re_identified": 0}
+    said = said_in_report(tmp_path / "report.html", analyse(make_circle()), nothing)
+    assert (
+        "no laps with what was learned: learning has kept nothing, or too late. The computer was late at times" in said
+    )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from friction_hil.config import load
+from friction_hil.demo import demonstration
 
 DEMO = Path(__file__).parents[2] / "config/demo.yaml"
 AXES = load(DEMO).axes
@@ -48,6 +49,16 @@ def test_nothing_else_differs_between_the_laps():
         assert axis.compensation.enabled
         assert axis.compensation.gain == 0.9
         assert axis.simulation.loops.velocity_feedforward == axis.simulation.loops.inertia_feedforward == 1.0
+
+
+def test_only_bus_and_learning_differ_from_the_file_in_the_demo(tmp_path):
+    copy = load(demonstration._private_configuration(tmp_path))
+    for name, axis in copy.axes.items():
+        given = AXES[name].compensation
+        assert (given.learning, axis.compensation.learning) == ("off", "on")
+        assert axis.compensation.model_copy(update={"learning": "off"}) == given
+        assert axis.model.model_dump() == AXES[name].model.model_dump()
+        assert axis.simulation == AXES[name].simulation
 
 
 def open_loop(plant, frequency_hz, position_gain):

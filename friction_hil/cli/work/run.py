@@ -170,8 +170,7 @@ def _print(result: "SessionResult", configuration: "Configuration", *, dry_run: 
             for reason, count in sorted(figures.bridged_reasons.items(), key=lambda item: -item[1])[:_SHOWN_REASONS]:
                 say(f"   {count} of them: {reason}", stderr=False)
     for name, learned in result.learning.get("axes", {}).items():
-        ended = f", ended: {learned['reason']}" if learned["doing"] == "ended" else ""
-        say(f"{name}: {learning_words.result(learned)}{ended}", stderr=False)
+        say(learning_words.last_line(name, learned), stderr=False)
     for path in result.report.recording if result.report else ():
         click.echo(f"recorded: {path}")
 
