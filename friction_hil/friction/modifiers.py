@@ -202,7 +202,7 @@ CURVES = (
 )
 NAMES = ("direction", "viscous", "load", "temperature", "ripple", "reversal", "speed")
 _CURVES = {each.name: each for each in CURVES}
-_LEAST_GAP = 1e-6  # between two points of a curve, relative
+_LEAST_GAP = 1e-6  # between two points of a curve, relative: single precision tells them apart
 
 
 def check_modifiers(family: Family, given: Mapping[str, Any], modifiers: Mapping[str, Any]) -> dict[str, Any]:
@@ -269,7 +269,8 @@ def _check_curve(modifier: Modifier, content: object) -> dict[str, Any]:
     for i, (before, after) in enumerate(pairwise(points)):
         if not after >= before * (1.0 + _LEAST_GAP):
             raise InvalidParameterError(
-                f"modifier {name}: {abscissa}[{i + 1}] = {after:g} is not above {abscissa}[{i}] = {before:g}; they rise",
+                f"modifier {name}: {abscissa}[{i + 1}] = {after:.9g} is not above {abscissa}[{i}] = {before:.9g}; "
+                "each is above the one before, by a millionth of it at least",
                 f"{name}.{abscissa}",
             )
     for side in SIDES:
