@@ -137,7 +137,7 @@ def step(
     torque = family_step(kind, own, own_state, velocity, level_velocity, dt, extra, scale, pushed, epsilon)
     fast = _fast_torque(m, level_velocity)
     if m[modifiers.SPEED] > 0.0:
-        fast = fast + _speed_torque(part(m, whole(m[modifiers.SPEED])), level_velocity)
+        fast = fast + _speed_torque(part(m, whole(m[modifiers.SPEED])), velocity)
     if is_stuck and epsilon == 0.0 and number(kind) <= LAST_STATIC:
         fast = 0.0  # at rest, friction balances the applied torque only
     learned = _learned_torque(p, s, velocity, level_velocity, dt, position, load_torque, temperature)

@@ -18,10 +18,11 @@ from friction_hil.learning import oddity
 from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief, left_over
 from friction_hil.learning.figures import Figures
 from friction_hil.learning.judge import CHANCE, Work, is_harmful, no_help, objection, rms, work_of
+from friction_hil.learning.layer import Layer
 from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.proposal import Proposal, Step
-from friction_hil.learning.residual import Finding, Layer, Residual
+from friction_hil.learning.residual import Finding, Residual
 from friction_hil.learning.window import COLUMNS, Window, joined, velocity_of, window_of
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import quantity
@@ -301,7 +302,8 @@ class Learner:
         if not (self._residual.is_worth(found, self._used.layer, figures) and is_seen):
             return None
         self._residual.was_tried(found, self._used.layer, figures, before.rms)
-        return self._try(Step.LAYER, replace(self._used, layer=found.layer), before, found.text)
+        x = self._used.x if found.x is None else replace(self._belief, x=found.x).shown(self._used.x)
+        return self._try(Step.LAYER, replace(self._used, x=x, layer=found.layer), before, found.text)
 
     def _known_gain(self) -> float:
         """Return the share of the friction that may be commanded: the less is known of the torque, the less.
@@ -478,4 +480,9 @@ class Learner:
 
     def _window(self, rows: Mapping[str, Array], layer: Layer | None = None) -> Window:
         """Return the motion of rows, and their torque without that of a layer."""
-        return window_of(rows, self._period_s, None if layer is None else layer.torque(rows["position"]))
+        window = window_of(rows, self._period_s)
+        if layer is None:
+            return window
+        model, velocity = self._belief.model, velocity_of(window, self._resolution)
+        friction = [each.simulate(velocity, self._period_s, **window.inputs()) for each in (layer.on(model), model)]
+        return replace(window, torque=window.torque - (friction[0] - friction[1]))

@@ -1,12 +1,15 @@
-"""The residual layer: a bounded torque over position for what the family of an axis's model cannot express.
+"""The residual layer: a bounded torque for what the family of an axis's model cannot express.
 
-It is learned from what the refined model leaves of the measured torque, as harmonics of the position (cogging, gear
-mesh, pitch of a screw) that become the ripple of the model. A harmonic of the position is the derivative of a
-potential: whatever its amplitude, it gives no energy over a closed path, and it has no state that could drift at rest.
+It is learned from what the refined model leaves of the measured torque: harmonics of the position (cogging, gear mesh,
+pitch of a screw), a curve over the distance since the last reversal and one over the speed for each direction, and the
+dependence on the load. All are linear in their amplitudes (`friction_hil.learning.layer`) and become modifiers of the
+model, driven by the intended motion; at rest nothing of it changes.
 
 Orders are looked for in one window of the record (`friction_hil.identification.ripple`); amplitudes are those of all
-windows, the older the less. A layer is proposed only if amplitudes that were found without a part of the record explain
-that part, by more than its stretches scatter.
+windows, the older the less. The simplest explanation is preferred: a group of features is added only if amplitudes
+that were found without a part of the record explain that part, by more than its stretches scatter. Distance, speed and
+load share much with the parameters of the model, which are therefore estimated beside their amplitudes, and handed
+over with them.
 """
 
 import itertools
@@ -15,19 +18,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import linalg
 
-from friction_hil import friction
+from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
 from friction_hil.friction.modifiers import MAX_HARMONICS
 from friction_hil.identification.ripple import RippleSearch
-from friction_hil.learning.estimate import LeftOver
+from friction_hil.learning.estimate import MECHANICS, LeftOver
 from friction_hil.learning.figures import LayerFigures
+from friction_hil.learning.layer import LOAD, REVERSAL, RIPPLE, SPEED, Feature, Layer, columns, pairs
 from friction_hil.numerics.jit import Array
 
-SHARE = 0.2  # of the friction level: amplitudes of a layer together are at most so much
+DEBUG = 0
+SHARE = 0.2  # of the friction level: the torque of a layer is at most so much
 _MOST = 4  # harmonics
 _REMEMBERED_S = 60.0  # time constant of forgetting
 _EXPECTED = 0.1  # of the friction level: standard deviation of an amplitude before anything was learned
+_HELD = 0.3  # of the information of the rows about a coordinate: by so much it is held where it is
+_SAME_ROWS = 20.0  # rows that show no more than one, because what a model leaves is correlated
+_SMOOTH = 0.05  # of the friction level: the same of the change from one place of a curve to the next
+_DIFFERENT = 0.015  # and of that of half the difference between both directions
 _EXPLAINED = 0.1  # of the mean square of what the model leaves: a layer that explains less is not worth a trial
 _WORTH = 0.004  # of the friction level: root mean square torque, or change of it, that is worth a trial
 _EVIDENT = 3.0  # standard errors by which the explained part exceeds chance
@@ -36,70 +46,11 @@ _PARTS = 2  # of a window, each explained by what the others and the past show
 _SPENT = 2  # windows in which a layer explained nothing, one after the other: it is switched off
 _FIRST_PAUSE, _LONGEST_PAUSE = 2, 40  # windows without a trial, after one that was no gain
 _SEARCHED_ROWS = 2000  # of a window; the search takes most of the time
+_VARIED = 0.05  # of the friction level: scatter of the load torque from which on its effect is looked for
+_DISTANCES = tuple(2.0**k for k in range(-3, 6))  # in distances over which the torque builds up after a reversal
+_SPEEDS = tuple(2.0**k for k in range(-6, 1))  # in top speeds
+_OF_TRAVEL = 1e-3  # such a distance where the model has none
 _MOVING = 0.01  # of the top speed: slower rows are at rest, where friction is whatever holds the axis
-
-
-@dataclass(frozen=True, slots=True)
-class Layer:
-    """Torque that is added to that of a friction model.
-
-    Attributes
-    ----------
-    orders : tuple of float
-        Periods per revolution, on a linear axis per metre.
-    amplitudes : tuple of (float, float)
-        Factors of cosine and sine, N m or N.
-    is_linear : bool
-        True on a linear axis.
-    """
-
-    orders: tuple[float, ...]
-    amplitudes: tuple[tuple[float, float], ...]
-    is_linear: bool = False
-
-    @property
-    def most(self) -> float:
-        """Largest torque that it can give, N m or N."""
-        return math.fsum(math.hypot(*each) for each in self.amplitudes)
-
-    def on(self, model: FrictionModel) -> FrictionModel:
-        """Return a model with this torque beside its own."""
-        harmonics = [dict(each) for each in model.modifiers.get("ripple", ())]
-        for order, (cosine, sine) in zip(self.orders, self.amplitudes, strict=True):
-            same = [each for each in harmonics if each["order"] == order]
-            if same:
-                same[0]["cosine"] += cosine
-                same[0]["sine"] += sine
-            else:
-                harmonics.append({"order": order, "cosine": cosine, "sine": sine})
-        modifiers = {**model.modifiers, "ripple": harmonics}
-        return friction.create(model.name, modifiers=modifiers, axis=model.axis, **model.given)
-
-    def torque(self, position: Array) -> Array:
-        """Return the torque (n,) at positions (n,), N m or N."""
-        return np.asarray(_waves(position, self.orders, self.is_linear) @ np.ravel(self.amplitudes))
-
-    def limited(self, most: float) -> "Layer":
-        """Return the layer with amplitudes of at most ``most`` together."""
-        factor = min(1.0, most / self.most) if self.most > 0.0 else 1.0
-        return replace(self, amplitudes=tuple((factor * cosine, factor * sine) for cosine, sine in self.amplitudes))
-
-    def __str__(self) -> str:
-        return "ripple of order " + ", ".join(f"{each:g}" for each in self.orders)
-
-
-def between(layer: Layer | None, other: Layer | None, part: float) -> Layer | None:
-    """Return what lies a part of the way from a layer to another one; None is a layer without torque."""
-    if layer == other:
-        return other
-    found: dict[float, Array] = {}
-    for each, factor in ((layer, 1.0 - part), (other, part)):
-        if each is not None:
-            for order, pair in zip(each.orders, each.amplitudes, strict=True):
-                found[order] = found.get(order, 0.0) + factor * np.array(pair)
-    is_linear = any(each is not None and each.is_linear for each in (layer, other))
-    pairs = tuple((float(pair[0]), float(pair[1])) for pair in found.values())
-    return Layer(tuple(found), pairs, is_linear)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,17 +67,47 @@ class Finding:
         Root mean square by which its torque differs from that of the layer in use, N m or N.
     is_spent : bool
         The layer in use has explained nothing in the last windows.
+    x : (m + 3,) array or None
+        Coordinates of the belief that belong to the layer; None: those of the belief.
     """
 
     layer: Layer | None
     explained: float = 0.0
     change: float = 0.0
     is_spent: bool = False
+    x: Array | None = None
 
     @property
     def text(self) -> str:
         """What is proposed."""
         return f"a residual layer: {self.layer}, which explains {100.0 * self.explained:.0f} % of what the model leaves"
+
+
+@dataclass(frozen=True, slots=True)
+class _Memory:
+    """Normal equations of all rows so far, weighted and forgotten: ``information`` (m, m) and ``shown`` (m,)."""
+
+    information: Array
+    shown: Array
+
+    def older(self, seconds: float) -> "_Memory":
+        kept = math.exp(-seconds / _REMEMBERED_S)
+        return _Memory(kept * self.information, kept * self.shown)
+
+    def with_rows(self, columns: Array, target: Array) -> "_Memory":
+        """Return the memory with weighted rows (n, m), (n,)."""
+        return _Memory(self.information + columns.T @ columns, self.shown + columns.T @ target)
+
+    def at(self, index: Array) -> "_Memory":
+        return _Memory(self.information[np.ix_(index, index)], self.shown[index])
+
+    def solved(self, mean: Array, prior: Array) -> Array:
+        """Return the values (m,) that are most probable with those, and their information (m, m), expected before."""
+        return np.asarray(np.linalg.solve(self.information + prior, self.shown + prior @ mean))
+
+
+def _empty(count: int) -> _Memory:
+    return _Memory(np.zeros((count, count)), np.zeros(count))
 
 
 @dataclass(slots=True)
@@ -140,18 +121,16 @@ class Residual:
     """
 
     model: FrictionModel
-    _orders: tuple[float, ...] = ()
-    _information: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    _shown: Array = field(default_factory=lambda: np.zeros(0))
+    _waves: tuple[Feature, ...] = ()
+    _memory: _Memory = field(default_factory=lambda: _empty(0))  # of the amplitudes of waves alone
+    _grid: tuple[Feature, ...] = ()  # of the other groups
+    _ranges: tuple[float, ...] = ()  # that the grid covers
+    _joint: _Memory = field(default_factory=lambda: _empty(0))  # of waves, grid and coordinates of the belief
     _spent: int = 0  # windows in which the layer in use explained nothing
     _pause: int = _FIRST_PAUSE
     _rest: int = 0  # windows until the next trial
     _patience: int = 1
     _blind: int = 0  # windows until orders are looked for again
-
-    @property
-    def _is_linear(self) -> bool:
-        return self.model.axis == "linear"
 
     def look(self, left: LeftOver, used: Layer | None) -> Finding:
         """Learn from what the model without a layer leaves of a window.
@@ -162,36 +141,49 @@ class Residual:
         used : Layer or None
             In use during the window.
         """
-        if used is not None:
-            gained = np.sum(left.torque**2 - (left.torque - used.torque(left.position)) ** 2)
-            self._spent = self._spent + 1 if gained <= 0.0 else 0
-            if self._spent >= _SPENT:
-                return Finding(None, is_spent=True)
+        friction = left.friction(left.belief.model)
+        added = 0.0 if used is None else left.friction(used.on(left.belief.model)) - friction
         speed = np.abs(left.velocity)
         is_moving = speed > _MOVING * float(np.max(speed, initial=0.0))
         if np.count_nonzero(is_moving) < _STRETCHES * _PARTS or not np.isfinite(left.torque).all():
             return Finding(None)
         weights = is_moving / np.hypot(_typical(left.torque[is_moving]), left.doubt)
-        if not self._orders:
+        if used is not None:
+            gained = np.sum(weights**2 * (left.torque**2 - (left.torque - added) ** 2))
+            self._spent = self._spent + 1 if gained <= 0.0 else 0
+            if self._spent >= _SPENT:
+                return Finding(None, is_spent=True)
+        if not self._waves:
             if self._blind:
                 self._blind -= 1
-                return Finding(None)
-            self._begin(self._search(left, weights))
-        if not self._orders:
-            return Finding(None)
-        columns = _waves(left.position, self._orders, self._is_linear)
-        explained, is_evident = self._explained(columns, left.torque, weights)
-        self._remember(columns, left.torque, weights, left.seconds)
-        if not is_evident:
-            if used is None:
-                self._begin(())  # another search at the next window
+            else:
+                self._begin(self._search(left, weights))
+        self._spread(left, is_moving)
+        rows = _rows(left, weights, (*self._waves, *self._grid))
+        waves, after = np.arange(len(self._waves)), rows.target
+        if self._waves:
+            own = rows.columns[:, waves]
+            predicted = self._predicted(waves, own, rows.target, self._memory, self._expected(waves))
+            self._memory = self._memory.older(left.seconds).with_rows(own, rows.target)
+            if _is_evident(rows.target, rows.target - predicted):
+                after = rows.target - predicted
+            else:
+                waves = waves[:0]
+        index, after = self._groups(rows, waves, after, used)
+        self._joint = self._joint.older(left.seconds).with_rows(rows.columns, rows.whole)
+        explained = 1.0 - float(np.sum(after**2)) / max(float(np.sum(rows.target**2)), 1e-300)
+        layer, x = None, None
+        if index.size and _is_evident(rows.target, after):
+            known = self._joint.at(index)
+            solved = known.solved(*self._expected(index, rows, known))
+            layer, x = self._layer(index, solved), solved[-rows.x.size :]
+        elif waves.size:
+            layer = self._layer(waves, self._memory.solved(*self._expected(waves)))
+        if self._waves and not waves.size and used is None:
+            self._begin(())  # another search at the next window
+        if layer is None:
             return Finding(None, explained)
-        found = self._layer(self._solve(self._information, self._shown))
-        torque = found.torque(left.position)
-        if used is not None:
-            torque = torque - used.torque(left.position)
-        change = float(np.sqrt(np.mean(torque**2)))
-        return Finding(found if change > _WORTH * self.model.level else used, explained, change)
+        return self._finding(left, rows, friction, added, used, Finding(layer, explained, x=x))
 
     def is_worth(self, found: Finding, used: Layer | None, figures: LayerFigures) -> bool:
         """Return True if a finding is worth a trial now."""
@@ -232,62 +224,231 @@ class Residual:
         """Begin anew: the layer in use was switched off."""
         figures.state = "no longer a gain"
         self._begin(())
-        self._spent = 0
+        self._grid, self._ranges, self._spent = (), (), 0
 
     def _begin(self, orders: Sequence[float]) -> None:
-        self._orders = tuple(orders)
-        self._information = np.zeros((2 * len(orders), 2 * len(orders)))
-        self._shown = np.zeros(2 * len(orders))
+        """Go on with other orders of ripple."""
+        old = len(self._waves)
+        self._waves = pairs(RIPPLE, orders)
+        self._memory = _empty(len(self._waves))
+        joint = _empty(len(self._waves) + self._joint.shown.size - old)
+        rest = slice(len(self._waves), None)
+        joint.information[rest, rest] = self._joint.information[old:, old:]
+        joint.shown[rest] = self._joint.shown[old:]
+        self._joint = joint
+
+    def _spread(self, left: LeftOver, is_moving: Array) -> None:
+        """Choose the places of the other groups, anew where the motion leaves their ranges."""
+        load = np.abs(np.nan_to_num(left.window.load_torque[left.rows][is_moving]))
+        is_loaded = float(np.std(load)) > _VARIED * self.model.level
+        seen = (_power_of_two(np.max(np.abs(left.velocity))), _power_of_two(np.max(load)) if is_loaded else 0.0)
+        size = len(self._waves) + len(self._grid) + left.belief.x.size
+        if self._joint.shown.size == size and all(one <= known for one, known in zip(seen, self._ranges[:2], strict=True)):
+            return
+        top, most = (max(each) for each in zip(seen, self._ranges[:2] or (0.0, 0.0), strict=True))
+        # a static map has no distance of its own
+        distance = self._ranges[2] if self._ranges else _presliding(self.model) or np.ptp(left.position) * _OF_TRAVEL
+        self._ranges = (top, most, distance)
+        places = {
+            REVERSAL: [distance * each for each in _DISTANCES],
+            SPEED: [top * each for each in _SPEEDS],
+            LOAD: [most] if most > 0.0 else [],
+        }
+        own = self.model.modifiers
+        self._grid = tuple(each for group, at in places.items() if group not in own for each in pairs(group, at))
+        self._joint = _empty(len(self._waves) + len(self._grid) + left.belief.x.size)
 
     def _search(self, left: LeftOver, weights: Array) -> list[float]:
         """Return the orders that stand out."""
-        present = self.model.modifiers.get("ripple", ())
+        present = self.model.modifiers.get(RIPPLE, ())
         most = min(_MOST, MAX_HARMONICS - len(present))
         if most <= 0:
             return []
         thinned = (_thinned(each) for each in (left.position, left.torque, left.slopes, weights))
         position, torque, slopes, weights = thinned
         parts = [slice(0, torque.size)]
-        orders = RippleSearch(position, torque, slopes, weights, parts, is_linear=self._is_linear).orders(most)
+        is_linear = self.model.axis == "linear"
+        orders = RippleSearch(position, torque, slopes, weights, parts, is_linear=is_linear).orders(most)
         if not orders:
             self._blind, self._patience = self._patience, min(2 * self._patience, _LONGEST_PAUSE)
         return orders
 
-    def _solve(self, information: Array, shown: Array) -> Array:
-        """Return the amplitudes that are most probable."""
-        prior = 1.0 / (_EXPECTED * self.model.level) ** 2
-        return np.asarray(np.linalg.solve(information + prior * np.eye(len(shown)), shown))
+    def _groups(self, rows: "_Rows", waves: Array, after: Array, used: Layer | None) -> tuple[Array, Array]:
+        """Return the columns of waves and groups that explain more than waves alone, and what they leave.
 
-    def _remember(self, columns: Array, torque: Array, weights: Array, seconds: float) -> None:
-        kept = math.exp(-seconds / _REMEMBERED_S)
-        weighted = weights[:, None] * columns
-        self._information = kept * self._information + weighted.T @ weighted
-        self._shown = kept * self._shown + weighted.T @ (weights * torque)
+        Parameters
+        ----------
+        rows : _Rows
+        waves : (w,) array
+            Columns of waves that are evident.
+        after : (k,) array
+            What these leave of the target.
+        used : Layer or None
+        """
+        features = (*self._waves, *self._grid)
+        coordinates = np.arange(len(features), rows.columns.shape[1])
+        own = {
+            group: [i for i, each in enumerate(features) if each.group == group] for group in (REVERSAL, SPEED, LOAD)
+        }
+        left = [group for group, index in own.items() if index]
+        chosen: list[str] = [group for group in left if used is not None and group in used.groups]
 
-    def _explained(self, columns: Array, torque: Array, weights: Array) -> tuple[float, bool]:
-        """Return the share of parts of the window that the rest explains, and if that is more than chance."""
-        predicted = np.empty_like(torque)
-        bounds = np.linspace(0, torque.size, _PARTS + 1).astype(int)
-        for begin, end in itertools.pairwise(bounds):
-            is_other = np.ones(torque.size, dtype=bool)
-            is_other[begin:end] = False
-            weighted = weights[is_other, None] * columns[is_other]
-            found = self._solve(
-                self._information + weighted.T @ weighted,
-                self._shown + weighted.T @ (weights * torque)[is_other],
+        def tried(groups: list[str]) -> tuple[Array, Array]:
+            index = np.concatenate([waves, *(own[each] for each in groups), coordinates]).astype(int)
+            known = self._joint.at(index)
+            predicted = self._predicted(
+                index, rows.columns[:, index], rows.whole, known, self._expected(index, rows, known)
             )
-            layer = self._layer(found)
-            predicted[begin:end] = columns[begin:end] @ np.ravel(layer.amplitudes)
-        before, after = (weights * torque) ** 2, (weights * (torque - predicted)) ** 2
-        starts = np.linspace(0, torque.size, _STRETCHES, endpoint=False).astype(int)
-        gains = np.add.reduceat(before - after, starts)
-        error = float(np.std(gains, ddof=1)) / math.sqrt(gains.size)
-        share = float(np.sum(gains)) / max(float(np.sum(before)), 1e-300)
-        return share, share > _EXPLAINED and float(np.mean(gains)) > _EVIDENT * error
+            return index, rows.whole - predicted
 
-    def _layer(self, amplitudes: Array) -> Layer:
-        pairs = tuple((float(cosine), float(sine)) for cosine, sine in amplitudes.reshape(-1, 2))
-        return Layer(self._orders, pairs, self._is_linear).limited(SHARE * self.model.level)
+        index, now = tried(chosen)
+        if not np.sum(now**2) < np.sum(after**2):
+            now = after  # what the belief says is better than that
+        while left := [group for group in left if group not in chosen]:
+            found = {group: tried([*chosen, group]) for group in left}
+            best = min(left, key=lambda group: float(np.sum(found[group][1] ** 2)))
+            if not _is_evident(now, found[best][1]):
+                break
+            chosen.append(best)
+            index, now = found[best]
+        return (index, now) if chosen else (index[:0], after)
+
+    def _expected(
+        self, index: Array, rows: "_Rows | None" = None, known: _Memory | None = None
+    ) -> tuple[Array, Array]:
+        """Return mean and information of amplitudes and coordinates before anything was learned of them.
+
+        Coordinates are held where they are, by what was known of them first and a part of what ``known`` shows.
+        """
+        count = len(self._waves) + len(self._grid)
+        own = index[index < count]
+        information = _information([(*self._waves, *self._grid)[i] for i in own]) / self.model.level**2
+        mean = np.zeros(own.size)
+        if rows is not None and known is not None:
+            held = _SAME_ROWS * rows.first**-2.0 + _HELD * np.diag(known.information)[own.size :]
+            information = linalg.block_diag(information, np.diag(held))
+            mean = np.concatenate([mean, rows.x])
+        return mean, information
+
+    def _predicted(
+        self, index: Array, columns: Array, target: Array, memory: _Memory, expected: tuple[Array, Array]
+    ) -> Array:
+        """Return the target of each part of the rows as the other parts and the past predict it."""
+        predicted = np.empty_like(target)
+        bounds = np.linspace(0, target.size, _PARTS + 1).astype(int)
+        for begin, end in itertools.pairwise(bounds):
+            is_other = np.ones(target.size, dtype=bool)
+            is_other[begin:end] = False
+            solved = memory.with_rows(columns[is_other], target[is_other]).solved(*expected)
+            amplitudes = self._layer(index, solved).amplitudes
+            solved[: len(amplitudes)] = amplitudes
+            predicted[begin:end] = columns[begin:end] @ solved
+        return predicted
+
+    def _layer(self, index: Array, solved: Array) -> Layer:
+        """Return the layer of amplitudes, within its bound; values of coordinates follow them."""
+        features = (*self._waves, *self._grid)
+        own = [features[i] for i in index if i < len(features)]
+        # the friction of a model rises with its load
+        amplitudes = [float(max(a, 0.0) if each.group == LOAD else a) for each, a in zip(own, solved, strict=False)]
+        return Layer(tuple(own), tuple(amplitudes)).limited(SHARE * self.model.level)
+
+    def _finding(
+        self, left: LeftOver, rows: "_Rows", friction: Array, added: Array, used: Layer | None, found: Finding
+    ) -> Finding:
+        """Return what is found if it is what it seems, and the layer in use where it hardly differs."""
+        assert found.layer is not None
+        base, own = left.belief.model, friction
+        if found.x is not None:
+            try:
+                base = left.belief.coordinates.model_at(found.x[:-MECHANICS])
+                own = left.friction(base)
+            except UsageError:
+                return Finding(None, found.explained)
+        torque = left.friction(found.layer.on(base))
+        if found.x is not None:
+            moved = left.slopes[:, -MECHANICS:] @ (found.x - left.belief.x)[-MECHANICS:]
+            after = rows.weights * (left.torque - (torque - friction) + moved)
+            if DEBUG: print("   x",np.round(found.x-left.belief.x,3), np.sum(rows.target**2), np.sum(after**2), [(f.group,round(a/self.model.level,3)) for f,a in zip(found.layer.features,found.layer.amplitudes)])
+            if not np.sum(after**2) < (1.0 - _EXPLAINED) * np.sum(rows.target**2):  # coordinates act in straight lines only nearby
+                return Finding(None, found.explained)
+        change = float(np.sqrt(np.mean((torque - own - added) ** 2)))
+        return replace(found, layer=found.layer if change > _WORTH * self.model.level else used, change=change)
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Weighted rows of a window.
+
+    Attributes
+    ----------
+    weights : (k,) array
+    columns : (k, n + m) array
+        Of the torque of ``n`` features with an amplitude of one, and of what is explained by the coordinates.
+    target, whole : (k,) array
+        What the belief leaves of the torque, and what coordinates of zero would leave.
+    x, first : (m,) array
+        Coordinates, and their standard deviations before anything was learned.
+    """
+
+    weights: Array
+    columns: Array
+    target: Array
+    whole: Array
+    x: Array
+    first: Array
+
+
+def _rows(left: LeftOver, weights: Array, features: Sequence[Feature]) -> _Rows:
+    found = columns(left.belief.model, features, left.gradient)
+    whole = left.torque - left.slopes @ left.belief.x
+    return _Rows(
+        weights,
+        weights[:, None] * np.column_stack([found, -left.slopes]),
+        weights * left.torque,
+        weights * whole,
+        left.belief.x,
+        left.belief.first,
+    )
+
+
+def _is_evident(before: Array, after: Array) -> bool:
+    """Return True if weighted residuals became smaller, by more than their stretches scatter."""
+    starts = np.linspace(0, before.size, _STRETCHES, endpoint=False).astype(int)
+    gains = np.add.reduceat(before**2 - after**2, starts)
+    error = float(np.std(gains, ddof=1)) / math.sqrt(gains.size)
+    share = float(np.sum(gains)) / max(float(np.sum(before**2)), 1e-300)
+    if DEBUG: print("      evident? share %.3f, %.2f s.e."%(share, np.mean(gains)/error))
+    return share > _EXPLAINED and float(np.mean(gains)) > _EVIDENT * error
+
+
+def _information(features: Sequence[Feature]) -> Array:
+    """Return the information (m, m) with which amplitudes of features are expected, in friction levels.
+
+    Curves are smooth, both directions are alike: their mean and half their difference are random walks along the places
+    of a curve.
+    """
+    found = np.eye(len(features)) * _EXPECTED**-2.0
+    for group in (REVERSAL, SPEED, LOAD):
+        own = [i for i, each in enumerate(features) if each.group == group]
+        count = len(own) // 2
+        steps = np.eye(count) - np.eye(count, k=-1)
+        walk = np.kron(steps.T @ steps, np.eye(2))
+        both = np.kron(np.eye(count), np.array([[0.5, 0.5], [0.5, -0.5]]))
+        scales = _SAME_ROWS * np.tile([_SMOOTH**-2.0, _DIFFERENT**-2.0], count)
+        found[np.ix_(own, own)] = both.T @ (walk * np.sqrt(np.outer(scales, scales))) @ both
+    return found
+
+
+def _power_of_two(value: float) -> float:
+    """Return the next power of two, so that ranges that hardly differ have the same."""
+    return float(2.0 ** math.ceil(math.log2(value))) if value > 0.0 else 0.0
+
+
+def _presliding(model: FrictionModel) -> float:
+    """Return the distance over which the torque builds up after a reversal, rad or m; 0 for a static map."""
+    stiffness = model.presliding_stiffness
+    return model.level / stiffness if stiffness > 0.0 else 0.0
 
 
 def _thinned(values: Array) -> Array:
@@ -300,9 +461,3 @@ def _thinned(values: Array) -> Array:
 def _typical(torque: Array) -> float:
     """Return the median size of a residual, N m or N, above zero."""
     return max(float(np.median(np.abs(torque))), 1e-12)
-
-
-def _waves(position: Array, orders: Sequence[float], is_linear: bool) -> Array:
-    """Return cosine and sine of each order (n, 2 m)."""
-    angles = np.outer(position, np.array(orders) * (math.tau if is_linear else 1.0))
-    return np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(position.size, -1)
