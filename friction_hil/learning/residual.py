@@ -126,6 +126,7 @@ class Residual:
     _grid: tuple[Feature, ...] = ()  # of the other groups
     _ranges: tuple[float, ...] = ()  # that the grid covers
     _joint: _Memory = field(default_factory=lambda: _empty(0))  # of waves, grid and coordinates of the belief
+    _grouped: tuple[str, ...] = ()  # that the last window has shown
     _spent: int = 0  # windows in which the layer in use explained nothing
     _pause: int = _FIRST_PAUSE
     _rest: int = 0  # windows until the next trial
@@ -172,18 +173,23 @@ class Residual:
         index, after = self._groups(rows, waves, after, used)
         self._joint = self._joint.older(left.seconds).with_rows(rows.columns, rows.whole)
         explained = 1.0 - float(np.sum(after**2)) / max(float(np.sum(rows.target**2)), 1e-300)
-        layer, x = None, None
+        found, before = Finding(None, explained), self._grouped
+        self._grouped = ()
         if index.size and _is_evident(rows.target, after):
             known = self._joint.at(index)
             solved = known.solved(*self._expected(index, rows, known))
-            layer, x = self._layer(index, solved), solved[-rows.x.size :]
-        elif waves.size:
-            layer = self._layer(waves, self._memory.solved(*self._expected(waves)))
+            wanted = Finding(self._layer(index, solved), explained, x=solved[-rows.x.size :])
+            found = self._checked(left, rows, friction, added, used, wanted)
+            if found.layer is not None:
+                self._grouped = found.layer.groups
+                if not set(self._grouped) <= {RIPPLE, *before, *(() if used is None else used.groups)}:
+                    found = Finding(None, explained)  # to be found in two windows, one after the other
+        if found.layer is None and waves.size:
+            wanted = Finding(self._layer(waves, self._memory.solved(*self._expected(waves))), explained)
+            found = self._checked(left, rows, friction, added, used, wanted)
         if self._waves and not waves.size and used is None:
             self._begin(())  # another search at the next window
-        if layer is None:
-            return Finding(None, explained)
-        return self._finding(left, rows, friction, added, used, Finding(layer, explained, x=x))
+        return found
 
     def is_worth(self, found: Finding, used: Layer | None, figures: LayerFigures) -> bool:
         """Return True if a finding is worth a trial now."""
@@ -216,7 +222,7 @@ class Residual:
 
     def changed_motion(self, used: Layer | None, figures: LayerFigures) -> None:
         """Take note of another motion and of what is proven for it; what was learned goes on."""
-        self._spent = 0
+        self._spent, self._grouped = 0, ()
         if figures.tried:
             figures.state = "on" if used is not None else "not proven for this motion"
 
@@ -353,7 +359,7 @@ class Residual:
         amplitudes = [float(max(a, 0.0) if each.group == LOAD else a) for each, a in zip(own, solved, strict=False)]
         return Layer(tuple(own), tuple(amplitudes)).limited(SHARE * self.model.level)
 
-    def _finding(
+    def _checked(
         self, left: LeftOver, rows: "_Rows", friction: Array, added: Array, used: Layer | None, found: Finding
     ) -> Finding:
         """Return what is found if it is what it seems, and the layer in use where it hardly differs."""
