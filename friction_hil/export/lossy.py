@@ -251,7 +251,7 @@ def not_steady(model_file: ModelFile, carried: Collection[str] = ()) -> list[str
     if "reversal" in model.modifiers:
         curve = model.modifiers["reversal"]
         most = max(map(abs, [*curve["positive"], *curve["negative"]]))
-        lost.append(f"Torque over the distance since a reversal: up to {most:.3g} {torque} on the first parts of a way.")
+        lost.append(f"Torque over the distance since a reversal: up to {most:.3g} {torque} soon after it.")
     if model_file.mechanics.backlash > 0.0:
         lost.append(f"Backlash: {model_file.mechanics.backlash:.3g} {angle}.")
     return lost

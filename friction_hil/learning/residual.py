@@ -13,7 +13,6 @@ over with them.
 """
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -25,23 +24,28 @@ from friction_hil.friction import FrictionModel
 from friction_hil.friction.modifiers import MAX_HARMONICS
 from friction_hil.identification.ripple import RippleSearch
 from friction_hil.learning.estimate import MECHANICS, LeftOver
+from friction_hil.learning.evidence import (
+    EXPLAINED,
+    SAME_ROWS,
+    STRETCHES,
+    Memory,
+    Rows,
+    empty,
+    expected,
+    is_evident,
+    power_of_two,
+    presliding,
+    rows_of,
+)
 from friction_hil.learning.figures import LayerFigures
-from friction_hil.learning.layer import LOAD, REVERSAL, RIPPLE, SPEED, Feature, Layer, columns, pairs
+from friction_hil.learning.layer import LOAD, REVERSAL, RIPPLE, SPEED, Feature, Layer, pairs
 from friction_hil.numerics.jit import Array
 
-DEBUG = 0
 SHARE = 0.2  # of the friction level: the torque of a layer is at most so much
 _MOST = 4  # harmonics
-_REMEMBERED_S = 60.0  # time constant of forgetting
-_EXPECTED = 0.1  # of the friction level: standard deviation of an amplitude before anything was learned
-_HELD = 0.3  # of the information of the rows about a coordinate: by so much it is held where it is
-_SAME_ROWS = 20.0  # rows that show no more than one, because what a model leaves is correlated
-_SMOOTH = 0.05  # of the friction level: the same of the change from one place of a curve to the next
-_DIFFERENT = 0.015  # and of that of half the difference between both directions
-_EXPLAINED = 0.1  # of the mean square of what the model leaves: a layer that explains less is not worth a trial
+_HELD = 1.0  # of what rows show of a coordinate: by so much it is held where it is
+_CLEAR = 0.4  # of the mean square of what the model leaves: groups beside ripple that explain less are not tried
 _WORTH = 0.004  # of the friction level: root mean square torque, or change of it, that is worth a trial
-_EVIDENT = 3.0  # standard errors by which the explained part exceeds chance
-_STRETCHES = 12  # of a window, that count as repeated records
 _PARTS = 2  # of a window, each explained by what the others and the past show
 _SPENT = 2  # windows in which a layer explained nothing, one after the other: it is switched off
 _FIRST_PAUSE, _LONGEST_PAUSE = 2, 40  # windows without a trial, after one that was no gain
@@ -83,33 +87,6 @@ class Finding:
         return f"a residual layer: {self.layer}, which explains {100.0 * self.explained:.0f} % of what the model leaves"
 
 
-@dataclass(frozen=True, slots=True)
-class _Memory:
-    """Normal equations of all rows so far, weighted and forgotten: ``information`` (m, m) and ``shown`` (m,)."""
-
-    information: Array
-    shown: Array
-
-    def older(self, seconds: float) -> "_Memory":
-        kept = math.exp(-seconds / _REMEMBERED_S)
-        return _Memory(kept * self.information, kept * self.shown)
-
-    def with_rows(self, columns: Array, target: Array) -> "_Memory":
-        """Return the memory with weighted rows (n, m), (n,)."""
-        return _Memory(self.information + columns.T @ columns, self.shown + columns.T @ target)
-
-    def at(self, index: Array) -> "_Memory":
-        return _Memory(self.information[np.ix_(index, index)], self.shown[index])
-
-    def solved(self, mean: Array, prior: Array) -> Array:
-        """Return the values (m,) that are most probable with those, and their information (m, m), expected before."""
-        return np.asarray(np.linalg.solve(self.information + prior, self.shown + prior @ mean))
-
-
-def _empty(count: int) -> _Memory:
-    return _Memory(np.zeros((count, count)), np.zeros(count))
-
-
 @dataclass(slots=True)
 class Residual:
     """Learning of the residual layer of one axis.
@@ -122,10 +99,10 @@ class Residual:
 
     model: FrictionModel
     _waves: tuple[Feature, ...] = ()
-    _memory: _Memory = field(default_factory=lambda: _empty(0))  # of the amplitudes of waves alone
+    _memory: Memory = field(default_factory=lambda: empty(0))  # of the amplitudes of waves alone
     _grid: tuple[Feature, ...] = ()  # of the other groups
-    _ranges: tuple[float, ...] = ()  # that the grid covers
-    _joint: _Memory = field(default_factory=lambda: _empty(0))  # of waves, grid and coordinates of the belief
+    _ranges: tuple[float, float, float] | None = None  # speed, load and distance that the grid is for
+    _joint: Memory = field(default_factory=lambda: empty(0))  # of waves, grid and coordinates of the belief
     _grouped: tuple[str, ...] = ()  # that the last window has shown
     _spent: int = 0  # windows in which the layer in use explained nothing
     _pause: int = _FIRST_PAUSE
@@ -143,10 +120,10 @@ class Residual:
             In use during the window.
         """
         friction = left.friction(left.belief.model)
-        added = 0.0 if used is None else left.friction(used.on(left.belief.model)) - friction
+        added = np.zeros_like(friction) if used is None else left.friction(used.on(left.belief.model)) - friction
         speed = np.abs(left.velocity)
         is_moving = speed > _MOVING * float(np.max(speed, initial=0.0))
-        if np.count_nonzero(is_moving) < _STRETCHES * _PARTS or not np.isfinite(left.torque).all():
+        if np.count_nonzero(is_moving) < STRETCHES * _PARTS or not np.isfinite(left.torque).all():
             return Finding(None)
         weights = is_moving / np.hypot(_typical(left.torque[is_moving]), left.doubt)
         if used is not None:
@@ -159,23 +136,23 @@ class Residual:
                 self._blind -= 1
             else:
                 self._begin(self._search(left, weights))
-        self._spread(left, is_moving)
-        rows = _rows(left, weights, (*self._waves, *self._grid))
-        waves, after = np.arange(len(self._waves)), rows.target
+        self._spread(left, weights)
+        rows = rows_of(left, weights, (*self._waves, *self._grid))
+        waves, after = list(range(len(self._waves))), rows.target
         if self._waves:
             own = rows.columns[:, waves]
             predicted = self._predicted(waves, own, rows.target, self._memory, self._expected(waves))
             self._memory = self._memory.older(left.seconds).with_rows(own, rows.target)
-            if _is_evident(rows.target, rows.target - predicted):
+            if is_evident(rows.target, rows.target - predicted):
                 after = rows.target - predicted
             else:
-                waves = waves[:0]
+                waves = []
         index, after = self._groups(rows, waves, after, used)
         self._joint = self._joint.older(left.seconds).with_rows(rows.columns, rows.whole)
         explained = 1.0 - float(np.sum(after**2)) / max(float(np.sum(rows.target**2)), 1e-300)
         found, before = Finding(None, explained), self._grouped
         self._grouped = ()
-        if index.size and _is_evident(rows.target, after):
+        if index and explained > _CLEAR and is_evident(rows.target, after):
             known = self._joint.at(index)
             solved = known.solved(*self._expected(index, rows, known))
             wanted = Finding(self._layer(index, solved), explained, x=solved[-rows.x.size :])
@@ -184,10 +161,10 @@ class Residual:
                 self._grouped = found.layer.groups
                 if not set(self._grouped) <= {RIPPLE, *before, *(() if used is None else used.groups)}:
                     found = Finding(None, explained)  # to be found in two windows, one after the other
-        if found.layer is None and waves.size:
+        if found.layer is None and waves:
             wanted = Finding(self._layer(waves, self._memory.solved(*self._expected(waves))), explained)
             found = self._checked(left, rows, friction, added, used, wanted)
-        if self._waves and not waves.size and used is None:
+        if self._waves and not waves and used is None:
             self._begin(())  # another search at the next window
         return found
 
@@ -230,30 +207,31 @@ class Residual:
         """Begin anew: the layer in use was switched off."""
         figures.state = "no longer a gain"
         self._begin(())
-        self._grid, self._ranges, self._spent = (), (), 0
+        self._grid, self._ranges, self._spent = (), None, 0
 
     def _begin(self, orders: Sequence[float]) -> None:
         """Go on with other orders of ripple."""
         old = len(self._waves)
         self._waves = pairs(RIPPLE, orders)
-        self._memory = _empty(len(self._waves))
-        joint = _empty(len(self._waves) + self._joint.shown.size - old)
+        self._memory = empty(len(self._waves))
+        joint = empty(len(self._waves) + self._joint.shown.size - old)
         rest = slice(len(self._waves), None)
         joint.information[rest, rest] = self._joint.information[old:, old:]
         joint.shown[rest] = self._joint.shown[old:]
         self._joint = joint
 
-    def _spread(self, left: LeftOver, is_moving: Array) -> None:
+    def _spread(self, left: LeftOver, weights: Array) -> None:
         """Choose the places of the other groups, anew where the motion leaves their ranges."""
-        load = np.abs(np.nan_to_num(left.window.load_torque[left.rows][is_moving]))
+        load = np.abs(np.nan_to_num(left.window.load_torque[left.rows][weights > 0.0]))
         is_loaded = float(np.std(load)) > _VARIED * self.model.level
-        seen = (_power_of_two(np.max(np.abs(left.velocity))), _power_of_two(np.max(load)) if is_loaded else 0.0)
+        seen = (power_of_two(np.max(np.abs(left.velocity))), power_of_two(np.max(load)) if is_loaded else 0.0)
         size = len(self._waves) + len(self._grid) + left.belief.x.size
-        if self._joint.shown.size == size and all(one <= known for one, known in zip(seen, self._ranges[:2], strict=True)):
+        known = self._ranges or (0.0, 0.0, 0.0)
+        if self._joint.shown.size == size and all(one <= other for one, other in zip(seen, known, strict=False)):
             return
-        top, most = (max(each) for each in zip(seen, self._ranges[:2] or (0.0, 0.0), strict=True))
+        top, most = max(seen[0], known[0]), max(seen[1], known[1])
         # a static map has no distance of its own
-        distance = self._ranges[2] if self._ranges else _presliding(self.model) or np.ptp(left.position) * _OF_TRAVEL
+        distance = known[2] or presliding(self.model) or float(np.ptp(left.position)) * _OF_TRAVEL
         self._ranges = (top, most, distance)
         places = {
             REVERSAL: [distance * each for each in _DISTANCES],
@@ -262,7 +240,7 @@ class Residual:
         }
         own = self.model.modifiers
         self._grid = tuple(each for group, at in places.items() if group not in own for each in pairs(group, at))
-        self._joint = _empty(len(self._waves) + len(self._grid) + left.belief.x.size)
+        self._joint = empty(len(self._waves) + len(self._grid) + left.belief.x.size)
 
     def _search(self, left: LeftOver, weights: Array) -> list[float]:
         """Return the orders that stand out."""
@@ -279,28 +257,28 @@ class Residual:
             self._blind, self._patience = self._patience, min(2 * self._patience, _LONGEST_PAUSE)
         return orders
 
-    def _groups(self, rows: "_Rows", waves: Array, after: Array, used: Layer | None) -> tuple[Array, Array]:
+    def _groups(self, rows: Rows, waves: list[int], after: Array, used: Layer | None) -> tuple[list[int], Array]:
         """Return the columns of waves and groups that explain more than waves alone, and what they leave.
 
         Parameters
         ----------
-        rows : _Rows
-        waves : (w,) array
+        rows : Rows
+        waves : list of int
             Columns of waves that are evident.
         after : (k,) array
             What these leave of the target.
         used : Layer or None
         """
         features = (*self._waves, *self._grid)
-        coordinates = np.arange(len(features), rows.columns.shape[1])
+        coordinates = range(len(features), rows.columns.shape[1])
         own = {
             group: [i for i, each in enumerate(features) if each.group == group] for group in (REVERSAL, SPEED, LOAD)
         }
         left = [group for group, index in own.items() if index]
         chosen: list[str] = [group for group in left if used is not None and group in used.groups]
 
-        def tried(groups: list[str]) -> tuple[Array, Array]:
-            index = np.concatenate([waves, *(own[each] for each in groups), coordinates]).astype(int)
+        def tried(groups: list[str]) -> tuple[list[int], Array]:
+            index = [*waves, *itertools.chain(*(own[each] for each in groups)), *coordinates]
             known = self._joint.at(index)
             predicted = self._predicted(
                 index, rows.columns[:, index], rows.whole, known, self._expected(index, rows, known)
@@ -313,31 +291,29 @@ class Residual:
         while left := [group for group in left if group not in chosen]:
             found = {group: tried([*chosen, group]) for group in left}
             best = min(left, key=lambda group: float(np.sum(found[group][1] ** 2)))
-            if not _is_evident(now, found[best][1]):
+            if not is_evident(now, found[best][1]):
                 break
             chosen.append(best)
             index, now = found[best]
-        return (index, now) if chosen else (index[:0], after)
+        return (index, now) if chosen else ([], after)
 
-    def _expected(
-        self, index: Array, rows: "_Rows | None" = None, known: _Memory | None = None
-    ) -> tuple[Array, Array]:
+    def _expected(self, index: list[int], rows: Rows | None = None, known: Memory | None = None) -> tuple[Array, Array]:
         """Return mean and information of amplitudes and coordinates before anything was learned of them.
 
         Coordinates are held where they are, by what was known of them first and a part of what ``known`` shows.
         """
         count = len(self._waves) + len(self._grid)
-        own = index[index < count]
-        information = _information([(*self._waves, *self._grid)[i] for i in own]) / self.model.level**2
-        mean = np.zeros(own.size)
+        own = [i for i in index if i < count]
+        information = expected([(*self._waves, *self._grid)[i] for i in own]) / self.model.level**2
+        mean = np.zeros(len(own))
         if rows is not None and known is not None:
-            held = _SAME_ROWS * rows.first**-2.0 + _HELD * np.diag(known.information)[own.size :]
+            held = SAME_ROWS * rows.first**-2.0 + _HELD * np.diag(known.information)[len(own) :]
             information = linalg.block_diag(information, np.diag(held))
             mean = np.concatenate([mean, rows.x])
         return mean, information
 
     def _predicted(
-        self, index: Array, columns: Array, target: Array, memory: _Memory, expected: tuple[Array, Array]
+        self, index: list[int], columns: Array, target: Array, memory: Memory, expected: tuple[Array, Array]
     ) -> Array:
         """Return the target of each part of the rows as the other parts and the past predict it."""
         predicted = np.empty_like(target)
@@ -351,7 +327,7 @@ class Residual:
             predicted[begin:end] = columns[begin:end] @ solved
         return predicted
 
-    def _layer(self, index: Array, solved: Array) -> Layer:
+    def _layer(self, index: list[int], solved: Array) -> Layer:
         """Return the layer of amplitudes, within its bound; values of coordinates follow them."""
         features = (*self._waves, *self._grid)
         own = [features[i] for i in index if i < len(features)]
@@ -360,7 +336,7 @@ class Residual:
         return Layer(tuple(own), tuple(amplitudes)).limited(SHARE * self.model.level)
 
     def _checked(
-        self, left: LeftOver, rows: "_Rows", friction: Array, added: Array, used: Layer | None, found: Finding
+        self, left: LeftOver, rows: Rows, friction: Array, added: Array, used: Layer | None, found: Finding
     ) -> Finding:
         """Return what is found if it is what it seems, and the layer in use where it hardly differs."""
         assert found.layer is not None
@@ -375,86 +351,11 @@ class Residual:
         if found.x is not None:
             moved = left.slopes[:, -MECHANICS:] @ (found.x - left.belief.x)[-MECHANICS:]
             after = rows.weights * (left.torque - (torque - friction) + moved)
-            if DEBUG: print("   x",np.round(found.x-left.belief.x,3), np.sum(rows.target**2), np.sum(after**2), [(f.group,round(a/self.model.level,3)) for f,a in zip(found.layer.features,found.layer.amplitudes)])
-            if not np.sum(after**2) < (1.0 - _EXPLAINED) * np.sum(rows.target**2):  # coordinates act in straight lines only nearby
+            # coordinates act in straight lines only nearby
+            if not np.sum(after**2) < (1.0 - EXPLAINED) * np.sum(rows.target**2):
                 return Finding(None, found.explained)
         change = float(np.sqrt(np.mean((torque - own - added) ** 2)))
         return replace(found, layer=found.layer if change > _WORTH * self.model.level else used, change=change)
-
-
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """Weighted rows of a window.
-
-    Attributes
-    ----------
-    weights : (k,) array
-    columns : (k, n + m) array
-        Of the torque of ``n`` features with an amplitude of one, and of what is explained by the coordinates.
-    target, whole : (k,) array
-        What the belief leaves of the torque, and what coordinates of zero would leave.
-    x, first : (m,) array
-        Coordinates, and their standard deviations before anything was learned.
-    """
-
-    weights: Array
-    columns: Array
-    target: Array
-    whole: Array
-    x: Array
-    first: Array
-
-
-def _rows(left: LeftOver, weights: Array, features: Sequence[Feature]) -> _Rows:
-    found = columns(left.belief.model, features, left.gradient)
-    whole = left.torque - left.slopes @ left.belief.x
-    return _Rows(
-        weights,
-        weights[:, None] * np.column_stack([found, -left.slopes]),
-        weights * left.torque,
-        weights * whole,
-        left.belief.x,
-        left.belief.first,
-    )
-
-
-def _is_evident(before: Array, after: Array) -> bool:
-    """Return True if weighted residuals became smaller, by more than their stretches scatter."""
-    starts = np.linspace(0, before.size, _STRETCHES, endpoint=False).astype(int)
-    gains = np.add.reduceat(before**2 - after**2, starts)
-    error = float(np.std(gains, ddof=1)) / math.sqrt(gains.size)
-    share = float(np.sum(gains)) / max(float(np.sum(before**2)), 1e-300)
-    if DEBUG: print("      evident? share %.3f, %.2f s.e."%(share, np.mean(gains)/error))
-    return share > _EXPLAINED and float(np.mean(gains)) > _EVIDENT * error
-
-
-def _information(features: Sequence[Feature]) -> Array:
-    """Return the information (m, m) with which amplitudes of features are expected, in friction levels.
-
-    Curves are smooth, both directions are alike: their mean and half their difference are random walks along the places
-    of a curve.
-    """
-    found = np.eye(len(features)) * _EXPECTED**-2.0
-    for group in (REVERSAL, SPEED, LOAD):
-        own = [i for i, each in enumerate(features) if each.group == group]
-        count = len(own) // 2
-        steps = np.eye(count) - np.eye(count, k=-1)
-        walk = np.kron(steps.T @ steps, np.eye(2))
-        both = np.kron(np.eye(count), np.array([[0.5, 0.5], [0.5, -0.5]]))
-        scales = _SAME_ROWS * np.tile([_SMOOTH**-2.0, _DIFFERENT**-2.0], count)
-        found[np.ix_(own, own)] = both.T @ (walk * np.sqrt(np.outer(scales, scales))) @ both
-    return found
-
-
-def _power_of_two(value: float) -> float:
-    """Return the next power of two, so that ranges that hardly differ have the same."""
-    return float(2.0 ** math.ceil(math.log2(value))) if value > 0.0 else 0.0
-
-
-def _presliding(model: FrictionModel) -> float:
-    """Return the distance over which the torque builds up after a reversal, rad or m; 0 for a static map."""
-    stiffness = model.presliding_stiffness
-    return model.level / stiffness if stiffness > 0.0 else 0.0
 
 
 def _thinned(values: Array) -> Array:

@@ -29,9 +29,7 @@ class Base(Section):
 
     model: str = key("name of the friction model; 'friction-hil models' lists them")
     parameters: dict[str, Any] = key("parameters of the model, SI; 'friction-hil models NAME' describes them")
-    modifiers: dict[str, Any] = key(
-        f"modifiers of the friction: {', '.join(MODIFIERS)}", default={}
-    )
+    modifiers: dict[str, Any] = key(f"modifiers of the friction: {', '.join(MODIFIERS)}", default={})
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -112,9 +110,7 @@ class Friction(Section):
     parameters: dict[str, Any] = key(
         "parameters of the model, SI; 'friction-hil models NAME' describes them", default={}
     )
-    modifiers: dict[str, Any] = key(
-        f"modifiers of the friction: {', '.join(MODIFIERS)}", default={}
-    )
+    modifiers: dict[str, Any] = key(f"modifiers of the friction: {', '.join(MODIFIERS)}", default={})
     network: TrainedNetwork | None = key("trained network; only for the model network", default=None)
 
     @model_validator(mode="after")

@@ -31,9 +31,7 @@ class TrueFriction(Part):
     parameters: dict[str, Any] = Field(
         default_factory=lambda: dict(describe("lugre").example), description="parameters of the model, SI"
     )
-    modifiers: dict[str, Any] = Field(
-        default_factory=dict, description=f"modifiers: {', '.join(MODIFIERS)}"
-    )
+    modifiers: dict[str, Any] = Field(default_factory=dict, description=f"modifiers: {', '.join(MODIFIERS)}")
 
     @model_validator(mode="after")
     def _exists(self) -> "TrueFriction":

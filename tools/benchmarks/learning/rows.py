@@ -175,7 +175,8 @@ def _residual_others(grid: Grid) -> Cases:
         if weight * math.sin(of.motions[0][1].amplitude) < _LEAST_LOAD * of.believed.level:
             continue
         of = _with_friction(of, modifiers={**of.believed.modifiers, "load": _LOAD_FACTORS})
-        yield f"{name} load", partial(_layered, replace(of, settings=replace(of.settings, gain=0.9, gravity=(0.0, weight, 0.0))))
+        settings = replace(of.settings, gain=0.9, gravity=(0.0, weight, 0.0))
+        yield f"{name} load", partial(_layered, replace(of, settings=settings))
 
 
 def _with_friction(of: Setup, **changes: Any) -> Setup:
@@ -219,11 +220,11 @@ def _wrongly_layered(of: Setup, seed: int) -> dict[str, float]:
     """
     random, model = np.random.default_rng(seed), of.believed
     distance, top = model.level / model.presliding_stiffness, of.motions[0][1].amplitude * math.tau
-    features = pairs(REVERSAL, distance * 2.0 ** np.arange(-3.0, 6.0)) + pairs(SPEED, top * 2.0 ** np.arange(-6.0, 1.0))
-    features = features if seed % 3 == 0 else tuple(each for each in features if (each.group == SPEED) == (seed % 3 == 1))
-    amplitudes = random.choice([-1.0, 1.0], len(features)) if seed % 2 else np.repeat(random.choice([-1.0, 1.0]), 99)
-    layer = Layer(features, tuple((model.level * amplitudes[: len(features)]).tolist())).limited(SHARE * model.level)
-    layered = layer.on(model)
+    reversal = pairs(REVERSAL, (distance * 2.0 ** np.arange(-3.0, 6.0)).tolist())
+    speed = pairs(SPEED, (top * 2.0 ** np.arange(-6.0, 1.0)).tolist())
+    features = ((*reversal, *speed), speed, reversal)[seed % 3]
+    signs = random.choice([-1.0, 1.0], len(features) if seed % 2 else 1) * np.ones(len(features))
+    layered = Layer(features, tuple((model.level * signs).tolist())).limited(SHARE * model.level).on(model)
     on_demand = replace(of.settings, source="demand")
 
     def add(axis: Axis) -> None:
