@@ -20,6 +20,7 @@ EXPLAINED = 0.1  # of the mean square of what the model leaves: a layer that exp
 STRETCHES = 12  # of a window, that count as repeated records
 _REMEMBERED_S = 60.0  # time constant of forgetting
 _EVIDENT = 3.0  # standard errors by which the explained part exceeds chance
+AT_TIMES = 1.5  # the same of what a slow motion shows at a few reversals only
 _EXPECTED = 0.1  # of the friction level: standard deviation of an amplitude before anything was learned
 _SMOOTH = 0.05  # of the friction level: the same of the change from one place of a curve to the next
 _DIFFERENT = 0.015  # and of that of half the difference between both directions
@@ -92,13 +93,13 @@ def rows_of(left: LeftOver, weights: Array, features: Sequence[Feature]) -> Rows
     )
 
 
-def is_evident(before: Array, after: Array) -> bool:
-    """Return True if weighted residuals (k,) became smaller, by more than their stretches scatter."""
+def is_evident(before: Array, after: Array, errors: float = _EVIDENT) -> bool:
+    """Return True if weighted residuals (k,) became smaller, by so many errors of what their stretches scatter by."""
     starts = np.linspace(0, before.size, STRETCHES, endpoint=False).astype(int)
     gains = np.add.reduceat(before**2 - after**2, starts)
     error = float(np.std(gains, ddof=1)) / math.sqrt(gains.size)
     share = float(np.sum(gains)) / max(float(np.sum(before**2)), 1e-300)
-    return share > EXPLAINED and float(np.mean(gains)) > _EVIDENT * error
+    return share > EXPLAINED and float(np.mean(gains)) > errors * error
 
 
 def expected(features: Sequence[Feature]) -> Array:

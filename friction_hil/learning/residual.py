@@ -25,6 +25,7 @@ from friction_hil.friction.modifiers import MAX_HARMONICS
 from friction_hil.identification.ripple import RippleSearch
 from friction_hil.learning.estimate import MECHANICS, LeftOver
 from friction_hil.learning.evidence import (
+    AT_TIMES,
     EXPLAINED,
     SAME_ROWS,
     STRETCHES,
@@ -152,7 +153,7 @@ class Residual:
         explained = 1.0 - float(np.sum(after**2)) / max(float(np.sum(rows.target**2)), 1e-300)
         found, before = Finding(None, explained), self._grouped
         self._grouped = ()
-        if index and explained > _CLEAR and is_evident(rows.target, after):
+        if index and explained > _CLEAR and is_evident(rows.target, after, AT_TIMES):
             known = self._joint.at(index)
             solved = known.solved(*self._expected(index, rows, known))
             wanted = Finding(self._layer(index, solved), explained, x=solved[-rows.x.size :])
@@ -291,7 +292,7 @@ class Residual:
         while left := [group for group in left if group not in chosen]:
             found = {group: tried([*chosen, group]) for group in left}
             best = min(left, key=lambda group: float(np.sum(found[group][1] ** 2)))
-            if not is_evident(now, found[best][1]):
+            if not is_evident(now, found[best][1], AT_TIMES):
                 break
             chosen.append(best)
             index, now = found[best]
