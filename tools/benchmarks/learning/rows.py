@@ -156,10 +156,11 @@ def _residual(grid: Grid) -> Cases:
         friction = of.plant.friction.model_copy(update={"modifiers": {**of.believed.modifiers, "ripple": ripple}})
         plant = of.plant.model_copy(update={"friction": friction})
         yield f"{name} cogging", partial(_layered, replace(of, plant=plant, settings=replace(of.settings, gain=0.9)))
+    yield from _residual_others(grid)
 
 
 def _residual_others(grid: Grid) -> Cases:
-    """Return cases of friction that LuGre does not express."""
+    """Return cases of friction beside cogging that LuGre does not express."""
     for name, of in _combinations(grid, ("exact",), AFTER_S):
         own, level = of.believed, of.believed.level
         of = replace(of, settings=replace(of.settings, gain=0.9))
@@ -366,7 +367,6 @@ _ROWS: dict[str, Callable[[Grid], Cases]] = {
     "changing": _changing,
     "poor": _poor,
     "residual": _residual,
-    "residual_others": _residual_others,
     "wrong_layers": _wrong,
     "catastrophes": _catastrophes,
 }
