@@ -100,9 +100,9 @@ def step(
     p, s
         Parameters and state; the state is changed in place.
     velocity, level_velocity
-        Velocity that drives the state and sets the direction, and velocity at which level, damping and viscous
-        friction are evaluated, rad/s. They are equal except in a compensator, which takes them from different
-        sources.
+        Velocity that drives the state, sets the direction and is that of the modifiers ``reversal`` and ``speed``,
+        and velocity at which level, damping and viscous friction are evaluated, rad/s. They are equal except in a
+        compensator, which takes them from different sources.
     dt
         Time for which ``velocity`` is held, s, above zero.
     position

@@ -105,6 +105,8 @@ class Residual:
     _ranges: tuple[float, float, float] | None = None  # speed, load and distance that the grid is for
     _joint: Memory = field(default_factory=lambda: empty(0))  # of waves, grid and coordinates of the belief
     _grouped: tuple[str, ...] = ()  # that the last window has shown
+    _is_beside: bool = False  # the last trial was of more than ripple
+    _is_waves_turn: bool = False  # where that was no gain, ripple alone is tried next
     _spent: int = 0  # windows in which the layer in use explained nothing
     _pause: int = _FIRST_PAUSE
     _rest: int = 0  # windows until the next trial
@@ -153,16 +155,18 @@ class Residual:
         explained = 1.0 - float(np.sum(after**2)) / max(float(np.sum(rows.target**2)), 1e-300)
         found, before = Finding(None, explained), self._grouped
         self._grouped = ()
-        if index and explained > _CLEAR and is_evident(rows.target, after, AT_TIMES):
+        kept = set() if used is None else set(used.groups)
+        is_turn = not (self._is_waves_turn and waves)
+        if index and is_turn and explained > _CLEAR and is_evident(rows.target, after, AT_TIMES):
             known = self._joint.at(index)
             solved = known.solved(*self._expected(index, rows, known))
             wanted = Finding(self._layer(index, solved), explained, x=solved[-rows.x.size :])
             found = self._checked(left, rows, friction, added, used, wanted)
             if found.layer is not None:
                 self._grouped = found.layer.groups
-                if not set(self._grouped) <= {RIPPLE, *before, *(() if used is None else used.groups)}:
+                if not set(self._grouped) <= {RIPPLE, *before, *kept}:
                     found = Finding(None, explained)  # to be found in two windows, one after the other
-        if found.layer is None and waves:
+        if found.layer is None and waves and kept <= {RIPPLE}:
             wanted = Finding(self._layer(waves, self._memory.solved(*self._expected(waves))), explained)
             found = self._checked(left, rows, friction, added, used, wanted)
         if self._waves and not waves and used is None:
@@ -184,6 +188,7 @@ class Residual:
     def was_tried(self, found: Finding, used: Layer | None, figures: LayerFigures, error: float) -> None:
         """Take note that a finding is tried, with the error before; ``used`` is the layer in use so far."""
         figures.tried += 1
+        self._is_beside = found.layer is not None and found.layer.groups != (RIPPLE,)
         if used is None:
             figures.state, figures.text = "on trial", str(found.layer)
             figures.error_before, figures.error_after = error, None
@@ -191,11 +196,12 @@ class Residual:
     def was_kept(self, tried: Layer | None, figures: LayerFigures, error: float) -> None:
         """Take note that a trial was a gain."""
         figures.state, figures.text, figures.error_after = "on", str(tried), error
-        self._pause = _FIRST_PAUSE
+        self._pause, self._is_waves_turn = _FIRST_PAUSE, False
 
     def was_refused(self, used: Layer | None, figures: LayerFigures, why: str) -> None:
         """Take note that a trial was no gain, refused or without a verdict; ``used`` is the layer that stays."""
         figures.state = why if used is None else "on"
+        self._is_waves_turn = self._is_beside
         self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
 
     def changed_motion(self, used: Layer | None, figures: LayerFigures) -> None:
@@ -235,7 +241,7 @@ class Residual:
         distance = known[2] or presliding(self.model) or float(np.ptp(left.position)) * _OF_TRAVEL
         self._ranges = (top, most, distance)
         places = {
-            REVERSAL: [distance * each for each in _DISTANCES],
+            REVERSAL: [distance * each for each in _DISTANCES] if distance > 0.0 else [],
             SPEED: [top * each for each in _SPEEDS],
             LOAD: [most] if most > 0.0 else [],
         }
