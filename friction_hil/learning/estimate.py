@@ -8,7 +8,7 @@ G. E. P. Box, G. M. Jenkins, Time Series Analysis, 1976), and stretches of a lar
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,9 +27,10 @@ MECHANICS = 3
 _INERTIA_ERROR = 0.1  # standard deviation of its relative error
 _STATIC_ERROR = 0.1  # the same of offset and gravity together, in friction levels
 _DELAY_PERIODS = 0.5  # the same of the age of the torque
+_MECHANICS_DRIFT = 0.5  # of these standard deviations: what a minute adds
 _FARTHEST = math.log(5.0)  # of a coordinate of the friction
 _EVALUATIONS = 12
-_REWEIGHTINGS = 2
+_REWEIGHTINGS, _MOST_REWEIGHTINGS, _SETTLED = 2, 6, 0.8  # more as long as the residual falls below so much of the last
 _NEAR_S = 0.02  # over which the size of the residual is judged
 _EQUAL_PART = 0.5  # of the rows, those with the smallest residuals, have equal weights
 _CORRELATED_S = 0.5  # longest correlation of the residual that is looked for
@@ -128,8 +129,10 @@ class Belief:
             Standard deviation of the relative change within a minute; it grows with the square root of time.
         seconds : float
         """
-        added = np.zeros(len(self.x))
-        added[:-MECHANICS] = drift**2 * seconds / 60.0
+        drifts = np.full(len(self.x), drift)
+        # not that an inertia changes: what a model is wrong by is in every record of a motion the same
+        drifts[-MECHANICS:] = _MECHANICS_DRIFT * self.first[-MECHANICS:]
+        added = drifts**2 * seconds / 60.0
         variance = np.diag(self.covariance)
         # what was known at first limits what can be forgotten
         grown = np.minimum(variance + added, np.maximum(self.first**2, variance))
@@ -241,6 +244,36 @@ def left_over(window: Window, belief: Belief, resolution: float, skipped_s: floa
     return LeftOver(belief, window, problem.velocity, problem.rows, torque, slopes, problem.doubt(belief.x))
 
 
+def uncompensated(
+    window: Window,
+    belief: Belief,
+    resolution: float,
+    commands: Iterable[tuple[FrictionModel, float]],
+    skipped_s: float = 0.0,
+) -> list[float]:
+    """Return the root mean square of the friction that compensations would have left in a record, N m.
+
+    The friction is the measured torque less inertia and static torque; rows weigh as in `estimate`, so that those whose
+    torque nothing explains do not hide the difference.
+
+    Parameters
+    ----------
+    window, belief, resolution, skipped_s
+        As in `estimate`.
+    commands : iterable of (FrictionModel, float)
+        Model and gain of each compensation.
+    """
+    problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
+    left, _ = problem.residual(belief.x)
+    weights, friction = problem.weights(belief.x, left), problem.friction(belief.x)
+    found = []
+    for model, gain in commands:
+        torque = gain * model.simulate(problem.velocity, window.period_s, **window.inputs())
+        remaining = left + (friction - torque)[problem.rows]
+        found.append(float(np.sqrt(np.average(remaining**2, weights=weights**2))))
+    return found
+
+
 class _Problem:
     """Residual and derivatives along one record."""
 
@@ -311,8 +344,10 @@ def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float
     mean, reach = belief.x, _DEVIATIONS * belief.first
     reach[:-MECHANICS] = np.minimum(reach[:-MECHANICS], _FARTHEST)
     x = mean
-    weights = problem.weights(x, problem.residual(x)[0])
-    for _ in range(_REWEIGHTINGS):
+    left, slopes = problem.residual(x)
+    weights = problem.weights(x, left)
+    residual = math.inf
+    for k in range(_MOST_REWEIGHTINGS):
 
         def stacked(at: Array, weights: Array = weights) -> tuple[Array, Array]:
             left, slopes = problem.residual(at)
@@ -324,6 +359,9 @@ def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float
         x = minimise_bounded(stacked, x, -reach, reach, evaluations=_EVALUATIONS, tolerance=1e-6).at
         left, slopes = problem.residual(x)
         weights = problem.weights(x, left)
+        before, residual = residual, float(np.sqrt(np.average(left**2, weights=weights**2)))
+        if k >= _REWEIGHTINGS - 1 and residual > _SETTLED * before:
+            break
     weighted = weights[:, None] * slopes
     information = weighted.T @ weighted
     covariance = np.linalg.inv(information + prior.T @ prior)
@@ -337,7 +375,7 @@ def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float
     variance = np.einsum("ki,ij,kj->k", friction, inner, friction)
     return Estimate(
         belief=replace(belief, x=x, covariance=covariance),
-        residual=float(np.sqrt(np.average(left**2, weights=weights**2))),
+        residual=residual,
         surprise=surprise,
         torque_error=float(np.sqrt(np.mean(variance))),
     )

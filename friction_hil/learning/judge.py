@@ -1,7 +1,7 @@
 """Comparison of an axis's errors before and after a change, on the same work."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,16 @@ class Work:
     def is_moving(self) -> bool:
         """True if there was a demanded motion."""
         return self.speed > 0.0
+
+    def scaled(self, factor: float) -> "Work":
+        """Return the same work with errors that are so many times as large."""
+        return replace(
+            self,
+            rms=factor * self.rms,
+            peak=factor * self.peak,
+            worst=tuple(factor * each for each in self.worst),
+            scatter=factor**2 * self.scatter,
+        )
 
     def is_like(self, other: "Work") -> bool:
         """True if the motion was that of ``other``."""

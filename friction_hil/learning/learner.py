@@ -15,11 +15,20 @@ import numpy as np
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning import oddity
-from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief, left_over
+from friction_hil.learning.estimate import (
+    MECHANICS,
+    Belief,
+    Estimate,
+    Mechanics,
+    estimate,
+    first_belief,
+    left_over,
+    uncompensated,
+)
 from friction_hil.learning.figures import Figures
-from friction_hil.learning.judge import CHANCE, Work, is_harmful, no_help, objection, rms, work_of
+from friction_hil.learning.judge import CHANCE, HELPS, Work, is_harmful, no_help, objection, rms, work_of
 from friction_hil.learning.layer import Layer
-from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
+from friction_hil.learning.motions import WINDOW_TICKS, Kind, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.learning.residual import Finding, Residual
@@ -34,13 +43,20 @@ _MISLED_TICKS = 2
 _FIRST_PART, _FIRST_TICKS = 1.0 / 3.0, 4  # of a change, for so long: if wrong, it does a ninth of the harm
 _DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
 _SURPRISE = 12.0  # a change that drift does not explain
+_CONTRADICTED, _FINE = 1.5, 0.005  # times the residual of the last window, and this part of the level: is it a change?
+_LESS = 0.7  # times that residual without what was known: it was wrong
 _WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
+_OTHER = 0.03  # the same: change since a trial that was taken back, after which the next one does not wait
+_FALLS = 0.02  # relative change of the friction since the last change of parameters: it falls
+_MORE_LEFT = 2.0  # times what is left of the friction now: the most that a truer model may leave with its gain
 _GAIN_WORTH = 0.01
+_LESS_GAIN, _LIMITED = 0.05, 20  # step of a lower gain, and windows of proposals for which it stays the highest
 _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
 _FIRST_PAUSE, _LONGEST_PAUSE = 1, 40  # windows without a trial, after one that was taken back
 _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
 _STOPPED_TICKS = 40
 _EXPLAINS = 0.8  # times the unexplained torque of former parameters
+_STEADY, _MOST_DRIFTED = 0.05, 1.25  # change of what the former compensation leaves within a trial: none, and most
 _WORSE = 1.2  # times the error at the last trial: another one does not wait any longer
 _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
 
@@ -50,6 +66,8 @@ class _Trial:
     step: Step
     tried: Used
     before: Work
+    former: Used
+    left: float  # of the friction by the former compensation, in the window before, N m
     text: str = ""
     is_whole: bool = False  # False: only a part of it is in force
     ticks: int = 0
@@ -113,6 +131,7 @@ class Learner:
         self._trial: _Trial | None = None
         self._estimate: Estimate | None = None
         self._usual = 0.0  # torque that the estimate leaves unexplained, N m
+        self._residual_torque = math.inf  # of the last estimate, whatever the motion
         self._stopped, self._why_stopped = 0, ""  # ticks until learning begins again
         self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
         fade = math.ceil(fade_s / TICK_S)
@@ -237,25 +256,29 @@ class Learner:
         coordinates = self._belief.coordinates
         return dict(zip(coordinates.names, coordinates.at(used.x[:-MECHANICS]).tolist(), strict=True))
 
+    @property
+    def _warm_s(self) -> float:
+        """Beginning of the record that only brings the model's state to where it was, s."""
+        return TICK_S * (len(self._ticks) - WINDOW_TICKS if len(self._ticks) > WINDOW_TICKS else 2)
+
     def _refine(self) -> None:
         """Refine the belief by the last window."""
         self._fresh, self._finding = 0, None
-        ticks = list(self._ticks)
+        ticks, warm_s = list(self._ticks), self._warm_s
         rows = joined(ticks)
         if not np.any(rows["velocity_demand"]):
             return
-        warm_s = TICK_S * max(len(ticks) - WINDOW_TICKS, 0) if len(ticks) > WINDOW_TICKS else 2.0 * TICK_S
+        window, level = self._window(rows, self._used.layer), self._belief.coordinates.model.level
         try:
-            found = estimate(self._window(rows, self._used.layer), self._belief, self._resolution, warm_s)
+            found = estimate(window, self._belief, self._resolution, warm_s)
+            if found.surprise > _SURPRISE or found.residual > _CONTRADICTED * self._residual_torque + _FINE * level:
+                # large residuals count less: a record that contradicts what is known may hardly change it
+                anew = estimate(window, self._belief.doubted(), self._resolution, warm_s)
+                if found.surprise > _SURPRISE or anew.residual < _LESS * found.residual:
+                    found = anew
         except NUMERICAL:
             return
-        if found.surprise > _SURPRISE:
-            self._belief = self._belief.doubted()
-            try:
-                found = estimate(self._window(rows, self._used.layer), self._belief, self._resolution, warm_s)
-            except NUMERICAL:
-                return
-        self._estimate, self._belief = found, found.belief
+        self._estimate, self._belief, self._residual_torque = found, found.belief, found.residual
         self._usual = rms(self._unexplained(replace(self._used, x=self._belief.x), ticks)[WARM_TICKS:])
         self.figures.errors = self._belief.errors
         if self._has_layer:
@@ -269,24 +292,71 @@ class Learner:
         before, now = self._work(WINDOW_TICKS), self._motions.now
         level = self._belief.coordinates.model.level
         refined = self._belief.shown(self._used.x)
-        if now.rest and before.rms <= _WORSE * now.refused_error:
+        if now.rest and before.rms <= _WORSE * now.refused_error and not self._is_another(refined, now.refused):
             now.rest -= 1
             return None
         now.rest = 0
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
-        change = self._torque_change(self._used.x[:-MECHANICS], refined[:-MECHANICS]) / level
-        is_fixed = self._is_gain_fixed or self._is_gain_doubted
-        gain = self._used.gain if is_fixed else self._known_gain()
+        present, next_one = self._torques(self._used.x, refined)
+        change, decline = rms(next_one - present) / level, 1.0 - rms(next_one) / rms(present)
+        falls = decline if decline > _FALLS and self._used is not self._file else 0.0
+        gain = self._next_gain(now, falls)
         is_other = change > _WORTH
         if not is_other and abs(gain - self._used.gain) <= _GAIN_WORTH:
             self._is_gain_doubted = False
             return None
         tried = replace(self._used, x=refined if is_other else self._used.x, gain=gain)
+        # more torque than the friction will be makes an axis swing, which the torque of now does not show
+        is_less = falls > 0.0 or not (is_other or gain > self._used.gain)
+        if not is_less and not self._promises(replace(tried, gain=max(gain, self._used.gain))):
+            self._is_gain_doubted = False
+            return None
         words = [f"torque changes by {100.0 * change:.1f} % of the friction level"] * is_other
         gains = f"{self._used.gain:.2f}", f"{gain:.2f}"
         words += [f"gain {gains[0]} -> {gains[1]}"] * (gains[0] != gains[1])
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
+
+    def _next_gain(self, now: Kind, falls: float) -> float:
+        """Return the gain to go on with: less where the known one was no help to this motion, or where friction falls.
+
+        Until the next change it will have fallen by as much as since the last one, ``falls``.
+        """
+        if self._is_gain_fixed:
+            return self._used.gain
+        if self._is_gain_doubted:
+            return max(self._used.gain - _LESS_GAIN, self._least_gain)
+        now.limited = max(now.limited - 1, 0)
+        most = now.limit if now.limited else 1.0
+        return max(min(self._known_gain(), most) - falls, self._least_gain)
+
+    def _is_another(self, refined: Array, refused: Used | None) -> bool:
+        """Return True if parameters are others than those that were refused: friction has changed since then."""
+        if refused is None:
+            return False
+        former, found = self._torques(refused.x, refined)
+        return rms(found - former) > _OTHER * self._belief.coordinates.model.level
+
+    def _promises(self, tried: Used) -> bool:
+        """Return True if a change would have left less of the friction in the last window than what is in use.
+
+        A truer model may leave a little more with its gain: what a drive cannot correct is the part that changes fast.
+        """
+        in_use = self._used
+        whole = replace(tried, gain=1.0), replace(in_use, gain=1.0)
+        after, before, true_after, true_before = self._left(tried, in_use, *whole)
+        return after < HELPS * before or (true_after < HELPS * true_before and after < _MORE_LEFT * before)
+
+    def _left(self, *compensations: Used) -> list[float]:
+        """Return the friction that each would have left in the last window, N m."""
+        window = self._window(joined(list(self._ticks)))
+        models = [(self._model(each), each.gain) for each in compensations]
+        return uncompensated(window, self._belief, self._resolution, models, self._warm_s)
+
+    def _model(self, used: Used) -> FrictionModel:
+        """Return the friction model of a compensation with its layer."""
+        model = self._belief.coordinates.model_at(used.x[:-MECHANICS])
+        return model if used.layer is None else used.layer.on(model)
 
     def _propose_layer(self) -> Proposal | None:
         """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
@@ -316,7 +386,7 @@ class Learner:
         return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
 
     def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:
-        self._trial = _Trial(step, tried, before, text)
+        self._trial = _Trial(step, tried, before, self._used, self._left(self._used)[0], text)
         self._is_turn_of_layer = step is not Step.LAYER
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
@@ -325,9 +395,7 @@ class Learner:
     def _hand_over(self, step: Step, to: Used, text: str) -> Proposal:
         self._former = self._used
         is_other = not np.array_equal(to.x, self._used.x) or to.layer != self._used.layer
-        model = self._belief.coordinates.model_at(to.x[:-MECHANICS]) if is_other else None
-        if model is not None and to.layer is not None:
-            model = to.layer.on(model)
+        model = self._model(to) if is_other else None
         self._used, self._same = to, 0
         self.figures.gain = to.gain
         return Proposal(step, model, to.gain, text)
@@ -355,18 +423,33 @@ class Learner:
         after = self._work(WINDOW_TICKS)
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
-        why = objection(after, trial.before, self._resolution)
+        expected = self._expected(trial)
+        why = objection(after, expected, self._resolution)
+        shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
+        if expected is not trial.before:
+            shown += f" (without the change {self._size(expected.rms)} by now)"
         if why and not (why == CHANCE and self._explains_more(trial.tried)):
-            return self._take_back(f"error {self._size(trial.before.rms)} -> {self._size(after.rms)}: {why}")
+            return self._take_back(f"error {shown}: {why}")
         self._trial, self._kept = None, trial.tried
         self._motions.keep(trial.tried)
+        if trial.tried.gain < trial.former.gain - _GAIN_WORTH:
+            self._motions.now.limit, self._motions.now.limited = trial.tried.gain, _LIMITED
         if trial.step is Step.LAYER:
             self._residual.was_kept(trial.tried.layer, self.figures.layer, after.rms)
         self.figures.kept += trial.step is Step.PARAMETERS
         self.figures.error = after.rms
-        shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
         self.notes.append(f"learning keeps the {trial.step.value}: error {shown}")
         return None
+
+    def _expected(self, trial: _Trial) -> Work:
+        """Return what the axis would have done meanwhile with the former compensation, where friction has drifted.
+
+        The more of the friction it would leave now, the larger its error would be.
+        """
+        drifted = self._left(trial.former)[0] / trial.left
+        if abs(drifted - 1.0) <= _STEADY:
+            return trial.before
+        return trial.before.scaled(min(max(drifted, 1.0 / _MOST_DRIFTED), _MOST_DRIFTED))
 
     def _explains_more(self, tried: Used) -> bool:
         """Return True if a trial explains the torque since then, which it was not estimated from, clearly better.
@@ -386,19 +469,20 @@ class Learner:
             assert trial is not None
             self.figures.taken_back += 1
             self._is_gain_doubted = not self._is_gain_doubted
-            self._wait(trial.before.rms)
+            self._wait(trial.before.rms, trial.tried)
         return self._hand_over(Step.BACK, self._motions.now.used, reason)
 
-    def _wait(self, error: float) -> None:
-        """Leave the present motion without a trial for a while, longer each time, or until it has a larger error."""
+    def _wait(self, error: float, refused: Used | None = None) -> None:
+        """Leave the present motion without a trial for a while, longer each time, or until error or friction change."""
         now = self._motions.now
         now.rest, now.pause = now.pause, min(2 * now.pause, _LONGEST_PAUSE)
-        now.refused_error = error
+        now.refused_error, now.refused = error, refused
 
     def _change_motion(self) -> Proposal | None:
         """Go on with what is proven for the present motion, which is another one: the model file where nothing is."""
         now = self._motions.now
         self._trial = self._estimate = None
+        self._is_gain_doubted = False
         self._residual.changed_motion(now.used.layer, self.figures.layer)
         self._ticks.clear()
         self._fresh = self._same = 0
@@ -426,8 +510,14 @@ class Learner:
         """Return why an axis is not what it was in the same motion; None if it is."""
         if len(self._ticks) < WARM_TICKS:
             return None
-        if jump := oddity.jump(joined(list(self._ticks)), tick, self._resolution):
+        past = list(self._ticks)
+        if jump := oddity.jump(joined(past), tick, self._resolution, is_known=len(past) >= WINDOW_TICKS):
             return f"the position jumps by {self._size(jump)}"
+        settled = [*past[-max(self._same - self._settling, 0) :], tick] if self._same > self._settling else []
+        if settled and (times := oddity.follows_otherwise(settled, self._resolution, self._period_s)):
+            return (
+                f"the following error is {times:.2g} times what it was, in the same motion with the same compensation"
+            )
         if self._estimate is not None:
             own = replace(self._used, x=self._belief.x)
             left = self._unexplained(own, [*list(self._ticks)[-WARM_TICKS:], tick])
@@ -455,15 +545,12 @@ class Learner:
         self._misled, self._motions.now.used = 0, self._file
         return self._hand_over(Step.BACK, self._file, "the model file explains the torque of this motion better")
 
-    def _torque_change(self, before: Array, after: Array) -> float:
-        """Return the root mean square by which two sets of parameters differ along the last window, N m."""
+    def _torques(self, *coordinates: Array) -> list[Array]:
+        """Return the friction torques (n,) of sets of parameters along the last window, N m."""
         window = self._window(joined(list(self._ticks)))
         velocity = velocity_of(window, self._resolution)
-        coordinates = self._belief.coordinates
-        torques = [
-            coordinates.model_at(x).simulate(velocity, self._period_s, **window.inputs()) for x in (before, after)
-        ]
-        return float(np.sqrt(np.mean((torques[1] - torques[0]) ** 2)))
+        models = [self._belief.coordinates.model_at(x[:-MECHANICS]) for x in coordinates]
+        return [model.simulate(velocity, self._period_s, **window.inputs()) for model in models]
 
     def _work(self, ticks: int) -> Work:
         """Return what the last ticks show; their errors from when the last change of settings or motion is over."""

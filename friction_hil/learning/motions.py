@@ -55,6 +55,12 @@ class Kind:
         Windows until the next trial.
     refused_error : float
         Root mean square of the following error before the last trial that was taken back, SI.
+    refused : Used or None
+        What that trial tried.
+    limit : float
+        Gain that was kept because a higher one was no help.
+    limited : int
+        Windows until a higher one is tried again.
     ranges : (2, spans, 3) array or None
         Least and most top speed, travel and mean square of the acceleration, of each span; NaN where none was so long.
         None: the motion has just begun.
@@ -64,6 +70,9 @@ class Kind:
     pause: int
     rest: int = 0
     refused_error: float = math.inf
+    refused: Used | None = None
+    limit: float = 1.0
+    limited: int = 0
     ranges: Array | None = None
 
 

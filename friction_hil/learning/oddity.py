@@ -6,6 +6,7 @@ import numpy as np
 
 from friction_hil.compensator.load import gravity_torque
 from friction_hil.learning.estimate import MECHANICS, Belief
+from friction_hil.learning.judge import ALIKE
 from friction_hil.learning.motions import Used
 from friction_hil.learning.window import COLUMNS, joined, velocity_of, window_of
 from friction_hil.numerics.jit import Array
@@ -13,7 +14,10 @@ from friction_hil.numerics.jit import Array
 WARM_TICKS = 4  # before those that count: they bring the state of the model to where it was
 FROZEN_TICKS = 3
 _FROZEN_LEVEL = 0.2  # the compensation changed by so much meanwhile, the torque feedback not at all
-_GLITCH, _GLITCH_COUNTS = 8.0, 16.0  # times the largest change of the following error within a period before
+# times the largest change of the following error within a period before, as long as little of it has been seen, later
+_FIRST_GLITCH, _GLITCH, _GLITCH_COUNTS = 8.0, 4.0, 16.0
+_SPAN_TICKS, _LEAST_ALIKE = 3, 3  # of a comparison of following errors; spans of the past that it needs
+_OTHERWISE, _OTHERWISE_COUNTS = 3.0, 4.0  # times the errors of the same motion before
 _ODD_TICKS = 2  # one may be that of a reversal
 _ODD = 2.0  # times what was left unexplained before
 _ODD_LEVEL = 0.05  # and this part of the friction level at least
@@ -39,12 +43,56 @@ def broken(rows: Mapping[str, Array], level: float) -> str | None:
     return None
 
 
-def jump(past: Mapping[str, Array], tick: Mapping[str, Array], resolution: float) -> float:
-    """Return by how much the position jumps within a tick; 0 if it does no more than in the past of the same motion."""
+def jump(past: Mapping[str, Array], tick: Mapping[str, Array], resolution: float, *, is_known: bool) -> float:
+    """Return by how much the position jumps within a tick; 0 if it does no more than in the past of the same motion.
+
+    Parameters
+    ----------
+    past, tick : mapping of str to (n,) array
+    resolution : float
+        Step of the position, SI.
+    is_known : bool
+        The past contains all of the motion, not only its beginning.
+    """
     errors = [rows["position_demand"] - rows["position"] for rows in (past, tick)]
     usual = float(np.max(np.abs(np.diff(errors[0]))))
     found = float(np.max(np.abs(np.diff(errors[1], prepend=errors[0][-1]))))
-    return found if found > _GLITCH * usual + _GLITCH_COUNTS * resolution else 0.0
+    factor = _GLITCH if is_known else _FIRST_GLITCH
+    return found if found > factor * usual + _GLITCH_COUNTS * resolution else 0.0
+
+
+def follows_otherwise(ticks: Sequence[Mapping[str, Array]], resolution: float, period_s: float) -> float:
+    """Return how many times as large the following error is as that of the same demand before; 0 if it is about that.
+
+    Parameters
+    ----------
+    ticks : sequence of mapping
+        `COLUMNS`, all with the same compensation.
+    resolution : float
+        Step of the position, SI.
+    period_s : float
+    """
+    if len(ticks) < _SPAN_TICKS + _LEAST_ALIKE:
+        return 0.0
+    names = ("position", "position_demand", "velocity_demand")
+    position, demand, velocity = (np.array([tick[name] for tick in ticks]) for name in names)
+    squares = np.mean((demand - position) ** 2, axis=1), np.mean(velocity**2, axis=1)
+    changes = np.mean((np.diff(velocity, axis=1) / period_s) ** 2, axis=1)
+    windows = [np.lib.stride_tricks.sliding_window_view(each, _SPAN_TICKS) for each in (*squares, changes)]
+    error, speed, acceleration = (np.sqrt(each.mean(axis=1)) for each in windows)
+    if speed[-1] == 0.0:
+        return 0.0
+    is_alike = np.ones(error[:-_SPAN_TICKS].size, dtype=bool)  # spans that share a tick with the last one are left out
+    for each in (speed, acceleration):
+        is_alike &= np.abs(each[:-_SPAN_TICKS] - each[-1]) <= ALIKE * np.maximum(each[:-_SPAN_TICKS], each[-1])
+    if np.count_nonzero(is_alike) < _LEAST_ALIKE:
+        return 0.0
+    floor = _OTHERWISE_COUNTS * resolution
+    before, now = np.maximum(error[:-_SPAN_TICKS][is_alike], floor), max(float(error[-1]), floor)
+    low, high = float(np.min(before)), float(np.max(before))
+    if now > _OTHERWISE * high:
+        return now / high
+    return now / low if low > _OTHERWISE * now else 0.0
 
 
 def is_other_axis(left: Array, usual: float, level: float) -> bool:

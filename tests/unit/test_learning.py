@@ -32,14 +32,14 @@ def motion(t, amplitude=0.2, frequency=0.5):
     return amplitude * (1.0 - np.cos(w * t)), amplitude * w * np.sin(w * t)
 
 
-def record(seconds, true=LUGRE, begin_s=0.0, count=COUNT, error=0.0, seed=None, **course):
+def record(seconds, true=LUGRE, begin_s=0.0, count=COUNT, error=0.0, seed=None, inertia=INERTIA, **course):
     """Rows of an axis that follows a sine with a sine of an error; its torque is that of friction and inertia."""
     t = np.arange(round(seconds / PERIOD_S)) * PERIOD_S + begin_s
     demand, velocity = motion(t, **course)
     before = np.arange(-round(2.0 / PERIOD_S), t.size) * PERIOD_S + begin_s  # so that the state is that of the motion
     past = np.diff(motion(before, **course)[0], prepend=motion(before[:1] - PERIOD_S, **course)[0]) / PERIOD_S
     friction = true.simulate(past, PERIOD_S, position=motion(before, **course)[0])[-t.size :]
-    torque = friction + INERTIA * np.gradient(velocity, PERIOD_S)
+    torque = friction + inertia * np.gradient(velocity, PERIOD_S)
     if seed is not None:
         torque = torque + 0.001 * np.random.default_rng(seed).standard_normal(t.size)
     values = {
@@ -54,6 +54,11 @@ def record(seconds, true=LUGRE, begin_s=0.0, count=COUNT, error=0.0, seed=None, 
         "gain_factor": np.ones(t.size),
     }
     return {name: values[name] for name in COLUMNS}
+
+
+def levels(factor):
+    """The true model with levels that are so many times as high."""
+    return with_values(LUGRE, {name: factor * LUGRE.given[name] for name in ("coulomb", "static", "sigma2")})
 
 
 def window(rows):
@@ -142,9 +147,9 @@ def test_age_makes_a_belief_less_sure_but_not_less_than_at_first():
 class Driven:
     """A learner that is given rows tick by tick."""
 
-    def __init__(self, model=WRONG, gain=0.9):
+    def __init__(self, model=WRONG, gain=0.9, **options):
         self.learner = Learner(
-            model, Mechanics(INERTIA), {}, period_s=PERIOD_S, resolution=COUNT, gain=gain, fade_s=0.5
+            model, Mechanics(INERTIA), {}, period_s=PERIOD_S, resolution=COUNT, gain=gain, fade_s=0.5, **options
         )
         self.ticks, self.proposals, self.notes = 0, [], []
 
@@ -229,7 +234,24 @@ def test_a_gain_that_may_be_chance_is_kept_if_the_torque_since_then_is_explained
         if driven.learner.figures.kept or driven.learner.figures.taken_back:
             break
     assert (driven.learner.figures.kept, driven.learner.figures.taken_back) == (is_kept, not is_kept)
-    assert is_kept or "chance" in driven.proposals[-1][1].text
+    assert is_kept or "without the change" in driven.proposals[-1][1].text
+
+
+def test_friction_that_has_changed_since_a_refused_trial_is_no_reason_to_wait(first):
+    first.take(8, until=Step.BACK, error=1.02e-3)
+    at = first.ticks
+    first.take(4 * WINDOW_TICKS, until=Step.PARAMETERS, error=1e-3, true=levels(1.1))
+    assert 1 <= (first.ticks - at) / WINDOW_TICKS < 2
+
+
+def test_where_friction_falls_the_gain_leaves_room_until_the_next_change(tried):
+    tried.take(WINDOW_TICKS + 6, error=3e-4)
+    gain = tried.proposals[-1][1].gain
+    tried.take(2 * WINDOW_TICKS, until=Step.PARAMETERS, error=3e-4, true=levels(0.93))
+    tried.take(8, until=Step.PARAMETERS, error=2e-4, true=levels(0.93))
+    whole = tried.proposals[-1][1]
+    assert value_of(whole.model, "coulomb") < 0.97 * 0.08
+    assert 0.9 <= whole.gain < gain - 0.02
 
 
 @pytest.mark.parametrize(("error", "windows"), [(1e-3, 2), (1.3e-3, 1)])
@@ -290,6 +312,21 @@ def test_the_true_model_is_left_alone():
     assert driven.proposals == []
 
 
+def test_a_truer_model_that_leaves_more_of_the_friction_with_its_gain_is_not_tried():
+    high = with_values(LUGRE, {name: LUGRE.given[name] / 0.9 for name in ("coulomb", "static", "sigma0", "sigma2")})
+    driven = Driven(high, is_gain_fixed=True).take(3 * WINDOW_TICKS, error=1e-3)
+    assert driven.learner.belief.parameters["coulomb"] == pytest.approx(LUGRE.given["coulomb"], rel=0.02)
+    assert driven.proposals == []
+
+
+def test_a_record_that_contradicts_what_is_known_outweighs_it():
+    driven = Driven(has_layer=False).take(4 * WINDOW_TICKS, inertia=0.7 * INERTIA, error=1e-3)
+    driven.take(WINDOW_TICKS + 1, amplitude=3.0, frequency=1.0, error=1e-3)
+    found = driven.learner.belief.parameters
+    for name in ("sigma2", "coulomb"):
+        assert found[name] == pytest.approx(LUGRE.given[name], rel=0.03)
+
+
 def test_nothing_is_tried_below_the_counts_of_the_encoder():
     driven = Driven().take(3 * WINDOW_TICKS, error=0.5 * COUNT)
     assert driven.proposals == []
@@ -318,6 +355,27 @@ def test_a_record_that_is_not_that_of_the_axis_ends_learning_within_a_second(tri
     assert (tried.ticks - at) * TICK_S <= 1.0
     assert tried.proposals[-1][1].step is Step.BACK
     assert tried.learner.figures.stopped == 1
+
+
+@pytest.mark.parametrize("error", [6e-3, 2e-4])
+def test_an_error_that_changes_without_a_reason_ends_learning_within_a_second(error):
+    driven = Driven(LUGRE, gain=1.0).take(40, error=1e-3).take(4, error=error)
+    assert driven.proposals == []
+    assert any("following error" in note for note in driven.notes)
+
+
+def test_an_error_that_another_demand_explains_ends_nothing():
+    driven = Driven(LUGRE, gain=1.0)
+    for tick in range(60):  # a long stroke at constant speed, a short and hard one from time to time
+        t = (tick * 250 + np.arange(250)) * PERIOD_S
+        is_stroke = tick % 20 > 16
+        velocity = 0.05 + (0.5 * np.sin(math.tau * 4.0 * t) if is_stroke else 0.0 * t)
+        rows = record(TICK_S, begin_s=tick * TICK_S)
+        demand = np.cumsum(velocity) * PERIOD_S
+        error = (1e-3 if is_stroke else 5e-5) * np.sin(math.tau * 4.0 * t)
+        rows |= {"velocity_demand": velocity, "position_demand": demand, "position": quantised(demand - error, COUNT)}
+        driven.learner.take(rows)
+    assert not any("following error" in note for note in driven.learner.notes)
 
 
 def test_a_torque_that_is_no_longer_updated_is_named():

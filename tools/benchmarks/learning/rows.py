@@ -320,16 +320,16 @@ def _catastrophes(grid: Grid) -> Cases:
         axis.sensors.is_frozen = True
 
     removed = own.model_copy(update={"inertia": 0.5 * own.inertia})
-    happening: dict[str, Event] = {
-        "encoder slips": slip,
-        "load removed": partial(_change_plant, plant=_with_level(removed, 0.5)),
-        "drive retuned": partial(_change_plant, plant=own, drive=soft),
-        "torque frozen": freeze,
+    happening: dict[str, tuple[DriveLoops, Event]] = {
+        "encoder slips": (stiff, slip),
+        "load removed": (stiff, partial(_change_plant, plant=_with_level(removed, 0.5))),
+        "drive retuned softly": (stiff, partial(_change_plant, plant=own, drive=soft)),
+        "drive retuned stiffly": (soft, partial(_change_plant, plant=own, drive=stiff)),
+        "torque frozen": (stiff, freeze),
     }
-    for name, event in happening.items():
+    for name, (drive, event) in happening.items():
         of = setup(grid, plant, drives[-1], 2, WRONG[0], 2.0 * AFTER_S)
-        of = replace(of, drive=stiff)
-        yield name, partial(_catastrophe, of, event)
+        yield name, partial(_catastrophe, replace(of, drive=drive), event)
 
 
 def _catastrophe(of: Setup, event: Event) -> dict[str, float]:
