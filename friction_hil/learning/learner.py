@@ -371,9 +371,13 @@ class Learner:
         is_seen = before.is_moving and before.rms >= _LEAST_COUNTS * self._resolution
         if not (self._residual.is_worth(found, self._used.layer, figures) and is_seen):
             return None
+        tried = replace(self._used, layer=found.layer)
+        if found.x is not None:
+            tried = replace(tried, x=replace(self._belief, x=found.x).shown(self._used.x))
+            if not self._promises(tried):
+                return None
         self._residual.was_tried(found, self._used.layer, figures, before.rms)
-        x = self._used.x if found.x is None else replace(self._belief, x=found.x).shown(self._used.x)
-        return self._try(Step.LAYER, replace(self._used, x=x, layer=found.layer), before, found.text)
+        return self._try(Step.LAYER, tried, before, found.text)
 
     def _known_gain(self) -> float:
         """Return the share of the friction that may be commanded: the less is known of the torque, the less.
