@@ -15,6 +15,8 @@ MODIFIERS = {
     "temperature": {"reference": 40.0, "coefficient": -0.004},
     "viscous": {"quadratic": 1e-3, "cubic": 1e-4},
     "ripple": [{"order": 7, "cosine": 0.001, "sine": 0.002}],
+    "reversal": {"distance": [1e-5, 1e-4, 1e-3], "positive": [0.003, -0.002, 0.001], "negative": [0.002, 0.004, 0.0]},
+    "speed": {"velocity": [0.1, 1.0], "positive": [0.003, -0.002], "negative": [-0.004, 0.002]},
 }
 
 

@@ -13,7 +13,8 @@ import friction_hil as fh
 DYNAMIC = ("armstrong", "bouc_wen", "dahl", "elasto_plastic", "gms", "lugre")
 STATIC_MAPS = ("coulomb", "karnopp", "power_law", "stribeck", "table")
 NAMES = tuple(sorted((*DYNAMIC, *STATIC_MAPS)))
-MODIFIERS = ("direction", "load", "ripple", "temperature", "viscous")
+MODIFIERS = ("direction", "load", "reversal", "ripple", "speed", "temperature", "viscous")
+ABSCISSA = {"reversal": "distance", "speed": "velocity"}
 
 _factors = st.floats(0.5, 2.0)
 _viscous = {"lugre": "sigma2", "elasto_plastic": "sigma2", "power_law": "factor"}
@@ -139,6 +140,13 @@ def modifiers(draw: Any, name: str, values: dict[str, Any], *, allowed: tuple[st
             orders = draw(st.lists(st.integers(1, 40), min_size=1, max_size=3, unique=True))
             amplitudes = st.floats(-0.1 * level, 0.1 * level, allow_subnormal=False)
             chosen[kind] = [{"order": one, "cosine": draw(amplitudes), "sine": draw(amplitudes)} for one in orders]
+        elif kind in ABSCISSA:
+            gaps = draw(st.lists(decades(1e-4, 1.0), min_size=1, max_size=4))
+            torques = st.lists(
+                st.floats(-0.1 * level, 0.1 * level, allow_subnormal=False), min_size=len(gaps), max_size=len(gaps)
+            )
+            points = [float(x) for x in np.cumsum(gaps)]
+            chosen[kind] = {ABSCISSA[kind]: points, "positive": draw(torques), "negative": draw(torques)}
         elif kind == "temperature":
             chosen[kind] = {"reference": draw(st.floats(10.0, 50.0)), "coefficient": draw(st.floats(-0.02, 0.02))}
         elif kind == "viscous":
@@ -181,6 +189,10 @@ def mirrored(model: fh.models.FrictionModel) -> Any:
         modified["direction"] = {
             side: sides[other] for side, other in (("positive", "negative"), ("negative", "positive")) if other in sides
         }
+    for kind in ABSCISSA:
+        if kind in model.modifiers:
+            curve = model.modifiers[kind]
+            modified[kind] = curve | {"positive": curve["negative"], "negative": curve["positive"]}
     if "ripple" in model.modifiers:
         modified["ripple"] = [one | {"cosine": -one["cosine"]} for one in model.modifiers["ripple"]]
     return again(model, changes, **modified)
@@ -202,7 +214,9 @@ def level_bound(model: fh.models.FrictionModel, inputs: dict[str, Any]) -> float
         change = warmth["coefficient"] * (np.asarray(inputs["temperature"]) - warmth["reference"])
         bound *= max(float((1.0 + change).max()), 1.0)
     ripple = sum(abs(one["cosine"]) + abs(one["sine"]) for one in model.modifiers.get("ripple", []))
-    return float(bound + ripple)
+    curves = [model.modifiers[kind] for kind in ABSCISSA if kind in model.modifiers]
+    beside = sum(max(map(abs, [*each["positive"], *each["negative"]])) for each in curves)
+    return float(bound + ripple + beside)
 
 
 # --- motions

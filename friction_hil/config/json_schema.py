@@ -10,7 +10,7 @@ from friction_hil import friction
 from friction_hil.config.axis import driver_options
 from friction_hil.config.drivers import DRIVERS, SIMULATED_DRIVES, driver_names
 from friction_hil.config.schema import Configuration
-from friction_hil.friction.modifiers import HARMONIC, LOAD, MAX_HARMONICS, SIDES, TEMPERATURE, VISCOUS
+from friction_hil.friction.modifiers import CURVES, HARMONIC, LOAD, MAX_HARMONICS, SIDES, TEMPERATURE, VISCOUS
 from friction_hil.friction.parameters import Choice, NumberList, Parameter, PointList
 
 _PATH_OR_MODEL = {
@@ -122,7 +122,7 @@ def _modifiers() -> dict[str, Any]:
     """Return the schema of the modifiers; the keys of ``direction`` depend on the model."""
     fixed = {
         each.name: {"description": each.summary, **_parameters(each.parameters)}
-        for each in (LOAD, TEMPERATURE, VISCOUS)
+        for each in (LOAD, TEMPERATURE, VISCOUS, *CURVES)
     }
     harmonics = {"type": "array", "items": _parameters(HARMONIC.parameters), "maxItems": MAX_HARMONICS}
     return {

@@ -211,7 +211,8 @@ def _friction_pieces(model: FrictionModel) -> list[tuple[str, int, int]]:
     end = kernel.NETWORK + max(learned, 1)
     return [
         ("friction", 0, kernel.DIRECTION),
-        ("direction_of_motion", kernel.DIRECTION, kernel.NETWORK),
+        ("direction_of_motion", kernel.DIRECTION, kernel.DIRECTION + 1),
+        ("since_reversal", kernel.DIRECTION + 1, kernel.NETWORK),
         ("network", kernel.NETWORK, end),
     ]
 

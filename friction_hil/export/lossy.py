@@ -248,6 +248,10 @@ def not_steady(model_file: ModelFile, carried: Collection[str] = ()) -> list[str
     ripple = [math.hypot(each["cosine"], each["sine"]) for each in model.modifiers.get("ripple", [])]
     if ripple and "ripple" not in carried:
         lost.append(f"Ripple over position: harmonics of up to {max(ripple):.3g} {torque}.")
+    if "reversal" in model.modifiers:
+        curve = model.modifiers["reversal"]
+        most = max(map(abs, [*curve["positive"], *curve["negative"]]))
+        lost.append(f"Torque over the distance since a reversal: up to {most:.3g} {torque} soon after it.")
     if model_file.mechanics.backlash > 0.0:
         lost.append(f"Backlash: {model_file.mechanics.backlash:.3g} {angle}.")
     return lost

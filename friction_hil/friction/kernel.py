@@ -7,8 +7,8 @@ The parameters of a model are a flat array, ``p``::
                      (0: no network)
     4 ...            the model's own parameters, in the order of its family's `pack`
 
-The state is another flat array, ``s``: the states of the family from index 0 on, the direction of the last motion,
-and the state of the network.
+The state is another flat array, ``s``: the states of the family from index 0 on, the direction of the last motion, the
+distance since the last reversal and the torque there of the modifier ``reversal``, and the state of the network.
 
 Each family has the functions ``step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)`` and
 ``steady(p, velocity, extra, scale)``. There ``p`` starts at the family's own parameters, and ``extra`` and ``scale``
@@ -39,15 +39,20 @@ from friction_hil.numerics.jit import Array, compiled, compiled_for_one_sample, 
 
 HEADER = 4
 _CACHED = 32768  # samples, 256 KiB: small enough to be in the cache at the second pass
-PLAIN_ROOM = 640  # length of p: a full table for each direction, and the modifiers
+PLAIN_ROOM = 768  # length of p: a full table for each direction, and the modifiers
 PARAMETER_ROOM = 2048  # length of p for a model with a network
 DIRECTION = FAMILY_STATES
-NETWORK = DIRECTION + 1
+NETWORK = DIRECTION + modifiers.REVERSAL_STATES
 STATE_ROOM = NETWORK + network.STATE_ROOM
 WHOLE_ROOM = 2 + PARAMETER_ROOM + STATE_ROOM
 
 _level_extra, _level_scale = modifiers.level_extra, modifiers.level_scale
 _fast_torque, _ripple_torque = modifiers.fast_torque, modifiers.ripple_torque
+_reversal_torque, _speed_torque, _settled_torque = (
+    modifiers.reversal_torque,
+    modifiers.speed_torque,
+    modifiers.settled_torque,
+)
 _network_step = network_runs.step_apart
 
 
@@ -95,9 +100,9 @@ def step(
     p, s
         Parameters and state; the state is changed in place.
     velocity, level_velocity
-        Velocity that drives the state and sets the direction, and velocity at which level, damping and viscous
-        friction are evaluated, rad/s. They are equal except in a compensator, which takes them from different
-        sources.
+        Velocity that drives the state, sets the direction and is that of the modifiers ``reversal`` and ``speed``,
+        and velocity at which level, damping and viscous friction are evaluated, rad/s. They are equal except in a
+        compensator, which takes them from different sources.
     dt
         Time for which ``velocity`` is held, s, above zero.
     position
@@ -117,8 +122,10 @@ def step(
         own = part(p, HEADER)
         return family_step(kind, own, own_state, velocity, level_velocity, dt, 0.0, 1.0, applied_torque, epsilon)
     m = part(p, whole(p[2]))
-    ripple = _ripple_torque(m, position)
-    pushed = applied_torque - ripple
+    beside = _ripple_torque(m, position)
+    if m[modifiers.REVERSAL] > 0.0:
+        beside = beside + _reversal_torque(part(m, whole(m[modifiers.REVERSAL])), part(s, DIRECTION), velocity, dt)
+    pushed = applied_torque - beside
     if velocity != 0.0:
         s[DIRECTION] = direction(velocity, 0.0)
     sign = primal(s[DIRECTION])
@@ -129,10 +136,12 @@ def step(
     extra, scale = _level_extra(m, load_torque, sign), _level_scale(m, temperature)
     torque = family_step(kind, own, own_state, velocity, level_velocity, dt, extra, scale, pushed, epsilon)
     fast = _fast_torque(m, level_velocity)
+    if m[modifiers.SPEED] > 0.0:
+        fast = fast + _speed_torque(part(m, whole(m[modifiers.SPEED])), velocity)
     if is_stuck and epsilon == 0.0 and number(kind) <= LAST_STATIC:
         fast = 0.0  # at rest, friction balances the applied torque only
     learned = _learned_torque(p, s, velocity, level_velocity, dt, position, load_torque, temperature)
-    return torque + fast + ripple + learned
+    return torque + fast + beside + learned
 
 
 @compiled_for_one_sample
@@ -269,3 +278,7 @@ def steady_curve(kind: Any, p: Array, velocity: Array, load_torque: float, tempe
         own = part(p, whole(p[1]) if v < 0.0 else HEADER)
         extra, scale = _level_extra(m, load_torque, direction(v, 0.0)), _level_scale(m, temperature)
         torque[k] = family_steady(kind, own, v, extra, scale) + _fast_torque(m, v)
+        if m[modifiers.SPEED] > 0.0:
+            torque[k] += _speed_torque(part(m, whole(m[modifiers.SPEED])), v)
+        if m[modifiers.REVERSAL] > 0.0:
+            torque[k] += _settled_torque(part(m, whole(m[modifiers.REVERSAL])), direction(v, 0.0))

@@ -1,22 +1,31 @@
-"""Modifiers, which change the friction of any model: direction, load, temperature, position and fast motion.
+"""Modifiers, which change the friction of any model: direction, load, temperature, position, speed and reversals.
 
 Load and temperature act on the level of the model (`curves.modified`). Direction selects one of two sets of the
-model's own parameters. Ripple and nonlinear viscous friction add a torque of their own.
+model's own parameters. The others add a torque of their own: ripple over the position, nonlinear viscous friction and
+``speed`` over the velocity, ``reversal`` over the distance since the last reversal.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 from friction_hil.errors import choices
+from friction_hil.friction.curves import direction
 from friction_hil.friction.elementary import cos, sin, whole
 from friction_hil.friction.family import Family, Packed
-from friction_hil.friction.parameters import InvalidParameterError, Parameter, check_all
+from friction_hil.friction.parameters import InvalidParameterError, NumberList, Parameter, check_all
+from friction_hil.numerics.dual import primal
 from friction_hil.numerics.jit import Array, compiled
 
 MAX_HARMONICS = 16
-_MOTORING, _DRIVEN, _REFERENCE, _COEFFICIENT, _QUADRATIC, _CUBIC, _COUNT, _HARMONICS = range(8)
+MAX_POINTS = 16  # of a curve
+# REVERSAL and SPEED are indices of the curves, 0 for none. A curve: number of points, their abscissae, then the torques
+# of positive and those of negative motion.
+_MOTORING, _DRIVEN, _REFERENCE, _COEFFICIENT, _QUADRATIC, _CUBIC, _COUNT, REVERSAL, SPEED, _HARMONICS = range(10)
+_SIGN, _DISTANCE, _HELD = range(3)  # of the state that `reversal_torque` uses
+REVERSAL_STATES = 3
 _LEAST_SCALE = 0.05  # lower bound of the temperature factor, because the linear law does not hold down to zero
 
 
@@ -50,6 +59,67 @@ def ripple_torque(m: Array, position: float) -> float:
         angle = m[_HARMONICS + 3 * i] * position
         torque = torque + m[_HARMONICS + 3 * i + 1] * cos(angle) + m[_HARMONICS + 3 * i + 2] * sin(angle)
     return torque
+
+
+@compiled
+def _on_curve(c: Array, sign: float, x: float) -> float:
+    """Interpolate a curve linearly at ``x`` >= 0, N m: 0 at 0, constant beyond the last point; sign -1, 0 or 1."""
+    count = whole(c[0])
+    values = 1 + count if sign > 0.0 else 1 + 2 * count
+    torque, before, begin = 0.0 * c[0], 0.0 * c[0], 0.0
+    for i in range(count):
+        end = primal(c[1 + i])
+        torque = torque + (c[values + i] - before) * (min(max(x - begin, 0.0), end - begin) / (end - begin))
+        before, begin = c[values + i], end
+    return sign * torque
+
+
+@compiled
+def _since_reversal(c: Array, sign: float, distance: float, held: float) -> float:
+    return _on_curve(c, sign, distance) + held * max(1.0 - distance / primal(c[1]), 0.0)
+
+
+@compiled
+def reversal_torque(c: Array, s: Array, velocity: float, dt: float) -> float:
+    """Advance the distance since the last reversal, and compute the torque of the curve ``c`` there, N m.
+
+    The torque at a reversal fades out over the distance of the first point, where that of the new direction builds up
+    linearly: the torque is continuous over the path, and never beyond the largest one of the points.
+
+    Parameters
+    ----------
+    c : array
+        Curve over the distance.
+    s : array
+        Direction of motion, distance since the reversal and torque at the reversal; changed in place.
+    velocity : float
+        Held over the time ``dt``.
+    dt : float
+    """
+    sign = direction(velocity, 0.0)
+    distance, held = primal(s[_DISTANCE]), s[_HELD]
+    if sign == 0.0:
+        return _since_reversal(c, primal(s[_SIGN]), distance, held)
+    if sign != primal(s[_SIGN]):
+        held = _since_reversal(c, primal(s[_SIGN]), distance, held)
+        s[_HELD] = held
+        s[_SIGN] = sign
+        distance = 0.0
+    distance = min(distance + abs(velocity) * dt, primal(c[whole(c[0])]))
+    s[_DISTANCE] = distance
+    return _since_reversal(c, sign, distance, held)
+
+
+@compiled
+def settled_torque(c: Array, sign: float) -> float:
+    """Compute the torque of the curve ``c`` long after a reversal, N m."""
+    return _on_curve(c, sign, primal(c[whole(c[0])]))
+
+
+@compiled
+def speed_torque(c: Array, velocity: float) -> float:
+    """Compute the torque of the curve ``c`` over the speed, N m."""
+    return _on_curve(c, direction(velocity, 0.0), abs(velocity))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +165,44 @@ HARMONIC = Modifier(
     ),
 )
 SIDES = ("positive", "negative")
-NAMES = ("direction", "viscous", "load", "temperature", "ripple")
+
+
+def _torques(abscissa: NumberList) -> tuple[Parameter, ...]:
+    """Return the parameters of a curve."""
+    positive = NumberList(
+        "positive", "", "N m", "torque at each point in positive motion", lower=None, least=1, most=MAX_POINTS
+    )
+    negative = replace(
+        positive,
+        name="negative",
+        meaning="the same in negative motion, where it acts in the opposite direction",
+        default="positive",
+    )
+    return abscissa, positive, negative
+
+
+_DISTANCES = NumberList(
+    "distance",
+    "",
+    "rad",
+    "distances since the last reversal, rising; 0 at 0, constant beyond the last one",
+    is_lower_allowed=False,
+    least=1,
+    most=MAX_POINTS,
+)
+_VELOCITIES = replace(
+    _DISTANCES,
+    name="velocity",
+    unit="rad/s",
+    meaning="speeds, rising; 0 at 0, constant beyond the last one",
+)
+CURVES = (
+    Modifier("reversal", "additional torque over the distance since the last reversal", _torques(_DISTANCES)),
+    Modifier("speed", "additional torque over the speed", _torques(_VELOCITIES)),
+)
+NAMES = ("direction", "viscous", "load", "temperature", "ripple", "reversal", "speed")
+_CURVES = {each.name: each for each in CURVES}
+_LEAST_GAP = 1e-6  # between two points of a curve, relative: single precision tells them apart
 
 
 def check_modifiers(family: Family, given: Mapping[str, Any], modifiers: Mapping[str, Any]) -> dict[str, Any]:
@@ -127,6 +234,8 @@ def check_modifiers(family: Family, given: Mapping[str, Any], modifiers: Mapping
             checked[name] = _check_ripple(content)
         elif name == "direction":
             checked[name] = _check_direction(family, given, content)
+        elif name in _CURVES:
+            checked[name] = _check_curve(_CURVES[name], content)
         else:
             modifier = {each.name: each for each in (LOAD, TEMPERATURE, VISCOUS)}[name]
             checked[name] = _check_fields(modifier, content, name)
@@ -151,6 +260,28 @@ def _check_ripple(content: object) -> list[dict[str, Any]]:
             f"modifier ripple has {len(content)} harmonics; at most {MAX_HARMONICS} are allowed", "ripple"
         )
     return [_check_fields(HARMONIC, harmonic, f"ripple[{i}]") for i, harmonic in enumerate(content)]
+
+
+def _check_curve(modifier: Modifier, content: object) -> dict[str, Any]:
+    name, abscissa = modifier.name, modifier.parameters[0].name
+    checked = _check_fields(modifier, content, name)
+    points = checked[abscissa]
+    for i, (before, after) in enumerate(pairwise(points)):
+        if not after >= before * (1.0 + _LEAST_GAP):
+            raise InvalidParameterError(
+                f"modifier {name}: {abscissa}[{i + 1}] = {after:.9g} is not above {abscissa}[{i}] = {before:.9g}; "
+                "each is above the one before, by a millionth of it at least",
+                f"{name}.{abscissa}",
+            )
+    for side in SIDES:
+        if len(checked[side]) != len(points):
+            raise InvalidParameterError(
+                f"modifier {name}: {side} has {len(checked[side])} elements, but {abscissa} {len(points)}; "
+                "there is one torque for each",
+                f"{name}.{side}" if side in dict(content) else name,  # type: ignore[call-overload]
+            )
+        checked[side] = list(checked[side])
+    return checked
 
 
 def _check_direction(family: Family, given: Mapping[str, Any], content: object) -> dict[str, Any]:
@@ -202,9 +333,20 @@ def pack_modifiers(modifiers: Mapping[str, Any], angle_per_position: float) -> P
             is_free = content is not None and parameter.name != "reference"
             names.append(f"{modifier.name}.{parameter.name}" if is_free else None)
     harmonics = modifiers.get("ripple", ())
-    values.append(float(len(harmonics)))
-    names.append(None)
+    values += [float(len(harmonics)), 0.0, 0.0]
+    names += [None] * 3
     for i, harmonic in enumerate(harmonics):
         values += [harmonic["order"] * angle_per_position, harmonic["cosine"], harmonic["sine"]]
         names += [None, f"ripple[{i}].cosine", f"ripple[{i}].sine"]
+    for at, modifier in zip((REVERSAL, SPEED), CURVES, strict=True):
+        content = modifiers.get(modifier.name)
+        if content is None:
+            continue
+        values[at] = float(len(values))
+        points = content[modifier.parameters[0].name]
+        values += [float(len(points)), *points]
+        names += [None] * (1 + len(points))
+        for side in SIDES:
+            values += content[side]
+            names += [f"{modifier.name}.{side}[{i}]" for i in range(len(points))]
     return Packed(values, names)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from friction_hil.friction.dispatch import FAMILIES
-from friction_hil.friction.modifiers import HARMONIC, VISCOUS
+from friction_hil.friction.modifiers import CURVES, HARMONIC, VISCOUS
 from friction_hil.friction.parameters import Parameter, PointList
 
 _TORQUE = "N m"  # the units of all parameters that are proportional to the torque begin with it
@@ -33,8 +33,9 @@ def scaled_friction(
         changed["direction"] = {
             side: _scaled(own, values, factor) for side, values in dict(modifiers["direction"] or {}).items()
         }
-    if "viscous" in modifiers:
-        changed["viscous"] = _scaled(VISCOUS.parameters, modifiers["viscous"] or {}, factor)
+    for each in (VISCOUS, *CURVES):
+        if modifiers.get(each.name) is not None:
+            changed[each.name] = _scaled(each.parameters, modifiers[each.name], factor)
     if "ripple" in modifiers:
         changed["ripple"] = [_scaled(HARMONIC.parameters, each, factor) for each in modifiers["ripple"] or ()]
     return _scaled(own, parameters, factor), changed

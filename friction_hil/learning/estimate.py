@@ -8,7 +8,7 @@ G. E. P. Box, G. M. Jenkins, Time Series Analysis, 1976), and stretches of a lar
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -188,38 +188,60 @@ class LeftOver:
 
     Attributes
     ----------
-    position, velocity : array
+    belief : Belief
+    window : Window
+        The whole record, whose beginning brings the state of the model to where it was.
+    whole_velocity : (n,) array
+        Of the record.
+    rows : slice
+        Of the record: those that count.
     torque : array
         Measured less explained torque, N m.
     slopes : (k, m + 3) array
         Derivatives of ``torque`` over the coordinates of the belief.
     doubt : array
         Change of the friction within a period, N m: what is not known of when in a period it happened.
-    seconds : float
-        Length of the record.
     """
 
-    position: Array
-    velocity: Array
+    belief: Belief
+    window: Window
+    whole_velocity: Array
+    rows: slice
     torque: Array
     slopes: Array
     doubt: Array
-    seconds: float
+
+    @property
+    def position(self) -> Array:
+        """Position, rad or m."""
+        return self.window.position[self.rows]
+
+    @property
+    def velocity(self) -> Array:
+        """Velocity, rad/s or m/s."""
+        return self.whole_velocity[self.rows]
+
+    @property
+    def seconds(self) -> float:
+        """Length of the rows."""
+        return self.torque.size * self.window.period_s
+
+    def friction(self, model: FrictionModel) -> Array:
+        """Return the torque of a model, N m."""
+        return model.simulate(self.whole_velocity, self.window.period_s, **self.window.inputs())[self.rows]
+
+    def gradient(self, model: FrictionModel, free: Sequence[Mapping[str, float]]) -> Array:
+        """Return the derivatives (k, len(free)) of a model's torque over weighted sums of its parameters."""
+        period_s, inputs = self.window.period_s, self.window.inputs()
+        _, found = model.simulate_with_gradient(self.whole_velocity, period_s, free=free, **inputs)
+        return np.asarray(found[self.rows])
 
 
 def left_over(window: Window, belief: Belief, resolution: float, skipped_s: float = 0.0) -> LeftOver:
     """Return what a belief leaves of the torque of a record; parameters as in `estimate`."""
     problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
     torque, slopes = problem.residual(belief.x)
-    k = problem.rows
-    return LeftOver(
-        window.position[k],
-        problem.velocity[k],
-        torque,
-        slopes,
-        problem.doubt(belief.x),
-        torque.size * window.period_s,
-    )
+    return LeftOver(belief, window, problem.velocity, problem.rows, torque, slopes, problem.doubt(belief.x))
 
 
 def uncompensated(

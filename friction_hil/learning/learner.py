@@ -27,10 +27,11 @@ from friction_hil.learning.estimate import (
 )
 from friction_hil.learning.figures import Figures
 from friction_hil.learning.judge import CHANCE, HELPS, Work, is_harmful, no_help, objection, rms, work_of
+from friction_hil.learning.layer import Layer
 from friction_hil.learning.motions import WINDOW_TICKS, Kind, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.proposal import Proposal, Step
-from friction_hil.learning.residual import Finding, Layer, Residual
+from friction_hil.learning.residual import Finding, Residual
 from friction_hil.learning.window import COLUMNS, Window, joined, velocity_of, window_of
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import quantity
@@ -370,8 +371,13 @@ class Learner:
         is_seen = before.is_moving and before.rms >= _LEAST_COUNTS * self._resolution
         if not (self._residual.is_worth(found, self._used.layer, figures) and is_seen):
             return None
+        tried = replace(self._used, layer=found.layer)
+        if found.x is not None:
+            tried = replace(tried, x=replace(self._belief, x=found.x).shown(self._used.x))
+            if not self._promises(tried):
+                return None
         self._residual.was_tried(found, self._used.layer, figures, before.rms)
-        return self._try(Step.LAYER, replace(self._used, layer=found.layer), before, found.text)
+        return self._try(Step.LAYER, tried, before, found.text)
 
     def _known_gain(self) -> float:
         """Return the share of the friction that may be commanded: the less is known of the torque, the less.
@@ -565,4 +571,9 @@ class Learner:
 
     def _window(self, rows: Mapping[str, Array], layer: Layer | None = None) -> Window:
         """Return the motion of rows, and their torque without that of a layer."""
-        return window_of(rows, self._period_s, None if layer is None else layer.torque(rows["position"]))
+        window = window_of(rows, self._period_s)
+        if layer is None:
+            return window
+        model, velocity = self._belief.model, velocity_of(window, self._resolution)
+        friction = [each.simulate(velocity, self._period_s, **window.inputs()) for each in (layer.on(model), model)]
+        return replace(window, torque=window.torque - (friction[0] - friction[1]))

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from friction_hil.learning.judge import ALIKE
-from friction_hil.learning.residual import Layer, between
+from friction_hil.learning.layer import Layer, between
 from friction_hil.numerics.jit import Array
 
 WINDOW_TICKS = 24  # of motion, before it counts as a kind; the longest span

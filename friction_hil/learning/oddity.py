@@ -129,9 +129,11 @@ def unexplained(
         Step of the position, rad or m.
     """
     rows = joined(ticks)
-    window = window_of(rows, period_s, None if used.layer is None else used.layer.torque(rows["position"]))
+    window = window_of(rows, period_s)
     velocity = velocity_of(window, resolution)
     model = belief.coordinates.model_at(used.x[:-MECHANICS])
+    if used.layer is not None:
+        model = used.layer.on(model)
     friction = model.simulate(velocity, period_s, **window.inputs())
     acceleration = np.append(np.diff(velocity), 0.0) / period_s
     inertia, static, _ = belief.x[-MECHANICS:]

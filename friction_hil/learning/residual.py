@@ -1,105 +1,61 @@
-"""The residual layer: a bounded torque over position for what the family of an axis's model cannot express.
+"""The residual layer: a bounded torque for what the family of an axis's model cannot express.
 
-It is learned from what the refined model leaves of the measured torque, as harmonics of the position (cogging, gear
-mesh, pitch of a screw) that become the ripple of the model. A harmonic of the position is the derivative of a
-potential: whatever its amplitude, it gives no energy over a closed path, and it has no state that could drift at rest.
+It is learned from what the refined model leaves of the measured torque: harmonics of the position (cogging, gear mesh,
+pitch of a screw), a curve over the distance since the last reversal and one over the speed for each direction, and the
+dependence on the load. All are linear in their amplitudes (`friction_hil.learning.layer`) and become modifiers of the
+model, driven by the intended motion; at rest nothing of it changes.
 
 Orders are looked for in one window of the record (`friction_hil.identification.ripple`); amplitudes are those of all
-windows, the older the less. A layer is proposed only if amplitudes that were found without a part of the record explain
-that part, by more than its stretches scatter.
+windows, the older the less. The simplest explanation is preferred: a group of features is added only if amplitudes
+that were found without a part of the record explain that part, by more than its stretches scatter. Distance, speed and
+load share much with the parameters of the model, which are therefore estimated beside their amplitudes, and handed
+over with them.
 """
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import linalg
 
-from friction_hil import friction
+from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
 from friction_hil.friction.modifiers import MAX_HARMONICS
 from friction_hil.identification.ripple import RippleSearch
-from friction_hil.learning.estimate import LeftOver
+from friction_hil.learning.estimate import MECHANICS, LeftOver
+from friction_hil.learning.evidence import (
+    AT_TIMES,
+    EXPLAINED,
+    SAME_ROWS,
+    STRETCHES,
+    Memory,
+    Rows,
+    empty,
+    expected,
+    is_evident,
+    power_of_two,
+    presliding,
+    rows_of,
+)
 from friction_hil.learning.figures import LayerFigures
+from friction_hil.learning.layer import LOAD, REVERSAL, RIPPLE, SPEED, Feature, Layer, pairs
 from friction_hil.numerics.jit import Array
 
-SHARE = 0.2  # of the friction level: amplitudes of a layer together are at most so much
+SHARE = 0.2  # of the friction level: the torque of a layer is at most so much
 _MOST = 4  # harmonics
-_REMEMBERED_S = 60.0  # time constant of forgetting
-_EXPECTED = 0.1  # of the friction level: standard deviation of an amplitude before anything was learned
-_EXPLAINED = 0.1  # of the mean square of what the model leaves: a layer that explains less is not worth a trial
+_HELD = 1.0  # of what rows show of a coordinate: by so much it is held where it is
+_CLEAR = 0.4  # of the mean square of what the model leaves: groups beside ripple that explain less are not tried
 _WORTH = 0.004  # of the friction level: root mean square torque, or change of it, that is worth a trial
-_EVIDENT = 3.0  # standard errors by which the explained part exceeds chance
-_STRETCHES = 12  # of a window, that count as repeated records
 _PARTS = 2  # of a window, each explained by what the others and the past show
 _SPENT = 2  # windows in which a layer explained nothing, one after the other: it is switched off
 _FIRST_PAUSE, _LONGEST_PAUSE = 2, 40  # windows without a trial, after one that was no gain
 _SEARCHED_ROWS = 2000  # of a window; the search takes most of the time
+_VARIED = 0.05  # of the friction level: scatter of the load torque from which on its effect is looked for
+_DISTANCES = tuple(2.0**k for k in range(-3, 6))  # in distances over which the torque builds up after a reversal
+_SPEEDS = tuple(2.0**k for k in range(-6, 1))  # in top speeds
+_OF_TRAVEL = 1e-3  # such a distance where the model has none
 _MOVING = 0.01  # of the top speed: slower rows are at rest, where friction is whatever holds the axis
-
-
-@dataclass(frozen=True, slots=True)
-class Layer:
-    """Torque that is added to that of a friction model.
-
-    Attributes
-    ----------
-    orders : tuple of float
-        Periods per revolution, on a linear axis per metre.
-    amplitudes : tuple of (float, float)
-        Factors of cosine and sine, N m or N.
-    is_linear : bool
-        True on a linear axis.
-    """
-
-    orders: tuple[float, ...]
-    amplitudes: tuple[tuple[float, float], ...]
-    is_linear: bool = False
-
-    @property
-    def most(self) -> float:
-        """Largest torque that it can give, N m or N."""
-        return math.fsum(math.hypot(*each) for each in self.amplitudes)
-
-    def on(self, model: FrictionModel) -> FrictionModel:
-        """Return a model with this torque beside its own."""
-        harmonics = [dict(each) for each in model.modifiers.get("ripple", ())]
-        for order, (cosine, sine) in zip(self.orders, self.amplitudes, strict=True):
-            same = [each for each in harmonics if each["order"] == order]
-            if same:
-                same[0]["cosine"] += cosine
-                same[0]["sine"] += sine
-            else:
-                harmonics.append({"order": order, "cosine": cosine, "sine": sine})
-        modifiers = {**model.modifiers, "ripple": harmonics}
-        return friction.create(model.name, modifiers=modifiers, axis=model.axis, **model.given)
-
-    def torque(self, position: Array) -> Array:
-        """Return the torque (n,) at positions (n,), N m or N."""
-        return np.asarray(_waves(position, self.orders, self.is_linear) @ np.ravel(self.amplitudes))
-
-    def limited(self, most: float) -> "Layer":
-        """Return the layer with amplitudes of at most ``most`` together."""
-        factor = min(1.0, most / self.most) if self.most > 0.0 else 1.0
-        return replace(self, amplitudes=tuple((factor * cosine, factor * sine) for cosine, sine in self.amplitudes))
-
-    def __str__(self) -> str:
-        return "ripple of order " + ", ".join(f"{each:g}" for each in self.orders)
-
-
-def between(layer: Layer | None, other: Layer | None, part: float) -> Layer | None:
-    """Return what lies a part of the way from a layer to another one; None is a layer without torque."""
-    if layer == other:
-        return other
-    found: dict[float, Array] = {}
-    for each, factor in ((layer, 1.0 - part), (other, part)):
-        if each is not None:
-            for order, pair in zip(each.orders, each.amplitudes, strict=True):
-                found[order] = found.get(order, 0.0) + factor * np.array(pair)
-    is_linear = any(each is not None and each.is_linear for each in (layer, other))
-    pairs = tuple((float(pair[0]), float(pair[1])) for pair in found.values())
-    return Layer(tuple(found), pairs, is_linear)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +72,15 @@ class Finding:
         Root mean square by which its torque differs from that of the layer in use, N m or N.
     is_spent : bool
         The layer in use has explained nothing in the last windows.
+    x : (m + 3,) array or None
+        Coordinates of the belief that belong to the layer; None: those of the belief.
     """
 
     layer: Layer | None
     explained: float = 0.0
     change: float = 0.0
     is_spent: bool = False
+    x: Array | None = None
 
     @property
     def text(self) -> str:
@@ -140,18 +99,19 @@ class Residual:
     """
 
     model: FrictionModel
-    _orders: tuple[float, ...] = ()
-    _information: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    _shown: Array = field(default_factory=lambda: np.zeros(0))
+    _waves: tuple[Feature, ...] = ()
+    _memory: Memory = field(default_factory=lambda: empty(0))  # of the amplitudes of waves alone
+    _grid: tuple[Feature, ...] = ()  # of the other groups
+    _ranges: tuple[float, float, float] | None = None  # speed, load and distance that the grid is for
+    _joint: Memory = field(default_factory=lambda: empty(0))  # of waves, grid and coordinates of the belief
+    _grouped: tuple[str, ...] = ()  # that the last window has shown
+    _is_beside: bool = False  # the last trial was of more than ripple
+    _is_waves_turn: bool = False  # where that was no gain, ripple alone is tried next
     _spent: int = 0  # windows in which the layer in use explained nothing
     _pause: int = _FIRST_PAUSE
     _rest: int = 0  # windows until the next trial
     _patience: int = 1
     _blind: int = 0  # windows until orders are looked for again
-
-    @property
-    def _is_linear(self) -> bool:
-        return self.model.axis == "linear"
 
     def look(self, left: LeftOver, used: Layer | None) -> Finding:
         """Learn from what the model without a layer leaves of a window.
@@ -162,36 +122,56 @@ class Residual:
         used : Layer or None
             In use during the window.
         """
+        friction = left.friction(left.belief.model)
+        added = np.zeros_like(friction) if used is None else left.friction(used.on(left.belief.model)) - friction
+        speed = np.abs(left.velocity)
+        is_moving = speed > _MOVING * float(np.max(speed, initial=0.0))
+        if np.count_nonzero(is_moving) < STRETCHES * _PARTS or not np.isfinite(left.torque).all():
+            return Finding(None)
+        weights = is_moving / np.hypot(_typical(left.torque[is_moving]), left.doubt)
         if used is not None:
-            gained = np.sum(left.torque**2 - (left.torque - used.torque(left.position)) ** 2)
+            gained = np.sum(weights**2 * (left.torque**2 - (left.torque - added) ** 2))
             self._spent = self._spent + 1 if gained <= 0.0 else 0
             if self._spent >= _SPENT:
                 return Finding(None, is_spent=True)
-        speed = np.abs(left.velocity)
-        is_moving = speed > _MOVING * float(np.max(speed, initial=0.0))
-        if np.count_nonzero(is_moving) < _STRETCHES * _PARTS or not np.isfinite(left.torque).all():
-            return Finding(None)
-        weights = is_moving / np.hypot(_typical(left.torque[is_moving]), left.doubt)
-        if not self._orders:
+        if not self._waves:
             if self._blind:
                 self._blind -= 1
-                return Finding(None)
-            self._begin(self._search(left, weights))
-        if not self._orders:
-            return Finding(None)
-        columns = _waves(left.position, self._orders, self._is_linear)
-        explained, is_evident = self._explained(columns, left.torque, weights)
-        self._remember(columns, left.torque, weights, left.seconds)
-        if not is_evident:
-            if used is None:
-                self._begin(())  # another search at the next window
-            return Finding(None, explained)
-        found = self._layer(self._solve(self._information, self._shown))
-        torque = found.torque(left.position)
-        if used is not None:
-            torque = torque - used.torque(left.position)
-        change = float(np.sqrt(np.mean(torque**2)))
-        return Finding(found if change > _WORTH * self.model.level else used, explained, change)
+            else:
+                self._begin(self._search(left, weights))
+        self._spread(left, weights)
+        rows = rows_of(left, weights, (*self._waves, *self._grid))
+        waves, after = list(range(len(self._waves))), rows.target
+        if self._waves:
+            own = rows.columns[:, waves]
+            predicted = self._predicted(waves, own, rows.target, self._memory, self._expected(waves))
+            self._memory = self._memory.older(left.seconds).with_rows(own, rows.target)
+            if is_evident(rows.target, rows.target - predicted):
+                after = rows.target - predicted
+            else:
+                waves = []
+        index, after = self._groups(rows, waves, after, used)
+        self._joint = self._joint.older(left.seconds).with_rows(rows.columns, rows.whole)
+        explained = 1.0 - float(np.sum(after**2)) / max(float(np.sum(rows.target**2)), 1e-300)
+        found, before = Finding(None, explained), self._grouped
+        self._grouped = ()
+        kept = set() if used is None else set(used.groups)
+        is_turn = not (self._is_waves_turn and waves)
+        if index and is_turn and explained > _CLEAR and is_evident(rows.target, after, AT_TIMES):
+            known = self._joint.at(index)
+            solved = known.solved(*self._expected(index, rows, known))
+            wanted = Finding(self._layer(index, solved), explained, x=solved[-rows.x.size :])
+            found = self._checked(left, rows, friction, added, used, wanted)
+            if found.layer is not None:
+                self._grouped = found.layer.groups
+                if not set(self._grouped) <= {RIPPLE, *before, *kept}:
+                    found = Finding(None, explained)  # to be found in two windows, one after the other
+        if found.layer is None and waves and kept <= {RIPPLE}:
+            wanted = Finding(self._layer(waves, self._memory.solved(*self._expected(waves))), explained)
+            found = self._checked(left, rows, friction, added, used, wanted)
+        if self._waves and not waves and used is None:
+            self._begin(())  # another search at the next window
+        return found
 
     def is_worth(self, found: Finding, used: Layer | None, figures: LayerFigures) -> bool:
         """Return True if a finding is worth a trial now."""
@@ -208,6 +188,7 @@ class Residual:
     def was_tried(self, found: Finding, used: Layer | None, figures: LayerFigures, error: float) -> None:
         """Take note that a finding is tried, with the error before; ``used`` is the layer in use so far."""
         figures.tried += 1
+        self._is_beside = found.layer is not None and found.layer.groups != (RIPPLE,)
         if used is None:
             figures.state, figures.text = "on trial", str(found.layer)
             figures.error_before, figures.error_after = error, None
@@ -215,16 +196,17 @@ class Residual:
     def was_kept(self, tried: Layer | None, figures: LayerFigures, error: float) -> None:
         """Take note that a trial was a gain."""
         figures.state, figures.text, figures.error_after = "on", str(tried), error
-        self._pause = _FIRST_PAUSE
+        self._pause, self._is_waves_turn = _FIRST_PAUSE, False
 
     def was_refused(self, used: Layer | None, figures: LayerFigures, why: str) -> None:
         """Take note that a trial was no gain, refused or without a verdict; ``used`` is the layer that stays."""
         figures.state = why if used is None else "on"
+        self._is_waves_turn = self._is_beside
         self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
 
     def changed_motion(self, used: Layer | None, figures: LayerFigures) -> None:
         """Take note of another motion and of what is proven for it; what was learned goes on."""
-        self._spent = 0
+        self._spent, self._grouped = 0, ()
         if figures.tried:
             figures.state = "on" if used is not None else "not proven for this motion"
 
@@ -232,62 +214,158 @@ class Residual:
         """Begin anew: the layer in use was switched off."""
         figures.state = "no longer a gain"
         self._begin(())
-        self._spent = 0
+        self._grid, self._ranges, self._spent = (), None, 0
 
     def _begin(self, orders: Sequence[float]) -> None:
-        self._orders = tuple(orders)
-        self._information = np.zeros((2 * len(orders), 2 * len(orders)))
-        self._shown = np.zeros(2 * len(orders))
+        """Go on with other orders of ripple."""
+        old = len(self._waves)
+        self._waves = pairs(RIPPLE, orders)
+        self._memory = empty(len(self._waves))
+        joint = empty(len(self._waves) + self._joint.shown.size - old)
+        rest = slice(len(self._waves), None)
+        joint.information[rest, rest] = self._joint.information[old:, old:]
+        joint.shown[rest] = self._joint.shown[old:]
+        self._joint = joint
+
+    def _spread(self, left: LeftOver, weights: Array) -> None:
+        """Choose the places of the other groups, anew where the motion leaves their ranges."""
+        load = np.abs(np.nan_to_num(left.window.load_torque[left.rows][weights > 0.0]))
+        is_loaded = float(np.std(load)) > _VARIED * self.model.level
+        seen = (power_of_two(np.max(np.abs(left.velocity))), power_of_two(np.max(load)) if is_loaded else 0.0)
+        size = len(self._waves) + len(self._grid) + left.belief.x.size
+        known = self._ranges or (0.0, 0.0, 0.0)
+        if self._joint.shown.size == size and all(one <= other for one, other in zip(seen, known, strict=False)):
+            return
+        top, most = max(seen[0], known[0]), max(seen[1], known[1])
+        # a static map has no distance of its own
+        distance = known[2] or presliding(self.model) or float(np.ptp(left.position)) * _OF_TRAVEL
+        self._ranges = (top, most, distance)
+        places = {
+            REVERSAL: [distance * each for each in _DISTANCES] if distance > 0.0 else [],
+            SPEED: [top * each for each in _SPEEDS],
+            LOAD: [most] if most > 0.0 else [],
+        }
+        own = self.model.modifiers
+        self._grid = tuple(each for group, at in places.items() if group not in own for each in pairs(group, at))
+        self._joint = empty(len(self._waves) + len(self._grid) + left.belief.x.size)
 
     def _search(self, left: LeftOver, weights: Array) -> list[float]:
         """Return the orders that stand out."""
-        present = self.model.modifiers.get("ripple", ())
+        present = self.model.modifiers.get(RIPPLE, ())
         most = min(_MOST, MAX_HARMONICS - len(present))
         if most <= 0:
             return []
         thinned = (_thinned(each) for each in (left.position, left.torque, left.slopes, weights))
         position, torque, slopes, weights = thinned
         parts = [slice(0, torque.size)]
-        orders = RippleSearch(position, torque, slopes, weights, parts, is_linear=self._is_linear).orders(most)
+        is_linear = self.model.axis == "linear"
+        orders = RippleSearch(position, torque, slopes, weights, parts, is_linear=is_linear).orders(most)
         if not orders:
             self._blind, self._patience = self._patience, min(2 * self._patience, _LONGEST_PAUSE)
         return orders
 
-    def _solve(self, information: Array, shown: Array) -> Array:
-        """Return the amplitudes that are most probable."""
-        prior = 1.0 / (_EXPECTED * self.model.level) ** 2
-        return np.asarray(np.linalg.solve(information + prior * np.eye(len(shown)), shown))
+    def _groups(self, rows: Rows, waves: list[int], after: Array, used: Layer | None) -> tuple[list[int], Array]:
+        """Return the columns of waves and groups that explain more than waves alone, and what they leave.
 
-    def _remember(self, columns: Array, torque: Array, weights: Array, seconds: float) -> None:
-        kept = math.exp(-seconds / _REMEMBERED_S)
-        weighted = weights[:, None] * columns
-        self._information = kept * self._information + weighted.T @ weighted
-        self._shown = kept * self._shown + weighted.T @ (weights * torque)
+        Parameters
+        ----------
+        rows : Rows
+        waves : list of int
+            Columns of waves that are evident.
+        after : (k,) array
+            What these leave of the target.
+        used : Layer or None
+        """
+        features = (*self._waves, *self._grid)
+        coordinates = range(len(features), rows.columns.shape[1])
+        own = {
+            group: [i for i, each in enumerate(features) if each.group == group] for group in (REVERSAL, SPEED, LOAD)
+        }
+        left = [group for group, index in own.items() if index]
+        chosen: list[str] = [group for group in left if used is not None and group in used.groups]
 
-    def _explained(self, columns: Array, torque: Array, weights: Array) -> tuple[float, bool]:
-        """Return the share of parts of the window that the rest explains, and if that is more than chance."""
-        predicted = np.empty_like(torque)
-        bounds = np.linspace(0, torque.size, _PARTS + 1).astype(int)
-        for begin, end in itertools.pairwise(bounds):
-            is_other = np.ones(torque.size, dtype=bool)
-            is_other[begin:end] = False
-            weighted = weights[is_other, None] * columns[is_other]
-            found = self._solve(
-                self._information + weighted.T @ weighted,
-                self._shown + weighted.T @ (weights * torque)[is_other],
+        def tried(groups: list[str]) -> tuple[list[int], Array]:
+            index = [*waves, *itertools.chain(*(own[each] for each in groups)), *coordinates]
+            known = self._joint.at(index)
+            predicted = self._predicted(
+                index, rows.columns[:, index], rows.whole, known, self._expected(index, rows, known)
             )
-            layer = self._layer(found)
-            predicted[begin:end] = columns[begin:end] @ np.ravel(layer.amplitudes)
-        before, after = (weights * torque) ** 2, (weights * (torque - predicted)) ** 2
-        starts = np.linspace(0, torque.size, _STRETCHES, endpoint=False).astype(int)
-        gains = np.add.reduceat(before - after, starts)
-        error = float(np.std(gains, ddof=1)) / math.sqrt(gains.size)
-        share = float(np.sum(gains)) / max(float(np.sum(before)), 1e-300)
-        return share, share > _EXPLAINED and float(np.mean(gains)) > _EVIDENT * error
+            return index, rows.whole - predicted
 
-    def _layer(self, amplitudes: Array) -> Layer:
-        pairs = tuple((float(cosine), float(sine)) for cosine, sine in amplitudes.reshape(-1, 2))
-        return Layer(self._orders, pairs, self._is_linear).limited(SHARE * self.model.level)
+        index, now = tried(chosen)
+        if not np.sum(now**2) < np.sum(after**2):
+            now = after  # what the belief says is better than that
+        while left := [group for group in left if group not in chosen]:
+            found = {group: tried([*chosen, group]) for group in left}
+            best = min(left, key=lambda group: float(np.sum(found[group][1] ** 2)))
+            gained = np.sum(now**2) - np.sum(found[best][1] ** 2)
+            if not is_evident(now, found[best][1], AT_TIMES):
+                break
+            if waves and gained < EXPLAINED * np.sum(rows.target**2):  # ripple alone is simpler
+                break
+            chosen.append(best)
+            index, now = found[best]
+        return (index, now) if chosen else ([], after)
+
+    def _expected(self, index: list[int], rows: Rows | None = None, known: Memory | None = None) -> tuple[Array, Array]:
+        """Return mean and information of amplitudes and coordinates before anything was learned of them.
+
+        Coordinates are held where they are, by what was known of them first and a part of what ``known`` shows.
+        """
+        count = len(self._waves) + len(self._grid)
+        own = [i for i in index if i < count]
+        information = expected([(*self._waves, *self._grid)[i] for i in own]) / self.model.level**2
+        mean = np.zeros(len(own))
+        if rows is not None and known is not None:
+            held = SAME_ROWS * rows.first**-2.0 + _HELD * np.diag(known.information)[len(own) :]
+            information = linalg.block_diag(information, np.diag(held))
+            mean = np.concatenate([mean, rows.x])
+        return mean, information
+
+    def _predicted(
+        self, index: list[int], columns: Array, target: Array, memory: Memory, expected: tuple[Array, Array]
+    ) -> Array:
+        """Return the target of each part of the rows as the other parts and the past predict it."""
+        predicted = np.empty_like(target)
+        bounds = np.linspace(0, target.size, _PARTS + 1).astype(int)
+        for begin, end in itertools.pairwise(bounds):
+            is_other = np.ones(target.size, dtype=bool)
+            is_other[begin:end] = False
+            solved = memory.with_rows(columns[is_other], target[is_other]).solved(*expected)
+            amplitudes = self._layer(index, solved).amplitudes
+            solved[: len(amplitudes)] = amplitudes
+            predicted[begin:end] = columns[begin:end] @ solved
+        return predicted
+
+    def _layer(self, index: list[int], solved: Array) -> Layer:
+        """Return the layer of amplitudes, within its bound; values of coordinates follow them."""
+        features = (*self._waves, *self._grid)
+        own = [features[i] for i in index if i < len(features)]
+        # the friction of a model rises with its load
+        amplitudes = [float(max(a, 0.0) if each.group == LOAD else a) for each, a in zip(own, solved, strict=False)]
+        return Layer(tuple(own), tuple(amplitudes)).limited(SHARE * self.model.level)
+
+    def _checked(
+        self, left: LeftOver, rows: Rows, friction: Array, added: Array, used: Layer | None, found: Finding
+    ) -> Finding:
+        """Return what is found if it is what it seems, and the layer in use where it hardly differs."""
+        assert found.layer is not None
+        base, own = left.belief.model, friction
+        if found.x is not None:
+            try:
+                base = left.belief.coordinates.model_at(found.x[:-MECHANICS])
+                own = left.friction(base)
+            except UsageError:
+                return Finding(None, found.explained)
+        torque = left.friction(found.layer.on(base))
+        if found.x is not None:
+            moved = left.slopes[:, -MECHANICS:] @ (found.x - left.belief.x)[-MECHANICS:]
+            after = rows.weights * (left.torque - (torque - friction) + moved)
+            # coordinates act in straight lines only nearby
+            if not np.sum(after**2) < (1.0 - EXPLAINED) * np.sum(rows.target**2):
+                return Finding(None, found.explained)
+        change = float(np.sqrt(np.mean((torque - own - added) ** 2)))
+        return replace(found, layer=found.layer if change > _WORTH * self.model.level else used, change=change)
 
 
 def _thinned(values: Array) -> Array:
@@ -300,9 +378,3 @@ def _thinned(values: Array) -> Array:
 def _typical(torque: Array) -> float:
     """Return the median size of a residual, N m or N, above zero."""
     return max(float(np.median(np.abs(torque))), 1e-12)
-
-
-def _waves(position: Array, orders: Sequence[float], is_linear: bool) -> Array:
-    """Return cosine and sine of each order (n, 2 m)."""
-    angles = np.outer(position, np.array(orders) * (math.tau if is_linear else 1.0))
-    return np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(position.size, -1)

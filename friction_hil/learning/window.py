@@ -75,12 +75,12 @@ def joined(ticks: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
     return {name: np.concatenate([tick[name] for tick in ticks]) for name in COLUMNS}
 
 
-def window_of(rows: Mapping[str, Array], period_s: float, known: Array | None = None) -> Window:
-    """Return the window of rows, `COLUMNS`, their torque without one that is ``known`` (n,), N m."""
+def window_of(rows: Mapping[str, Array], period_s: float) -> Window:
+    """Return the window of rows, `COLUMNS`."""
     return Window(
         period_s,
         rows["position"],
-        rows["torque"] if known is None else rows["torque"] - known,
+        rows["torque"],
         rows["position_demand"],
         rows["load_estimate"],
         rows["temperature_estimate"],

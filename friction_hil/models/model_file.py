@@ -14,6 +14,7 @@ from friction_hil.compensator.load import Position, gravity_torque
 from friction_hil.compensator.temperature import HIGHEST, LOWEST
 from friction_hil.errors import UsageError
 from friction_hil.friction import Axis, FrictionModel, InvalidParameterError, Network, NetworkStructure
+from friction_hil.friction.modifiers import NAMES as MODIFIERS
 from friction_hil.friction.modifiers import check_modifiers
 from friction_hil.friction.parameters import check_all
 
@@ -28,9 +29,7 @@ class Base(Section):
 
     model: str = key("name of the friction model; 'friction-hil models' lists them")
     parameters: dict[str, Any] = key("parameters of the model, SI; 'friction-hil models NAME' describes them")
-    modifiers: dict[str, Any] = key(
-        "modifiers of the friction: direction, viscous, load, temperature, ripple", default={}
-    )
+    modifiers: dict[str, Any] = key(f"modifiers of the friction: {', '.join(MODIFIERS)}", default={})
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -111,9 +110,7 @@ class Friction(Section):
     parameters: dict[str, Any] = key(
         "parameters of the model, SI; 'friction-hil models NAME' describes them", default={}
     )
-    modifiers: dict[str, Any] = key(
-        "modifiers of the friction: direction, viscous, load, temperature, ripple", default={}
-    )
+    modifiers: dict[str, Any] = key(f"modifiers of the friction: {', '.join(MODIFIERS)}", default={})
     network: TrainedNetwork | None = key("trained network; only for the model network", default=None)
 
     @model_validator(mode="after")
@@ -134,7 +131,7 @@ class Friction(Section):
             return [(("parameters",), "a network has no parameters; those of its base model belong to network.base")]
         if self.network.base is not None:
             return [(("modifiers",), "belong to network.base")] if self.modifiers else []
-        own = sorted(set(self.modifiers) - {"viscous", "ripple"})
+        own = sorted(set(self.modifiers) - {"viscous", "ripple", "reversal", "speed"})
         return [(("modifiers", name), "a network without base model has no level to modify") for name in own]
 
     def create(self, axis: Axis) -> FrictionModel:

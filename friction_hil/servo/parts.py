@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel, create, describe
+from friction_hil.friction.modifiers import NAMES as MODIFIERS
 from friction_hil.servo.records import MOST_HARMONICS
 
 Axis = Literal["rotary", "linear"]
@@ -30,9 +31,7 @@ class TrueFriction(Part):
     parameters: dict[str, Any] = Field(
         default_factory=lambda: dict(describe("lugre").example), description="parameters of the model, SI"
     )
-    modifiers: dict[str, Any] = Field(
-        default_factory=dict, description="modifiers: direction, viscous, load, temperature, ripple"
-    )
+    modifiers: dict[str, Any] = Field(default_factory=dict, description=f"modifiers: {', '.join(MODIFIERS)}")
 
     @model_validator(mode="after")
     def _exists(self) -> "TrueFriction":

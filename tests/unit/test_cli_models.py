@@ -69,7 +69,7 @@ def test_list(columns, capsys, monkeypatch):
     assert all(line == line.rstrip() and line.isprintable() for line in lines)
     names = [line.split(" ")[0] for line in lines if line and line[0] != " "]
     assert [name for name in names if name in NAMES] == [*sorted(STATIC_MAPS), *sorted(DYNAMIC)]
-    modifiers = ["direction", "viscous", "load", "temperature", "ripple"]
+    modifiers = ["direction", "viscous", "load", "temperature", "ripple", "reversal", "speed"]
     assert [name for name in names[names.index("modifier") :] if name in modifiers] == modifiers
 
 
@@ -93,6 +93,8 @@ def test_list_as_json(capsys):
         "load": ["motoring", "driven"],
         "temperature": ["reference", "coefficient"],
         "ripple": ["order", "cosine", "sine"],
+        "reversal": ["distance", "positive", "negative"],
+        "speed": ["velocity", "positive", "negative"],
     }
     assert [modifier["name"] for modifier in listed["modifiers"] if modifier["is_list"]] == ["ripple"]
     for model in listed["models"]:
@@ -110,7 +112,7 @@ def test_modifiers_of_the_list_can_be_pasted_below_an_example(folder, capsys):
     text = "version: 1\naxis: rotary\n" + pasted(output_of(capsys, "lugre")) + "\n".join(block) + "\n"
     (folder / "made.yaml").write_text(text)
     model = fh.models.load("made.yaml")
-    assert sorted(model.modifiers) == ["direction", "load", "ripple", "temperature", "viscous"]
+    assert sorted(model.modifiers) == ["direction", "load", "reversal", "ripple", "speed", "temperature", "viscous"]
     assert model.modifiers["direction"] == {"positive": {"coulomb": 0.09}, "negative": {"coulomb": 0.07}}
 
 

@@ -23,6 +23,8 @@ friction:
     ripple:
       - {order: 7, cosine: 1.0}
       - {order: 14, sine: 0.5}
+    reversal: {distance: [1e-5, 1e-3], positive: [0.1, 0.0]}
+    speed: {velocity: [0.1], positive: [0.1], negative: [0.2]}
 """
 
 
@@ -37,7 +39,8 @@ def test_what_is_right_is_loaded_as_it_stands(tmp_path):
     assert model.axis == "linear"
     assert model.parameters["weight"] == [0.4, 0.6]
     assert model.modifiers["ripple"][1] == {"order": 14.0, "cosine": 0.0, "sine": 0.5}
-    assert "direction.positive.coulomb" in model.free
+    assert model.modifiers["reversal"]["negative"] == [0.1, 0.0]
+    assert {"direction.positive.coulomb", "reversal.negative[1]", "speed.negative[0]"} <= set(model.free)
 
 
 @pytest.mark.parametrize(
@@ -57,6 +60,10 @@ def test_what_is_right_is_loaded_as_it_stands(tmp_path):
         ("coulomb: 1.1", "stiffness: [1.0, 2.0, 3.0]", 14, "modifiers.direction.positive", "weight has 2 elements"),
         ("motoring: 0.1", "motoring: much", 15, "modifiers.load.motoring", "is 'much', not a number"),
         ("order: 14", "order: -1", 18, "modifiers.ripple[1].order", "order = -1 is not allowed"),
+        ("[1e-5, 1e-3]", "[1e-3, 1e-5]", 19, "modifiers.reversal.distance", "distance[1] = 1e-05 is not above"),
+        ("[0.1, 0.0]", "[0.1]", 19, "modifiers.reversal.positive", "has 1 elements, but distance 2"),
+        ("distance: [1e-5", "distance: [0.0", 19, "modifiers.reversal.distance", "distance[0] = 0 is not allowed"),
+        ("velocity: [0.1], ", "", 20, "modifiers.speed.velocity", "needs velocity"),
         ("    load:", "    loads:", 15, "modifiers.loads", "did you mean 'load'"),
     ],
 )

@@ -25,6 +25,8 @@ MODIFIERS = {
     "temperature": {"reference": 40.0, "coefficient": -0.004},
     "viscous": {"quadratic": 1e-4, "cubic": 2e-5},
     "ripple": [{"order": 7.0, "cosine": 1e-3, "sine": 2e-3}, {"order": 1.5, "cosine": 0.0, "sine": 0.004}],
+    "reversal": {"distance": [1e-4, 2e-3], "positive": [2e-3, 5e-3], "negative": [-3e-3, 4e-3]},
+    "speed": {"velocity": [0.1, 1.0], "positive": [2e-3, 5e-3], "negative": [-3e-3, 4e-3]},
 }
 SIDES = {
     "armstrong": {"coulomb": 0.09, "static_released": 0.11},

@@ -48,6 +48,8 @@ def test_the_largest_model_of_all_has_room_in_a_compensator():
         "temperature": {"reference": 20.0, "coefficient": 0.0},
         "viscous": {"quadratic": 1e-3},
         "ripple": [{"order": order, "cosine": 0.01 * order} for order in range(1, 17)],
+        "reversal": {"distance": speeds[1:17] * 1e-6, "positive": 0.01 * speeds[1:17]},
+        "speed": {"velocity": speeds[1:17], "positive": np.zeros(16)},
     }
     model = fh.models.create("table", points=points, modifiers=modifiers)
     one, runner = compensator(model, source="demand", torque_limit=100.0), model.start()

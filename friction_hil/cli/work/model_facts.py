@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from friction_hil.friction.modifiers import HARMONIC, LOAD, SIDES, TEMPERATURE, VISCOUS
+from friction_hil.friction.modifiers import CURVES, HARMONIC, LOAD, SIDES, TEMPERATURE, VISCOUS
 from friction_hil.friction.parameters import Parameter
 from friction_hil.models import Family
 from friction_hil.models.model_file import ModelFile
@@ -47,12 +47,14 @@ def describe_modifier(name: str) -> dict[str, Any]:
         example: Any = {"positive": {"coulomb": 0.09}, "negative": {"coulomb": 0.07}}
         summary = "parameters of their own for each direction of motion"
         return {"name": name, "summary": summary, "parameters": sides, "is_list": False, "example": example}
-    modifier = {each.name: each for each in (VISCOUS, LOAD, TEMPERATURE, HARMONIC)}[name]
+    modifier = {each.name: each for each in (VISCOUS, LOAD, TEMPERATURE, HARMONIC, *CURVES)}[name]
     examples: dict[str, Any] = {
         "viscous": {"quadratic": 1e-5, "cubic": 0.0},
         "load": {"motoring": 0.1, "driven": 0.05},
         "temperature": {"reference": 40.0, "coefficient": -0.004},
         "ripple": [{"order": 7.0, "cosine": 0.001, "sine": 0.002}],
+        "reversal": {"distance": [1e-5, 1e-4, 1e-3], "positive": [0.002, 0.001, 0.0]},
+        "speed": {"velocity": [0.1, 1.0], "positive": [0.0, 0.002]},
     }
     return {
         "name": name,

@@ -3,10 +3,11 @@
 Rows: `off`, parameters 12 to 30 % off, after 60 s of the axis's own motion; `exact`, the true parameters from the
 start; `drift`, a level that changes by 40 % up and down over ten minutes, with half as much again from 400 s on;
 `changing`, another motion every minute; `poor`, a 14-bit encoder, two cycles of delay, 1 % of noise on the torque and a
-torque constant 10 % off; `residual`, the true parameters on an axis with cogging that the model file knows nothing of,
-learned without and with a residual layer; `catastrophes`, an encoder that slips, a load that is removed, a drive that
-is tuned anew and a torque that is no longer updated. All without bus or clock: the same numbers in each run on a
-machine, but for the share of the processor.
+torque constant 10 % off; `residual`, the true parameters on an axis with more than the model file knows of (cogging,
+Maxwell-slip elements instead of bristles, a hump over the speed, a pendulum whose weight loads the bearings), learned
+without and with a residual layer; `wrong_layers`, wrong layers at their bound; `catastrophes`, an encoder that slips, a
+load that is removed, a drive that is tuned anew and a torque that is no longer updated. All without bus or clock: the
+same numbers in each run on a machine, but for the share of the processor.
 """
 
 import sys

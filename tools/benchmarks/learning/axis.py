@@ -9,6 +9,8 @@ from friction_hil.daemon.control.desk import LATEST_CYCLES
 from friction_hil.daemon.control.prepare import state_in
 from friction_hil.numerics.jit import Array
 from friction_hil.servo.assembly import controller_record, machine_record, servo_state
+from friction_hil.servo.config import ServoConfig
+from friction_hil.servo.parts import Gravity
 from tools.benchmarks.compensation.grid import DriveLoops, Plant
 from tools.benchmarks.compensation.machine import TRACE, advance
 from tools.benchmarks.compensation.simulation import servo_config
@@ -57,14 +59,40 @@ class Sensors:
 
 
 class Axis:
-    """A plant behind a drive, moved along a demand."""
+    """A plant behind a drive, moved along a demand.
+
+    Parameters
+    ----------
+    plant, drive
+        Of a grid file.
+    compensator : Compensator
+    sensors : Sensors
+    period_s : float
+    seed : int
+    gravity : float
+        Torque of gravity per sine of the position, N m, which is fed forward as the daemon does.
+
+    Attributes
+    ----------
+    beside : list of (float, Compensator)
+        Whose torques, with these factors, act beside that of the compensator.
+    """
 
     def __init__(
-        self, plant: Plant, drive: DriveLoops, compensator: Compensator, sensors: Sensors, period_s: float, seed: int
+        self,
+        plant: Plant,
+        drive: DriveLoops,
+        compensator: Compensator,
+        sensors: Sensors,
+        period_s: float,
+        seed: int,
+        gravity: float = 0.0,
     ) -> None:
         self.drive, self.compensator, self.sensors, self.period_s = drive, compensator, sensors, period_s
         self.samples = round(drive.rate_hz * period_s)
-        servo = servo_config(plant, drive)
+        self.gravity = gravity
+        self.beside: list[tuple[float, Compensator]] = []
+        servo = self._servo(plant, drive)
         self.record, self.controller = machine_record(servo), controller_record(servo)
         self.state = servo_state(servo, self.record, 0.0)
         self.cycle = 0
@@ -81,8 +109,15 @@ class Axis:
 
     def change_plant(self, plant: Plant, drive: DriveLoops | None = None) -> None:
         """Go on with another plant or other loops, from the same motion."""
-        servo = servo_config(plant, drive or self.drive)
+        servo = self._servo(plant, drive or self.drive)
         self.record, self.controller = machine_record(servo), controller_record(servo)
+
+    def _servo(self, plant: Plant, drive: DriveLoops) -> ServoConfig:
+        servo = servo_config(plant, drive)
+        if self.gravity == 0.0:
+            return servo
+        mechanics = servo.mechanics.model_copy(update={"gravity": Gravity(sine=self.gravity)})
+        return servo.model_copy(update={"mechanics": mechanics})
 
     def move(self, demands: tuple[Array, Array, Array], ahead: tuple[Array, Array]) -> tuple[dict[str, Array], Array]:
         """Move along demands at the samples of the drive; return the rows of the cycles and the following errors.
@@ -128,6 +163,10 @@ class Axis:
                 torque,
                 compensator.gain_factor,
             )
+            if self.gravity:
+                torque += self.gravity * np.sin(demands[0][i])
+            for factor, other in self.beside:
+                torque += factor * other.step(*values)
             self._pending.append(torque)
             score[:] = 0.0
             advance(

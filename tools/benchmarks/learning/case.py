@@ -118,12 +118,13 @@ def follow(
         Returns the model to go on with from a time on, None for the present one: a model tuned by hand.
     """
     period_s, settings, model = of.settings.period_s, of.settings, of.believed
-    axis = Axis(of.plant, of.drive, Compensator(model, settings), replace(of.sensors), period_s, of.seed)
+    weight = settings.gravity[1]
+    axis = Axis(of.plant, of.drive, Compensator(model, settings), replace(of.sensors), period_s, of.seed, weight)
     learner = None
     if is_learning:
         learner = Learner(
             model,
-            Mechanics(settings.inertia),
+            Mechanics(settings.inertia, settings.gravity),
             {},
             period_s=period_s,
             resolution=settings.position_resolution,

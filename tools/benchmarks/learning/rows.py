@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from friction_hil.compensator import Compensator
 from friction_hil.learning.coordinates import value_of, with_values
+from friction_hil.learning.layer import REVERSAL, SPEED, Layer, pairs
+from friction_hil.learning.residual import SHARE
 from tools.benchmarks.compensation.grid import DriveLoops, Grid, Plant
 from tools.benchmarks.compensation.motions import GridMotion
 from tools.benchmarks.compensation.numbers import geometric_mean
@@ -33,6 +36,11 @@ _CHANGING = (
     (60.0, GridMotion(amplitude=1.0, frequency=1.0)),
 )
 _COGGING = {7.0: 0.05, 24.0: 0.065}  # amplitude in friction levels, by order
+# Maxwell-slip elements: shares of the stiffness and of the level
+_SLIP_STIFFNESS, _SLIP = (0.4, 0.3, 0.2, 0.1), {"weight": [0.25] * 4, "attraction": 20.0}
+_HUMP = {0.02: 0.0, 0.05: 0.05, 0.15: 0.08, 0.5: 0.05, 2.0: 0.0}  # in friction levels, by speed in rad/s
+_WEIGHT, _LOAD_FACTORS, _LEAST_LOAD = 2.0, {"motoring": 0.15, "driven": 0.1}, 0.3  # friction levels
+_WRONG_S, _WRONG_LAYERS = 8.0, 6
 _HAPPENS_S = 30.0
 _STOP_S = 1.0
 
@@ -148,6 +156,33 @@ def _residual(grid: Grid) -> Cases:
         friction = of.plant.friction.model_copy(update={"modifiers": {**of.believed.modifiers, "ripple": ripple}})
         plant = of.plant.model_copy(update={"friction": friction})
         yield f"{name} cogging", partial(_layered, replace(of, plant=plant, settings=replace(of.settings, gain=0.9)))
+    yield from _residual_others(grid)
+
+
+def _residual_others(grid: Grid) -> Cases:
+    """Return cases of friction beside cogging that LuGre does not express."""
+    for name, of in _combinations(grid, ("exact",), AFTER_S):
+        own, level = of.believed, of.believed.level
+        of = replace(of, settings=replace(of.settings, gain=0.9))
+        slip = dict(_SLIP, **{key: own.parameters[key] for key in ("coulomb", "static", "stribeck_velocity")})
+        slip["viscous"] = own.parameters["sigma2"]
+        slip["stiffness"] = [share * own.parameters["sigma0"] for share in _SLIP_STIFFNESS]
+        yield f"{name} slip", partial(_layered, _with_friction(of, model="gms", parameters=slip))
+        hump = {"velocity": list(_HUMP), "positive": [share * level for share in _HUMP.values()]}
+        modifiers = {**own.modifiers, "speed": hump}
+        yield f"{name} hump", partial(_layered, _with_friction(of, modifiers=modifiers))
+    for name, of in _combinations(grid, ("exact",), AFTER_S):
+        weight = _WEIGHT * of.believed.level
+        if weight * math.sin(of.motions[0][1].amplitude) < _LEAST_LOAD * of.believed.level:
+            continue
+        of = _with_friction(of, modifiers={**of.believed.modifiers, "load": _LOAD_FACTORS})
+        settings = replace(of.settings, gain=0.9, gravity=(0.0, weight, 0.0))
+        yield f"{name} load", partial(_layered, replace(of, settings=settings))
+
+
+def _with_friction(of: Setup, **changes: Any) -> Setup:
+    """Return a setup with another true friction."""
+    return replace(of, plant=of.plant.model_copy(update={"friction": of.plant.friction.model_copy(update=changes)}))
 
 
 def _layered(of: Setup) -> dict[str, float]:
@@ -170,6 +205,38 @@ def _layered(of: Setup) -> dict[str, float]:
         "tried": layer.tried,
         "on": float(layer.state == "on"),
     }
+
+
+def _wrong(grid: Grid) -> Cases:
+    """Return cases of layers that are wrong and at their bound, on axes whose friction the model expresses."""
+    for name, of in _combinations(grid, ("exact",), _WRONG_S):
+        for seed in range(_WRONG_LAYERS):
+            yield f"{name} layer {seed}", partial(_wrongly_layered, of, seed)
+
+
+def _wrongly_layered(of: Setup, seed: int) -> dict[str, float]:
+    """Return the error with the same torque along the demand, which knows nothing of the axis, over that with a layer.
+
+    Of the second half of the time, in which an instability would have grown.
+    """
+    random, model = np.random.default_rng(seed), of.believed
+    distance, top = model.level / model.presliding_stiffness, of.motions[0][1].amplitude * math.tau
+    reversal = pairs(REVERSAL, (distance * 2.0 ** np.arange(-3.0, 6.0)).tolist())
+    speed = pairs(SPEED, (top * 2.0 ** np.arange(-6.0, 1.0)).tolist())
+    features = ((*reversal, *speed), speed, reversal)[seed % 3]
+    signs = random.choice([-1.0, 1.0], len(features) if seed % 2 else 1) * np.ones(len(features))
+    layered = Layer(features, tuple((model.level * signs).tolist())).limited(SHARE * model.level).on(model)
+    on_demand = replace(of.settings, source="demand")
+
+    def add(axis: Axis) -> None:
+        axis.beside = [(1.0, Compensator(layered, on_demand)), (-1.0, Compensator(model, on_demand))]
+
+    runs = [
+        follow(of, _WRONG_S, is_learning=False, events={0.0: add}),
+        follow(replace(of, believed=layered), _WRONG_S, is_learning=False),
+    ]
+    errors = [run.error(0.5 * _WRONG_S, _WRONG_S, of.settings.period_s) for run in runs]
+    return {"error_ratio": errors[0].rms / errors[1].rms, "error_ratio_peak": errors[0].peak / errors[1].peak}
 
 
 def _drift(grid: Grid) -> Cases:
@@ -300,6 +367,7 @@ _ROWS: dict[str, Callable[[Grid], Cases]] = {
     "changing": _changing,
     "poor": _poor,
     "residual": _residual,
+    "wrong_layers": _wrong,
     "catastrophes": _catastrophes,
 }
 __all__ = ["AFTER_S", "Figure", "Followed", "cases_of", "names", "summary"]
