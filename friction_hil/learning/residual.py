@@ -298,10 +298,7 @@ class Residual:
         while left := [group for group in left if group not in chosen]:
             found = {group: tried([*chosen, group]) for group in left}
             best = min(left, key=lambda group: float(np.sum(found[group][1] ** 2)))
-            gained = np.sum(now**2) - np.sum(found[best][1] ** 2)
             if not is_evident(now, found[best][1], AT_TIMES):
-                break
-            if waves and gained < EXPLAINED * np.sum(rows.target**2):  # ripple alone is simpler
                 break
             chosen.append(best)
             index, now = found[best]
