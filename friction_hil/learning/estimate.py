@@ -37,6 +37,7 @@ _QUANTUM = 1e-3  # of the friction level: a residual below is taken to be of tha
 _SHOWN = 0.3  # of its first standard deviation: a parameter that is known so much better is shown by the records
 _TIMING = 1.0  # of the change of friction within a period: what is not known of when in a period it happened
 _DEVIATIONS = 3.0  # of what was known at first: farther no estimate goes
+_SURPRISE = 12.0  # a change that drift does not explain
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,6 +220,22 @@ def left_over(window: Window, belief: Belief, resolution: float, skipped_s: floa
     )
 
 
+def unexplained(
+    window: Window, belief: Belief, x: Array, resolution: float, skipped_s: float = 0.0
+) -> tuple[Array, Array]:
+    """Return the torque of a record that coordinates leave, (k,), and what is not known of it, (k,); without slopes.
+
+    Parameters
+    ----------
+    window, belief, resolution, skipped_s
+        See `estimate`.
+    x : (m + 3,) array
+        Coordinates of the belief.
+    """
+    problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
+    return problem.left(x, problem.friction(x))[problem.rows], problem.doubt(x)
+
+
 class _Problem:
     """Residual and derivatives along one record."""
 
@@ -247,11 +264,15 @@ class _Problem:
         except UsageError:
             count = k.stop - k.start
             return np.full(count, math.nan), np.zeros((count, len(x)))
-        inertia, static, delay = x[-MECHANICS:]
-        left = self.window.torque + delay * self.slope - torque - (1.0 + inertia) * self.inertial - self.static
-        left -= static * self.level
+        left = self.left(x, torque)
         slopes = np.column_stack([-gradient, -self.inertial, np.full(len(left), -self.level), self.slope])
         return left[k], slopes[k]
+
+    def left(self, x: Array, friction: Array) -> Array:
+        """Return measured torque less that of the friction (n,) and of the mechanics, (n,)."""
+        inertia, static, delay = x[-MECHANICS:]
+        left = self.window.torque + delay * self.slope - friction - (1.0 + inertia) * self.inertial - self.static
+        return np.asarray(left - static * self.level)
 
     def weights(self, x: Array, left: Array) -> Array:
         """Return the weights (k,) of the rows: 1 / standard deviation, less where residuals are large or correlated."""
@@ -319,6 +340,20 @@ def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float
         surprise=surprise,
         torque_error=float(np.sqrt(np.mean(variance))),
     )
+
+
+def refine(window: Window, belief: Belief, resolution: float, skipped_s: float = 0.0) -> Estimate:
+    """Refine a belief as `estimate` does; where the record contradicts it, it counts as uncertain as at first."""
+    found = estimate(window, belief, resolution, skipped_s)
+    return estimate(window, belief.doubted(), resolution, skipped_s) if found.surprise > _SURPRISE else found
+
+
+def torque_change(window: Window, coordinates: Coordinates, before: Array, after: Array, resolution: float) -> float:
+    """Return the root mean square by which two sets of coordinates (m + 3,) differ in friction along a record, N m."""
+    velocity = velocity_of(window, resolution)
+    models = (coordinates.model_at(x[:-MECHANICS]) for x in (before, after))
+    torques = [each.simulate(velocity, window.period_s, **window.inputs()) for each in models]
+    return float(np.sqrt(np.mean((torques[1] - torques[0]) ** 2)))
 
 
 def _near(left: Array, period_s: float) -> Array:
