@@ -4,7 +4,8 @@ Rows: `off`, parameters 12 to 30 % off, after 60 s of the axis's own motion; `ex
 start; `drift`, a level that changes by 40 % up and down over ten minutes, with half as much again from 400 s on;
 `changing`, another motion every minute; `poor`, a 14-bit encoder, two cycles of delay, 1 % of noise on the torque and a
 torque constant 10 % off; `residual`, the true parameters on an axis with cogging that the model file knows nothing of,
-learned without and with a residual layer; `catastrophes`, an encoder that slips, a load that is removed, a drive that
+learned without and with a residual layer; `family`, a model file of another family than the axis, or of the same,
+after 150 s without and with other families; `catastrophes`, an encoder that slips, a load that is removed, a drive that
 is tuned anew and a torque that is no longer updated. All without bus or clock: the same numbers in each run on a
 machine, but for the share of the processor.
 """

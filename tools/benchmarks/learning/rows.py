@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from friction_hil import friction
+from friction_hil.friction import FrictionModel
 from friction_hil.learning.coordinates import value_of, with_values
 from tools.benchmarks.compensation.grid import DriveLoops, Grid, Plant
 from tools.benchmarks.compensation.motions import GridMotion
@@ -33,6 +35,17 @@ _CHANGING = (
     (60.0, GridMotion(amplitude=1.0, frequency=1.0)),
 )
 _COGGING = {7.0: 0.05, 24.0: 0.065}  # amplitude in friction levels, by order
+_FAMILIES = (
+    ("gms", "lugre"),
+    ("gms", "gms"),
+    ("elasto_plastic", "lugre"),
+    ("elasto_plastic", "elasto_plastic"),
+    ("lugre", "stribeck"),
+    ("lugre", "coulomb"),
+    ("lugre", "lugre"),
+)  # of the axis, and of its model file
+_FAMILY_MOTIONS = (0, 2)
+FAMILY_S = 150.0  # of motion: a family is judged by eight windows of six seconds, after those it learns from
 _HAPPENS_S = 30.0
 _STOP_S = 1.0
 
@@ -172,6 +185,58 @@ def _layered(of: Setup) -> dict[str, float]:
     }
 
 
+def _family(grid: Grid) -> Cases:
+    """Yield axes of one family of friction with model files of another, and of the same one."""
+    plant = next(iter(grid.plants))
+    drives = grid.drives_of(plant)
+    own = grid.plants[plant].friction_model
+    for true, believed in _FAMILIES:
+        given = {"model": true, "parameters": dict(friction.describe(true).example if true != own.name else own.given)}
+        other = grid.plants[plant].model_copy(
+            update={"friction": grid.plants[plant].friction.model_copy(update={**given, "modifiers": {}})}
+        )
+        model = _of_family(other.friction_model, believed)
+        for drive in (drives[0], drives[-1]):
+            for motion in _FAMILY_MOTIONS:
+                of = setup(grid, plant, drive, motion, "gain_0.9", FAMILY_S)
+                name = f"{true} {drive} {grid.motions[motion].name}, file {believed}"
+                yield name, partial(_with_families, replace(of, plant=other, believed=model))
+
+
+def _of_family(true: FrictionModel, name: str) -> FrictionModel:
+    """Return a model of a family with the levels and the stiffness of the true one."""
+    if name == true.name:
+        return true
+    given = {key: true.parameters[key] for key in ("coulomb", "static", "stribeck_velocity")}
+    viscous = true.parameters.get("sigma2", true.parameters.get("viscous"))
+    if name == "lugre":
+        return friction.create(name, **given, sigma0=true.presliding_stiffness, sigma2=viscous)
+    known = {each.name for each in friction.describe(name).parameters}
+    return friction.create(name, **{key: value for key, value in given.items() if key in known}, viscous=viscous)
+
+
+def _with_families(of: Setup) -> dict[str, float]:
+    """Return the reduction of the following error with the file, and after learning with its family and with others."""
+    period_s, end = of.settings.period_s, FAMILY_S + SCORED_S
+    short = 2.0 * SCORED_S + 2.0
+    none = without(of, short).error(short - SCORED_S, short, period_s)
+    fixed = follow(of, short, is_learning=False).error(short - SCORED_S, short, period_s)
+    found = {"file_rms": none.rms / fixed.rms, "file_peak": none.peak / fixed.peak}
+    for name in ("learned", "family"):
+        run = follow(of, end, is_learning=True, has_families=name == "family")
+        after = run.error(FAMILY_S, end, period_s)
+        found |= {f"{name}_rms": none.rms / after.rms, f"{name}_peak": none.peak / after.peak}
+    assert run.learner is not None
+    family = run.learner.figures.family
+    return {
+        **found,
+        "family_ratio_rms": found["family_rms"] / found["learned_rms"],
+        "cpu_share": run.busy_s / end,
+        "tried": family.tried,
+        "changed": float(family.in_use != family.of_file),
+    }
+
+
 def _drift(grid: Grid) -> Cases:
     for plant in grid.plants:
         for drive in grid.drives_of(plant):
@@ -300,6 +365,7 @@ _ROWS: dict[str, Callable[[Grid], Cases]] = {
     "changing": _changing,
     "poor": _poor,
     "residual": _residual,
+    "family": _family,
     "catastrophes": _catastrophes,
 }
 __all__ = ["AFTER_S", "Figure", "Followed", "cases_of", "names", "summary"]
