@@ -7,7 +7,7 @@ into a part that changes sign with the friction and one that does not: d = (d s)
 meanwhile thus gets a torque between those of old and new settings, and not a remainder that pushes it.
 
 While the axis reverses, two models differ by far more than they do later: one builds its torque up sooner. A difference
-that is found then vanishes within 20 ms.
+that is found then, or between torques of opposite directions, one of which has reversed already, vanishes within 20 ms.
 """
 
 import math
@@ -38,7 +38,7 @@ def cross(c: Any, r: Any, friction: float, wanted: float, dt: float) -> float:
     developed = min(max(2.0 * friction / c.level, -1.0), 1.0) if c.level > 0.0 else 0.0
     if r.bridge_left > 1.0:
         difference = r.bridge_fixed - wanted  # until now, it was the torque of the former settings
-        is_reversing = abs(r.bridge_fixed - r.compensation) * _CALM_S > c.level * dt
+        is_reversing = abs(r.bridge_fixed - r.compensation) * _CALM_S > c.level * dt or r.bridge_fixed * wanted < 0.0
         r.bridge_left = min(_REVERSING_S / c.fade_s, 1.0) if is_reversing else 1.0
         difference /= r.bridge_left
         r.bridge_directed = difference * developed

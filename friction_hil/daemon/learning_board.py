@@ -97,6 +97,16 @@ def first_report(mode: str, unit: str, gain: float) -> dict[str, Any]:
             "error_after": None,
             "text": "",
         },
+        "family": {
+            "of_file": "",
+            "in_use": "",
+            "state": "",
+            "tried": 0,
+            "text": "",
+            "explained": {},
+            "error_before": None,
+            "error_after": None,
+        },
     }
 
 

@@ -7,6 +7,7 @@ from typing import Any
 from friction_hil.numerics.readable import brief, quantity
 
 DOINGS = ("waiting", "watching", "trying", "resting", "stopped", "ended")
+_STATES = {"kept": "not proven for this motion"}  # of a family that is not in use
 _SAME = 1e-3  # relative difference of an estimate from the value in use that is not shown
 
 
@@ -32,7 +33,24 @@ def result(report: Mapping[str, Any]) -> str:
         words.append(f"{report['taken_back']} taken back")
     if report["stopped"]:
         words.append(f"stopped {report['stopped']} time{'s' * (report['stopped'] != 1)}")
-    return ", ".join(words) + _layer(report["residual_layer"], report["unit"])
+    return (
+        ", ".join(words) + _family(report["family"], report["unit"]) + _layer(report["residual_layer"], report["unit"])
+    )
+
+
+def _family(family: Mapping[str, Any], unit: str) -> str:
+    """Return which family took the place of that of the model file, or was tried; nothing where none was."""
+    if family["state"] == "on trial":
+        return f"; family {family['text']}: on trial"
+    if family["in_use"] != family["of_file"]:
+        text = f"; family {family['in_use']} in place of {family['of_file']}"
+        if family["text"] != family["in_use"] or family["state"] != "kept":
+            return text
+        before, after = (quantity(family[key], unit) for key in ("error_before", "error_after"))
+        return f"{text}, error {before} -> {after}"
+    if not family["tried"]:
+        return ""
+    return f"; family {family['text']}: {_STATES.get(family['state'], family['state'])}, off"
 
 
 def last_line(axis: str, report: Mapping[str, Any]) -> str:

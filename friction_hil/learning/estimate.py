@@ -38,6 +38,9 @@ _QUANTUM = 1e-3  # of the friction level: a residual below is taken to be of tha
 _SHOWN = 0.3  # of its first standard deviation: a parameter that is known so much better is shown by the records
 _TIMING = 1.0  # of the change of friction within a period: what is not known of when in a period it happened
 _DEVIATIONS = 3.0  # of what was known at first: farther no estimate goes
+_SURPRISE = 12.0  # a change that drift does not explain
+_CONTRADICTED, _FINE = 1.5, 0.005  # times the residual of the last record, and this part of the level: is it a change?
+_LESS = 0.7  # times that residual without what was known: it was wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,6 +277,22 @@ def uncompensated(
     return found
 
 
+def unexplained(
+    window: Window, belief: Belief, x: Array, resolution: float, skipped_s: float = 0.0
+) -> tuple[Array, Array]:
+    """Return the torque of a record that coordinates leave, (k,), and what is not known of it, (k,); without slopes.
+
+    Parameters
+    ----------
+    window, belief, resolution, skipped_s
+        See `estimate`.
+    x : (m + 3,) array
+        Coordinates of the belief.
+    """
+    problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
+    return problem.left(x, problem.friction(x))[problem.rows], problem.doubt(x)
+
+
 class _Problem:
     """Residual and derivatives along one record."""
 
@@ -302,11 +321,15 @@ class _Problem:
         except UsageError:
             count = k.stop - k.start
             return np.full(count, math.nan), np.zeros((count, len(x)))
-        inertia, static, delay = x[-MECHANICS:]
-        left = self.window.torque + delay * self.slope - torque - (1.0 + inertia) * self.inertial - self.static
-        left -= static * self.level
+        left = self.left(x, torque)
         slopes = np.column_stack([-gradient, -self.inertial, np.full(len(left), -self.level), self.slope])
         return left[k], slopes[k]
+
+    def left(self, x: Array, friction: Array) -> Array:
+        """Return measured torque less that of the friction (n,) and of the mechanics, (n,)."""
+        inertia, static, delay = x[-MECHANICS:]
+        left = self.window.torque + delay * self.slope - friction - (1.0 + inertia) * self.inertial - self.static
+        return np.asarray(left - static * self.level)
 
     def weights(self, x: Array, left: Array) -> Array:
         """Return the weights (k,) of the rows: 1 / standard deviation, less where residuals are large or correlated."""
@@ -379,6 +402,30 @@ def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float
         surprise=surprise,
         torque_error=float(np.sqrt(np.mean(variance))),
     )
+
+
+def refine(
+    window: Window, belief: Belief, resolution: float, skipped_s: float = 0.0, usual: float = math.inf
+) -> Estimate:
+    """Refine a belief as `estimate` does; where the record contradicts it, it counts as uncertain as at first.
+
+    Large residuals count less, so that a record that contradicts what is known may hardly change it: where much is
+    left, an estimate that begins with doubt takes its place if it leaves much less.
+
+    Parameters
+    ----------
+    window, belief, resolution, skipped_s
+        See `estimate`.
+    usual : float
+        Residual of the last record, N m.
+    """
+    found = estimate(window, belief, resolution, skipped_s)
+    is_surprise = found.surprise > _SURPRISE
+    if is_surprise or found.residual > _CONTRADICTED * usual + _FINE * belief.coordinates.model.level:
+        anew = estimate(window, belief.doubted(), resolution, skipped_s)
+        if is_surprise or anew.residual < _LESS * found.residual:
+            return anew
+    return found
 
 
 def _near(left: Array, period_s: float) -> Array:

@@ -33,6 +33,37 @@ class LayerFigures:
 
 
 @dataclass(slots=True)
+class FamilyFigures:
+    """What has happened to the family of the model so far.
+
+    Attributes
+    ----------
+    of_file, in_use : str
+        Family of the model file, and of the model that the compensator has.
+    state : str
+        Empty as long as none was compared, then "none explains more", "on trial", "no gain", "without a verdict" (the
+        motion changed during the trial), "refused" (by the daemon or the user) or "kept".
+    tried : int
+    text : str
+        Family that was tried last.
+    explained : dict
+        By family, the share of the mean square of the torque that the present one leaves which it explains in
+        addition, of windows before it has learned from them, on the average of the last ones.
+    error_before, error_after : float or None
+        Root mean square of the following error without the family tried last, and with it.
+    """
+
+    of_file: str = ""
+    in_use: str = ""
+    state: str = ""
+    tried: int = 0
+    text: str = ""
+    explained: dict[str, float] = field(default_factory=dict)
+    error_before: float | None = None
+    error_after: float | None = None
+
+
+@dataclass(slots=True)
 class Figures:
     """What has happened so far.
 
@@ -49,6 +80,8 @@ class Figures:
         Relative standard errors of the parameters.
     layer : LayerFigures
         Of the residual layer.
+    family : FamilyFigures
+        Of the family of the model.
     """
 
     kept: int = 0
@@ -59,3 +92,4 @@ class Figures:
     error: float | None = None
     errors: Mapping[str, float] | None = None
     layer: LayerFigures = field(default_factory=LayerFigures)
+    family: FamilyFigures = field(default_factory=FamilyFigures)

@@ -8,29 +8,23 @@ work before and after decides. Where parameters and gain together were no gain, 
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from friction_hil.friction import FrictionModel
+from friction_hil.friction.model import as_dict
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning import oddity
-from friction_hil.learning.estimate import (
-    MECHANICS,
-    Belief,
-    Estimate,
-    Mechanics,
-    estimate,
-    first_belief,
-    left_over,
-    uncompensated,
-)
-from friction_hil.learning.figures import Figures
+from friction_hil.learning.estimate import Belief, Estimate, Mechanics, first_belief, left_over, refine, uncompensated
+from friction_hil.learning.families import Families
+from friction_hil.learning.figures import FamilyFigures, Figures
 from friction_hil.learning.judge import CHANCE, HELPS, Work, is_harmful, no_help, objection, rms, work_of
 from friction_hil.learning.layer import Layer
 from friction_hil.learning.motions import WINDOW_TICKS, Kind, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
-from friction_hil.learning.proposal import Proposal, Step
+from friction_hil.learning.proposal import Proposal, Step, Trial
 from friction_hil.learning.residual import Finding, Residual
 from friction_hil.learning.window import COLUMNS, Window, joined, velocity_of, window_of
 from friction_hil.numerics.jit import Array
@@ -42,9 +36,6 @@ _UNJUDGED_TICKS = 1  # errors may be due to the change itself, in the midst of a
 _MISLED_TICKS = 2
 _FIRST_PART, _FIRST_TICKS = 1.0 / 3.0, 4  # of a change, for so long: if wrong, it does a ninth of the harm
 _DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
-_SURPRISE = 12.0  # a change that drift does not explain
-_CONTRADICTED, _FINE = 1.5, 0.005  # times the residual of the last window, and this part of the level: is it a change?
-_LESS = 0.7  # times that residual without what was known: it was wrong
 _WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
 _OTHER = 0.03  # the same: change since a trial that was taken back, after which the next one does not wait
 _FALLS = 0.02  # relative change of the friction since the last change of parameters: it falls
@@ -59,18 +50,6 @@ _EXPLAINS = 0.8  # times the unexplained torque of former parameters
 _STEADY, _MOST_DRIFTED = 0.05, 1.25  # change of what the former compensation leaves within a trial: none, and most
 _WORSE = 1.2  # times the error at the last trial: another one does not wait any longer
 _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
-
-
-@dataclass(slots=True)
-class _Trial:
-    step: Step
-    tried: Used
-    before: Work
-    former: Used
-    left: float  # of the friction by the former compensation, in the window before, N m
-    text: str = ""
-    is_whole: bool = False  # False: only a part of it is in force
-    ticks: int = 0
 
 
 class Learner:
@@ -94,6 +73,8 @@ class Learner:
         The gain stays that of the configuration.
     has_layer : bool
         A residual layer is looked for; see `friction_hil.learning.residual`.
+    has_families : bool
+        Other families of models are considered; see `friction_hil.learning.families`.
 
     Attributes
     ----------
@@ -114,6 +95,7 @@ class Learner:
         fade_s: float,
         is_gain_fixed: bool = False,
         has_layer: bool = True,
+        has_families: bool = True,
     ) -> None:
         self._is_gain_fixed = is_gain_fixed
         self._period_s, self._resolution, self._least_gain = period_s, resolution, gain
@@ -121,14 +103,14 @@ class Learner:
         self._has_layer, self._residual = has_layer, Residual(model)
         self._is_turn_of_layer = False  # parameters and layer take turns
         self._finding: Finding | None = None  # what the last window shows of a residual layer
-        self._file = self._used = self._kept = self._former = Used(self._belief.x, gain)
+        self._file = self._used = self._kept = self._former = Used(self._belief.x, gain, self._belief.coordinates)
         self._motions = Motions(self._file, _FIRST_PAUSE, period_s)
         self._resumed: Used | None = None
         self._misled = 0  # ticks in which the model file explained the torque better, one after the other
         self._ticks: deque[dict[str, Array]] = deque(maxlen=WARM_TICKS + WINDOW_TICKS)
         self._fresh = 0  # ticks that no estimate has used yet
         self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
-        self._trial: _Trial | None = None
+        self._trial: Trial | None = None
         self._estimate: Estimate | None = None
         self._usual = 0.0  # torque that the estimate leaves unexplained, N m
         self._residual_torque = math.inf  # of the last estimate, whatever the motion
@@ -136,7 +118,8 @@ class Learner:
         self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
         fade = math.ceil(fade_s / TICK_S)
         self._settling, self._first_ticks = fade + _SETTLING_TICKS, fade + _FIRST_TICKS
-        self.figures = Figures(gain=gain)
+        self.figures = Figures(gain=gain, family=FamilyFigures(model.name, model.name))
+        self._has_families, self._families = has_families, Families(self.figures.family)
         self.notes: list[str] = []
 
     @property
@@ -153,7 +136,7 @@ class Learner:
             return None
         return self._take_back("the motion ended: nothing to compare with", is_harmless=True)
 
-    def resume(self, parameters: Mapping[str, float], gain: float) -> None:
+    def resume(self, parameters: Mapping[str, float], gain: float, model: Mapping[str, Any] | None = None) -> None:
         """Begin with parameters that were kept in an earlier run: they are handed over with the first motion.
 
         Parameters
@@ -162,29 +145,41 @@ class Learner:
             By name; those of other names are ignored.
         gain : float
             Limited to what the configuration allows.
+        model : mapping, optional
+            As `friction_hil.friction.model.as_dict` returns it, if it is of another family than the model file.
+
+        Raises
+        ------
+        UsageError
+            There is no such model.
         """
+        is_fixed = self._is_gain_fixed or self._least_gain > 1.0
+        gain = self._least_gain if is_fixed else min(max(gain, self._least_gain), 1.0)
+        if model is not None:
+            self._resumed = replace(self._families.add(model, self._belief), gain=gain)
+            return
         x = self._belief.x.copy()
         names = self._belief.coordinates.names
         x[: len(names)] = self._belief.coordinates.inverse(parameters)
         self._belief = replace(self._belief, x=x)
-        is_fixed = self._is_gain_fixed or self._least_gain > 1.0
-        self._resumed = Used(x, self._least_gain if is_fixed else min(max(gain, self._least_gain), 1.0))
+        self._resumed = Used(x, gain, self._belief.coordinates)
 
     @property
-    def proven(self) -> tuple[dict[str, float], float]:
-        """Parameters by name, and gain, that were kept last."""
-        return self._named(self._kept), self._kept.gain
+    def proven(self) -> tuple[dict[str, float], float, dict[str, Any] | None]:
+        """Parameters by name, and gain, that were kept last; and the model where it is not of the file's family."""
+        kept = self._kept
+        return kept.parameters, kept.gain, None if kept.coordinates is self._file.coordinates else as_dict(kept.own)
 
     @property
     def in_use(self) -> dict[str, float]:
         """Parameters by name that the compensator has."""
-        return self._named(self._used)
+        return self._used.parameters
 
     @property
     def wanted(self) -> tuple[dict[str, float], float]:
         """The same, and the gain, once all of what is on trial is handed over."""
         used = self._used if self._trial is None else self._trial.tried
-        return self._named(used), used.gain
+        return used.parameters, used.gain
 
     @property
     def doing(self) -> tuple[str, str]:
@@ -201,12 +196,10 @@ class Learner:
         """Take note that the last proposal was not handed over."""
         if self._trial is None:
             self._motions.now.used = self._former
-        if self._trial is not None and self._trial.step is Step.LAYER:
-            self._residual.was_refused(self._former.layer, self.figures.layer, "refused")
-        else:
+        if not self._note_refused(self._trial, self._former, "refused"):
             self._wait(math.inf)
-        self._trial, self._used, self._same = None, self._former, 0
-        self.figures.gain = self._used.gain
+        self._trial = None
+        self._use(self._former)
 
     @property
     def belief(self) -> Belief:
@@ -242,19 +235,13 @@ class Learner:
             self._refine()
             if self._trial is not None:
                 return None
-            if self._is_turn_of_layer:
-                return self._propose_layer() or self._propose()
-            return self._propose() or self._propose_layer()
+            both = (self._propose, self._propose_layer)[:: -1 if self._is_turn_of_layer else 1]
+            return both[0]() or both[1]() or self._propose_family()
         return None
 
     def _size(self, length: float) -> str:
         """Return a position or an error in words."""
         return quantity(length, "rad" if self._belief.coordinates.model.axis == "rotary" else "m")
-
-    def _named(self, used: Used) -> dict[str, float]:
-        """Return the parameters of coordinates by name."""
-        coordinates = self._belief.coordinates
-        return dict(zip(coordinates.names, coordinates.at(used.x[:-MECHANICS]).tolist(), strict=True))
 
     @property
     def _warm_s(self) -> float:
@@ -268,14 +255,11 @@ class Learner:
         rows = joined(ticks)
         if not np.any(rows["velocity_demand"]):
             return
-        window, level = self._window(rows, self._used.layer), self._belief.coordinates.model.level
+        window = self._window(rows, self._used.layer)
+        if self._has_families and (self._trial is None or self._trial.step is not Step.FAMILY):
+            self._families.look(window, self._belief, self._resolution, warm_s)
         try:
-            found = estimate(window, self._belief, self._resolution, warm_s)
-            if found.surprise > _SURPRISE or found.residual > _CONTRADICTED * self._residual_torque + _FINE * level:
-                # large residuals count less: a record that contradicts what is known may hardly change it
-                anew = estimate(window, self._belief.doubted(), self._resolution, warm_s)
-                if found.surprise > _SURPRISE or anew.residual < _LESS * found.residual:
-                    found = anew
+            found = refine(window, self._belief, self._resolution, warm_s, self._residual_torque)
         except NUMERICAL:
             return
         self._estimate, self._belief, self._residual_torque = found, found.belief, found.residual
@@ -292,15 +276,16 @@ class Learner:
         before, now = self._work(WINDOW_TICKS), self._motions.now
         level = self._belief.coordinates.model.level
         refined = self._belief.shown(self._used.x)
-        if now.rest and before.rms <= _WORSE * now.refused_error and not self._is_another(refined, now.refused):
+        other = replace(self._used, x=refined)
+        if now.rest and before.rms <= _WORSE * now.refused_error and not self._is_another(other, now.refused):
             now.rest -= 1
             return None
         now.rest = 0
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
-        present, next_one = self._torques(self._used.x, refined)
+        present, next_one = self._torques(self._used, other)
         change, decline = rms(next_one - present) / level, 1.0 - rms(next_one) / rms(present)
-        falls = decline if decline > _FALLS and self._used is not self._file else 0.0
+        falls = decline if decline > _FALLS and not self._used.has_model_of(self._file) else 0.0
         gain = self._next_gain(now, falls)
         is_other = change > _WORTH
         if not is_other and abs(gain - self._used.gain) <= _GAIN_WORTH:
@@ -330,12 +315,12 @@ class Learner:
         most = now.limit if now.limited else 1.0
         return max(min(self._known_gain(), most) - falls, self._least_gain)
 
-    def _is_another(self, refined: Array, refused: Used | None) -> bool:
+    def _is_another(self, found: Used, refused: Used | None) -> bool:
         """Return True if parameters are others than those that were refused: friction has changed since then."""
         if refused is None:
             return False
-        former, found = self._torques(refused.x, refined)
-        return rms(found - former) > _OTHER * self._belief.coordinates.model.level
+        former, found_now = self._torques(refused, found)
+        return rms(found_now - former) > _OTHER * self._belief.coordinates.model.level
 
     def _promises(self, tried: Used) -> bool:
         """Return True if a change would have left less of the friction in the last window than what is in use.
@@ -350,13 +335,8 @@ class Learner:
     def _left(self, *compensations: Used) -> list[float]:
         """Return the friction that each would have left in the last window, N m."""
         window = self._window(joined(list(self._ticks)))
-        models = [(self._model(each), each.gain) for each in compensations]
+        models = [(each.model, each.gain) for each in compensations]
         return uncompensated(window, self._belief, self._resolution, models, self._warm_s)
-
-    def _model(self, used: Used) -> FrictionModel:
-        """Return the friction model of a compensation with its layer."""
-        model = self._belief.coordinates.model_at(used.x[:-MECHANICS])
-        return model if used.layer is None else used.layer.on(model)
 
     def _propose_layer(self) -> Proposal | None:
         """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
@@ -379,6 +359,17 @@ class Learner:
         self._residual.was_tried(found, self._used.layer, figures, before.rms)
         return self._try(Step.LAYER, tried, before, found.text)
 
+    def _propose_family(self) -> Proposal | None:
+        """Return a model of another family that is worth a trial, with the present gain."""
+        if self._same < WINDOW_TICKS or self._motions.now.ranges is None or (best := self._families.best()) is None:
+            return None
+        before = self._work(WINDOW_TICKS)
+        if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
+            return None
+        self._families.was_tried(best.family, before.rms)
+        tried = replace(best, gain=self._used.gain, layer=self._used.layer)
+        return self._try(Step.FAMILY, tried, before, self._families.reason(best.family, self._used.family))
+
     def _known_gain(self) -> float:
         """Return the share of the friction that may be commanded: the less is known of the torque, the less.
 
@@ -390,7 +381,7 @@ class Learner:
         return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
 
     def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:
-        self._trial = _Trial(step, tried, before, self._used, self._left(self._used)[0], text)
+        self._trial = Trial(step, tried, before, self._used, self._left(self._used)[0], text)
         self._is_turn_of_layer = step is not Step.LAYER
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
@@ -398,13 +389,18 @@ class Learner:
 
     def _hand_over(self, step: Step, to: Used, text: str) -> Proposal:
         self._former = self._used
-        is_other = not np.array_equal(to.x, self._used.x) or to.layer != self._used.layer
-        model = self._model(to) if is_other else None
-        self._used, self._same = to, 0
-        self.figures.gain = to.gain
+        model = None if to.has_model_of(self._used) else to.model
+        self._use(to)
         return Proposal(step, model, to.gain, text)
 
-    def _judge(self, trial: _Trial) -> Proposal | None:
+    def _use(self, to: Used) -> None:
+        """Take note of what the compensator has; what is known of parameters is then that of its family."""
+        if to.coordinates is not self._belief.coordinates:
+            self._belief, self._estimate = self._families.swap(self._belief, to.coordinates), None
+        self._used, self._same = to, 0
+        self.figures.gain, self.figures.family.in_use = to.gain, to.family
+
+    def _judge(self, trial: Trial) -> Proposal | None:
         """Look at a trial: it goes on, or it is kept, or it is taken back."""
         trial.ticks += 1
         rows = joined(list(self._ticks)[-max(trial.ticks - _UNJUDGED_TICKS, 1) :])
@@ -418,9 +414,12 @@ class Learner:
             if trial.ticks < self._first_ticks:
                 return None
             if (both := no_help(error, trial.before, self._period_s)) is not None:
-                shown = " -> ".join(map(self._size, both))
-                return self._take_back(f"error {shown} with a third of the change")
-            trial.is_whole, trial.ticks = True, 0
+                shown, part = " -> ".join(map(self._size, both)), "a third of " * (trial.step is not Step.FAMILY)
+                return self._take_back(f"error {shown} with {part}the change")
+            trial.is_whole = True
+            if trial.step is Step.FAMILY:  # there is nothing between two families: the whole has been in force
+                return None
+            trial.ticks = 0
             return self._hand_over(trial.step, trial.tried, "the whole of a change of which a third did no harm")
         if trial.ticks < self._settling + WINDOW_TICKS:
             return None
@@ -440,12 +439,14 @@ class Learner:
             self._motions.now.limit, self._motions.now.limited = trial.tried.gain, _LIMITED
         if trial.step is Step.LAYER:
             self._residual.was_kept(trial.tried.layer, self.figures.layer, after.rms)
+        if trial.step is Step.FAMILY:
+            self._families.was_kept(after.rms)
         self.figures.kept += trial.step is Step.PARAMETERS
         self.figures.error = after.rms
-        self.notes.append(f"learning keeps the {trial.step.value}: error {shown}")
+        self.notes.append(f"learning keeps the {trial.words}: error {shown}")
         return None
 
-    def _expected(self, trial: _Trial) -> Work:
+    def _expected(self, trial: Trial) -> Work:
         """Return what the axis would have done meanwhile with the former compensation, where friction has drifted.
 
         The more of the friction it would leave now, the larger its error would be.
@@ -466,15 +467,23 @@ class Learner:
 
     def _take_back(self, reason: str, *, is_harmless: bool = False) -> Proposal:
         trial, self._trial = self._trial, None
-        if trial is not None and trial.step is Step.LAYER:
-            why = "without a verdict" if is_harmless else "no gain"
-            self._residual.was_refused(self._motions.now.used.layer, self.figures.layer, why)
-        elif not is_harmless:
+        why = "without a verdict" if is_harmless else "no gain"
+        if not self._note_refused(trial, self._motions.now.used, why) and not is_harmless:
             assert trial is not None
             self.figures.taken_back += 1
             self._is_gain_doubted = not self._is_gain_doubted
             self._wait(trial.before.rms, trial.tried)
         return self._hand_over(Step.BACK, self._motions.now.used, reason)
+
+    def _note_refused(self, trial: Trial | None, stays: Used, why: str) -> bool:
+        """Tell layer or families why their trial was no gain; return False if it was not theirs."""
+        if trial is not None and trial.step is Step.LAYER:
+            self._residual.was_refused(stays.layer, self.figures.layer, why)
+        elif trial is not None and trial.step is Step.FAMILY:
+            self._families.was_refused(trial.tried.family, why)
+        else:
+            return False
+        return True
 
     def _wait(self, error: float, refused: Used | None = None) -> None:
         """Leave the present motion without a trial for a while, longer each time, or until error or friction change."""
@@ -485,16 +494,20 @@ class Learner:
     def _change_motion(self) -> Proposal | None:
         """Go on with what is proven for the present motion, which is another one: the model file where nothing is."""
         now = self._motions.now
+        self._note_refused(self._trial, now.used, "without a verdict")
         self._trial = self._estimate = None
         self._is_gain_doubted = False
         self._residual.changed_motion(now.used.layer, self.figures.layer)
         self._ticks.clear()
         self._fresh = self._same = 0
         if now.used is self._used:
-            return None
-        if now.used is self._file:
-            return self._hand_over(Step.BACK, self._file, "another motion, for which nothing is proven yet")
-        return self._hand_over(Step.KNOWN, now.used, "what was kept for this motion")
+            proposal = None
+        elif now.used is self._file:
+            proposal = self._hand_over(Step.BACK, self._file, "another motion, for which nothing is proven yet")
+        else:
+            proposal = self._hand_over(Step.KNOWN, now.used, "what was kept for this motion")
+        self._families.change_motion()
+        return proposal
 
     def _stop(self, reason: str) -> Proposal | None:
         """Stop learning for a while: what was recorded so far is not of the axis as it is now."""
@@ -506,6 +519,7 @@ class Learner:
         self._motions.interrupt()
         self._estimate = None
         self._belief = self._belief.doubted()
+        self._families.doubt()
         if is_layered := self._motions.drop_layers():  # their phase is lost where the position has jumped
             self._residual.end(self.figures.layer)
         return self._take_back(reason, is_harmless=True) if is_layered or self._trial is not None else None
@@ -535,8 +549,7 @@ class Learner:
 
     def _fall_back(self) -> Proposal | None:
         """Return to the model file where that explains the torque clearly better than what was kept elsewhere."""
-        is_file = np.array_equal(self._used.x, self._file.x) and self._used.layer is None
-        if self._trial is not None or is_file or len(self._ticks) < WARM_TICKS + 1:
+        if self._trial is not None or self._used.has_model_of(self._file) or len(self._ticks) < WARM_TICKS + 1:
             return None
         ticks = list(self._ticks)[-WARM_TICKS - 1 :]
         used, file = (self._unexplained(each, ticks)[-1] for each in (self._used, self._file))
@@ -549,12 +562,11 @@ class Learner:
         self._misled, self._motions.now.used = 0, self._file
         return self._hand_over(Step.BACK, self._file, "the model file explains the torque of this motion better")
 
-    def _torques(self, *coordinates: Array) -> list[Array]:
-        """Return the friction torques (n,) of sets of parameters along the last window, N m."""
+    def _torques(self, *compensations: Used) -> list[Array]:
+        """Return the friction torques (n,) of models along the last window, N m."""
         window = self._window(joined(list(self._ticks)))
         velocity = velocity_of(window, self._resolution)
-        models = [self._belief.coordinates.model_at(x[:-MECHANICS]) for x in coordinates]
-        return [model.simulate(velocity, self._period_s, **window.inputs()) for model in models]
+        return [each.own.simulate(velocity, self._period_s, **window.inputs()) for each in compensations]
 
     def _work(self, ticks: int) -> Work:
         """Return what the last ticks show; their errors from when the last change of settings or motion is over."""

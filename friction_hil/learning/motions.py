@@ -14,6 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from friction_hil.friction import FrictionModel
+from friction_hil.learning.coordinates import Coordinates
+from friction_hil.learning.estimate import MECHANICS
 from friction_hil.learning.judge import ALIKE
 from friction_hil.learning.layer import Layer, between
 from friction_hil.numerics.jit import Array
@@ -29,16 +32,57 @@ _MOST_KINDS = 8
 
 @dataclass(frozen=True, slots=True)
 class Used:
-    """What a compensator has: coordinates of its parameters, its gain and its residual layer."""
+    """What a compensator has.
+
+    Attributes
+    ----------
+    x : (m + 3,) array
+        Coordinates of its parameters, and those of the mechanics.
+    gain : float
+    coordinates : Coordinates
+        Of the family of its model.
+    layer : Layer or None
+        Residual layer.
+    """
 
     x: Array
     gain: float
+    coordinates: Coordinates
     layer: Layer | None = None
 
+    @property
+    def own(self) -> FrictionModel:
+        """The model without the layer."""
+        return self.coordinates.model_at(self.x[:-MECHANICS])
+
+    @property
+    def model(self) -> FrictionModel:
+        """The model with the layer."""
+        return self.own if self.layer is None else self.layer.on(self.own)
+
+    @property
+    def family(self) -> str:
+        """Name of the model's family."""
+        return self.coordinates.model.name
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameters by name."""
+        values = self.coordinates.at(self.x[:-MECHANICS])
+        return dict(zip(self.coordinates.names, values.tolist(), strict=True))
+
+    def has_model_of(self, other: "Used") -> bool:
+        """Return True if the model is that of another one."""
+        is_same = self.coordinates is other.coordinates and np.array_equal(self.x, other.x)
+        return is_same and self.layer == other.layer
+
     def towards(self, other: "Used", part: float) -> "Used":
-        """Return what lies a part of the way to another one."""
+        """Return what lies a part of the way to another one of the same family; there is nothing between families."""
+        if self.coordinates is not other.coordinates:
+            return other
         layer = between(self.layer, other.layer, part)
-        return Used(self.x + part * (other.x - self.x), self.gain + part * (other.gain - self.gain), layer)
+        x, gain = self.x + part * (other.x - self.x), self.gain + part * (other.gain - self.gain)
+        return replace(self, x=x, gain=gain, layer=layer)
 
 
 @dataclass(slots=True)

@@ -45,7 +45,12 @@ def fitting(texts: list[str]) -> str:
 
 
 def _changes(before: Mapping[str, float], after: Mapping[str, float], most: int) -> str:
-    """Return by how much parameters change, the largest changes first: ``coulomb +42 %, viscous -7 %``."""
+    """Return by how much parameters change, the largest changes first: ``coulomb +42 %, viscous -7 %``.
+
+    Nothing where they are those of another family.
+    """
+    if before.keys() != after.keys():
+        return ""
     relative = {name: (after[name] - value) / abs(value) for name, value in before.items() if value}
     named = sorted((name for name in relative if abs(relative[name]) >= _NAMED), key=lambda name: -abs(relative[name]))
     words = [f"{name} {100.0 * relative[name]:+.0f} %" for name in named[:most]]

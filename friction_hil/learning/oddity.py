@@ -131,10 +131,7 @@ def unexplained(
     rows = joined(ticks)
     window = window_of(rows, period_s)
     velocity = velocity_of(window, resolution)
-    model = belief.coordinates.model_at(used.x[:-MECHANICS])
-    if used.layer is not None:
-        model = used.layer.on(model)
-    friction = model.simulate(velocity, period_s, **window.inputs())
+    friction = used.model.simulate(velocity, period_s, **window.inputs())
     acceleration = np.append(np.diff(velocity), 0.0) / period_s
     inertia, static, _ = belief.x[-MECHANICS:]
     left = window.torque - friction - (1.0 + inertia) * belief.mechanics.inertia * acceleration

@@ -21,7 +21,7 @@ from friction_hil.daemon.learning_service import TICK_S
 from friction_hil.daemon.ring import RingObserver
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import AxisFacts
-from friction_hil.errors import FrictionHilError
+from friction_hil.errors import FrictionHilError, UsageError
 from friction_hil.friction.model import as_dict
 from friction_hil.learning.compilation import compile_estimate
 from friction_hil.learning.estimate import Mechanics
@@ -116,8 +116,11 @@ class AxisLearning:
         self._is_begun = True
         found, why = recall(self._file, self._model, temperature if math.isfinite(temperature) else None)
         if found is not None:
-            self.learner.resume(found.parameters, found.gain)
-        elif why:
+            try:
+                self.learner.resume(found.parameters, found.gain, found.friction)
+            except UsageError as error:
+                why = f"{self._file}: {error}"
+        if why:
             self.learner.notes.append(f"the parameters of an earlier run are not used: {why}")
 
     def keep(self, temperature: float) -> str:
@@ -127,7 +130,8 @@ class AxisLearning:
         self._kept = self.learner.proven
         celsius = temperature if math.isfinite(temperature) else None
         try:
-            store(self._file, Proven(self._model, *self._kept, time.time(), celsius))
+            parameters, gain, friction = self._kept
+            store(self._file, Proven(self._model, parameters, gain, time.time(), celsius, friction))
         except OSError as error:
             return f"{self.name}: what was learned cannot be kept for the next run: {self._file}: {error.strerror}"
         return ""
@@ -189,6 +193,7 @@ class AxisLearning:
             "parameters": self.learner.belief.parameters if figures.errors is not None else None,
             "relative_errors": figures.errors,
             "residual_layer": asdict(figures.layer),
+            "family": asdict(figures.family),
             "proposed": self._proposed,
         }
 
@@ -328,9 +333,11 @@ class Learning:
 
 def _is_alike(proposed: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
     """Return True if two proposals are about the same."""
-    return abs(proposed["gain"] - before["gain"]) <= _ALIKE and all(
-        math.isclose(value, before["parameters"][name], rel_tol=_ALIKE)
-        for name, value in proposed["parameters"].items()
+    after, former = proposed["parameters"], before["parameters"]
+    return (
+        abs(proposed["gain"] - before["gain"]) <= _ALIKE
+        and after.keys() == former.keys()
+        and all(math.isclose(value, former[name], rel_tol=_ALIKE) for name, value in after.items())
     )
 
 

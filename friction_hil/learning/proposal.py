@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 from friction_hil.friction import FrictionModel
+from friction_hil.learning.judge import Work
+from friction_hil.learning.motions import Used
 
 
 class Step(Enum):
@@ -12,6 +14,7 @@ class Step(Enum):
     PARAMETERS = "parameters"
     GAIN = "gain"
     LAYER = "residual layer"
+    FAMILY = "family"
     BACK = "back"
     KNOWN = "known"
 
@@ -35,3 +38,40 @@ class Proposal:
     model: FrictionModel | None
     gain: float
     text: str
+
+
+@dataclass(slots=True)
+class Trial:
+    """What is in force for a trial.
+
+    Attributes
+    ----------
+    step : Step
+    tried : Used
+    before : Work
+        With what was in force before, of the same motion.
+    former : Used
+        What was in force before.
+    left : float
+        Of the friction by it, in the window before, N m.
+    text : str
+        Why.
+    is_whole : bool
+        False: only a part of it is in force.
+    ticks : int
+        Since it is in force.
+    """
+
+    step: Step
+    tried: Used
+    before: Work
+    former: Used
+    left: float
+    text: str = ""
+    is_whole: bool = False
+    ticks: int = 0
+
+    @property
+    def words(self) -> str:
+        """What is tried."""
+        return f"family {self.tried.family}" if self.step is Step.FAMILY else self.step.value

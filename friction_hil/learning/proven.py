@@ -10,8 +10,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from friction_hil import friction
+from friction_hil.errors import UsageError
+
 LONGEST_S = 7.0 * 86400.0  # older ones are stale
 WARMEST_K = 10.0  # and those of another temperature
+_VERSION = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +33,8 @@ class Proven:
         When it was kept.
     temperature : float or None
         Of the axis at that time, deg C, where one is known.
+    friction : dict or None
+        As a model file has it, where the family is not that of the model file.
     """
 
     model: str
@@ -36,6 +42,7 @@ class Proven:
     gain: float
     unix_s: float
     temperature: float | None
+    friction: dict[str, Any] | None = None
 
 
 def digest(content: Mapping[str, Any]) -> str:
@@ -54,7 +61,7 @@ def store(path: Path, proven: Proven) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_suffix(".new")
     with open(new, "w", encoding="utf-8") as file:
-        json.dump({"version": 1, **asdict(proven)}, file)
+        json.dump({"version": _VERSION, **asdict(proven)}, file)
         file.flush()
         os.fsync(file.fileno())
     new.replace(path)
@@ -75,14 +82,18 @@ def recall(path: Path, model: str, temperature: float | None, now_s: float | Non
     """
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
-        if values.pop("version") != 1:
+        if values.pop("version") not in (1, _VERSION):  # the first one knew no other family
             return None, f"{path} is of another version"
         found = Proven(**values)
         numbers = [found.gain, found.unix_s, *found.parameters.values()]
+        if found.friction is not None:
+            friction.create(
+                found.friction["model"], modifiers=found.friction.get("modifiers"), **found.friction["parameters"]
+            )
         is_sound = all(math.isfinite(float(each)) for each in numbers) and 0.0 <= found.gain <= 1.5
     except FileNotFoundError:
         return None, ""
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, UsageError):
         return None, f"{path} cannot be read"
     if not is_sound:
         return None, f"{path} has values that are no parameters"

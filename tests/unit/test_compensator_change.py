@@ -80,3 +80,22 @@ def test_replay_repeats_a_change_bit_for_bit():
     assert len(rows) == len(INPUTS)
     np.testing.assert_array_equal(np.concatenate([first, second]), stepped)
     np.testing.assert_array_equal(second, third)
+
+
+@pytest.mark.parametrize("change", range(498, 503))
+def test_a_map_that_has_reversed_before_the_bristles_of_the_next_model_leaves_no_torque_behind(change):
+    """Their torques are of opposite directions then: the difference says nothing of what they differ by later."""
+
+    def inputs(cycle):  # slower by far than the bristles need to reverse
+        given = list(inputs_at(cycle))
+        return [given[0], *(value / 300.0 for value in given[1:7]), *given[7:]]
+
+    static = fh.models.create("stribeck", coulomb=0.08, static=0.12, stribeck_velocity=0.2)
+    other, one, alike = (compensator(each, fade_s=FADE_S) for each in (LUGRE, static, static))
+    for cycle in range(change):
+        for each in (other, one, alike):
+            each.step(*inputs(cycle))
+    one.adopt(other.record, other.friction_state)
+    found = [[each.step(*inputs(cycle)) for each in (one, other)] for cycle in range(change, change + 60)]
+    assert found[0][0] == pytest.approx(alike.step(*inputs(change)), abs=1e-12)
+    np.testing.assert_allclose(*np.array(found)[40:].T, atol=0.02 * LUGRE.level)

@@ -7,11 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from friction_hil.learning.coordinates import coordinates_of
 from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
+from tests.compensators import LUGRE
 
 PERIOD_S = 2e-3
 TICK = 125  # rows
-FILE, BETTER = Used(np.zeros(4), 0.9), Used(np.ones(4), 1.0)
+COORDINATES = coordinates_of(LUGRE, {})
+FILE, BETTER = Used(np.zeros(4), 0.9, COORDINATES), Used(np.ones(4), 1.0, COORDINATES)
 
 
 class Moved:

@@ -44,6 +44,7 @@ LEARNED = {
     "relative_errors": {"coulomb": 0.012, "sigma2": 0.2},
     "proposed": None,
     "residual_layer": {"state": ""},
+    "family": {"of_file": "lugre", "in_use": "lugre", "state": "none explains more", "tried": 0},
 }
 SUMMARY = (
     "on: resting (no further change within 12 s of motion); re-identified 3 times, error 5.10 mrad -> 1.90 mrad, "

@@ -141,7 +141,7 @@ def _axes(name: str, axes: Mapping[str, AxisSnapshot]) -> Iterator[Metric]:
                 text = "Parameter of the friction model, in SI units"
                 add("model_parameter", text, axis, float(value), model=each.model, parameter=parameter)
         if each.learning is not None:
-            _add_learning(metrics, axis, each.model, each.learning, length)
+            _add_learning(metrics, axis, each.learning["family"]["in_use"] or each.model, each.learning, length)
     yield from metrics.families.values()
 
 

@@ -5,7 +5,8 @@ start; `drift`, a level that changes by 40 % up and down over ten minutes, with 
 `changing`, another motion every minute; `poor`, a 14-bit encoder, two cycles of delay, 1 % of noise on the torque and a
 torque constant 10 % off; `residual`, the true parameters on an axis with more than the model file knows of (cogging,
 Maxwell-slip elements instead of bristles, a hump over the speed, a pendulum whose weight loads the bearings), learned
-without and with a residual layer; `wrong_layers`, wrong layers at their bound; `catastrophes`, an encoder that slips, a
+without and with a residual layer; `wrong_layers`, wrong layers at their bound; `family`, a model file of another family
+than the axis, or of the same, after 150 s without and with other families; `catastrophes`, an encoder that slips, a
 load that is removed, a drive that is tuned anew and a torque that is no longer updated. All without bus or clock: the
 same numbers in each run on a machine, but for the share of the processor.
 """

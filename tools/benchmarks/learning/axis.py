@@ -103,9 +103,13 @@ class Axis:
         self._states: list[Array] = []  # before each of them
 
     def state_of(self, other: Compensator) -> Array:
-        """Return the state of another model after the last move, as the daemon computes it."""
+        """Return the state of another model after the last move, as the daemon computes it.
+
+        At rest it is that of the present one where both are of the same family.
+        """
+        is_alike = bool(other.record[0]["kind"] == self.compensator.record[0]["kind"])
         rows = np.concatenate([np.array(move) for move in self._inputs]).T
-        return state_in(other, (dict(zip(INPUTS, rows, strict=True)), self._states[0]), "x", is_alike=True)
+        return state_in(other, (dict(zip(INPUTS, rows, strict=True)), self._states[0]), "x", is_alike=is_alike)
 
     def change_plant(self, plant: Plant, drive: DriveLoops | None = None) -> None:
         """Go on with another plant or other loops, from the same motion."""

@@ -100,6 +100,7 @@ def follow(
     *,
     is_learning: bool,
     has_layer: bool = True,
+    has_families: bool = True,
     events: Mapping[float, Event] | None = None,
     retuned: Callable[[float], FrictionModel | None] | None = None,
 ) -> Followed:
@@ -112,6 +113,8 @@ def follow(
     is_learning : bool
     has_layer : bool
         A residual layer is looked for, too.
+    has_families : bool
+        Other families of models are considered, too.
     events : mapping of float to callable
         What happens to the axis at a tick of this time, s.
     retuned : callable, optional
@@ -131,6 +134,7 @@ def follow(
             gain=settings.gain,
             fade_s=settings.fade_s,
             has_layer=has_layer,
+            has_families=has_families,
         )
     cycles = round(TICK_S / period_s)
     found = Followed(np.empty((2, 0)), np.empty(0), learner=learner)

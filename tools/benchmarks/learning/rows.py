@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from friction_hil import friction
 from friction_hil.compensator import Compensator
+from friction_hil.friction import FrictionModel
 from friction_hil.learning.coordinates import value_of, with_values
 from friction_hil.learning.layer import REVERSAL, SPEED, Layer, pairs
 from friction_hil.learning.residual import SHARE
@@ -41,6 +43,17 @@ _SLIP_STIFFNESS, _SLIP = (0.4, 0.3, 0.2, 0.1), {"weight": [0.25] * 4, "attractio
 _HUMP = {0.02: 0.0, 0.05: 0.05, 0.15: 0.08, 0.5: 0.05, 2.0: 0.0}  # in friction levels, by speed in rad/s
 _WEIGHT, _LOAD_FACTORS, _LEAST_LOAD = 2.0, {"motoring": 0.15, "driven": 0.1}, 0.3  # friction levels
 _WRONG_S, _WRONG_LAYERS = 8.0, 6
+_FAMILIES = (
+    ("gms", "lugre"),
+    ("gms", "gms"),
+    ("elasto_plastic", "lugre"),
+    ("elasto_plastic", "elasto_plastic"),
+    ("lugre", "stribeck"),
+    ("lugre", "coulomb"),
+    ("lugre", "lugre"),
+)  # of the axis, and of its model file
+_FAMILY_MOTIONS = (0, 2)
+FAMILY_S = 150.0  # of motion: a family is judged by eight windows of six seconds, after those it learns from
 _HAPPENS_S = 30.0
 _STOP_S = 1.0
 
@@ -239,6 +252,58 @@ def _wrongly_layered(of: Setup, seed: int) -> dict[str, float]:
     return {"error_ratio": errors[0].rms / errors[1].rms, "error_ratio_peak": errors[0].peak / errors[1].peak}
 
 
+def _family(grid: Grid) -> Cases:
+    """Yield axes of one family of friction with model files of another, and of the same one."""
+    plant = next(iter(grid.plants))
+    drives = grid.drives_of(plant)
+    own = grid.plants[plant].friction_model
+    for true, believed in _FAMILIES:
+        given = {"model": true, "parameters": dict(friction.describe(true).example if true != own.name else own.given)}
+        other = grid.plants[plant].model_copy(
+            update={"friction": grid.plants[plant].friction.model_copy(update={**given, "modifiers": {}})}
+        )
+        model = _of_family(other.friction_model, believed)
+        for drive in (drives[0], drives[-1]):
+            for motion in _FAMILY_MOTIONS:
+                of = setup(grid, plant, drive, motion, "gain_0.9", FAMILY_S)
+                name = f"{true} {drive} {grid.motions[motion].name}, file {believed}"
+                yield name, partial(_with_families, replace(of, plant=other, believed=model))
+
+
+def _of_family(true: FrictionModel, name: str) -> FrictionModel:
+    """Return a model of a family with the levels and the stiffness of the true one."""
+    if name == true.name:
+        return true
+    given = {key: true.parameters[key] for key in ("coulomb", "static", "stribeck_velocity")}
+    viscous = true.parameters.get("sigma2", true.parameters.get("viscous"))
+    if name == "lugre":
+        return friction.create(name, **given, sigma0=true.presliding_stiffness, sigma2=viscous)
+    known = {each.name for each in friction.describe(name).parameters}
+    return friction.create(name, **{key: value for key, value in given.items() if key in known}, viscous=viscous)
+
+
+def _with_families(of: Setup) -> dict[str, float]:
+    """Return the reduction of the following error with the file, and after learning with its family and with others."""
+    period_s, end = of.settings.period_s, FAMILY_S + SCORED_S
+    short = 2.0 * SCORED_S + 2.0
+    none = without(of, short).error(short - SCORED_S, short, period_s)
+    fixed = follow(of, short, is_learning=False).error(short - SCORED_S, short, period_s)
+    found = {"file_rms": none.rms / fixed.rms, "file_peak": none.peak / fixed.peak}
+    for name in ("learned", "family"):
+        run = follow(of, end, is_learning=True, has_families=name == "family")
+        after = run.error(FAMILY_S, end, period_s)
+        found |= {f"{name}_rms": none.rms / after.rms, f"{name}_peak": none.peak / after.peak}
+    assert run.learner is not None
+    family = run.learner.figures.family
+    return {
+        **found,
+        "family_ratio_rms": found["family_rms"] / found["learned_rms"],
+        "cpu_share": run.busy_s / end,
+        "tried": family.tried,
+        "changed": float(family.in_use != family.of_file),
+    }
+
+
 def _drift(grid: Grid) -> Cases:
     for plant in grid.plants:
         for drive in grid.drives_of(plant):
@@ -368,6 +433,7 @@ _ROWS: dict[str, Callable[[Grid], Cases]] = {
     "poor": _poor,
     "residual": _residual,
     "wrong_layers": _wrong,
+    "family": _family,
     "catastrophes": _catastrophes,
 }
 __all__ = ["AFTER_S", "Figure", "Followed", "cases_of", "names", "summary"]
