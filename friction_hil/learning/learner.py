@@ -6,7 +6,6 @@ work before and after decides. Where parameters and gain together were no gain, 
 """
 
 import math
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -17,20 +16,19 @@ from friction_hil.friction import FrictionModel
 from friction_hil.friction.model import as_dict
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning import oddity
-from friction_hil.learning.estimate import Belief, Estimate, Mechanics, first_belief, left_over, refine, uncompensated
+from friction_hil.learning.estimate import Belief, Estimate, Mechanics, first_belief, left_over, refine
 from friction_hil.learning.families import Families
 from friction_hil.learning.figures import FamilyFigures, Figures
-from friction_hil.learning.judge import CHANCE, HELPS, Work, is_harmful, no_help, objection, rms, work_of
-from friction_hil.learning.layer import Layer
+from friction_hil.learning.judge import CHANCE, Work, is_harmful, no_help, objection, rms
 from friction_hil.learning.motions import WINDOW_TICKS, Kind, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.proposal import Proposal, Step, Trial
+from friction_hil.learning.record import TICK_S, Record
 from friction_hil.learning.residual import Finding, Residual
-from friction_hil.learning.window import COLUMNS, Window, joined, velocity_of, window_of
+from friction_hil.learning.window import COLUMNS, joined
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import quantity
 
-TICK_S = 0.25
 _SETTLING_TICKS = 3  # beyond the fade: the first strokes after a change are of neither side
 _UNJUDGED_TICKS = 1  # errors may be due to the change itself, in the midst of a reversal
 _MISLED_TICKS = 2
@@ -39,15 +37,12 @@ _DRIFT = 0.1  # relative standard deviation of what temperature and wear change 
 _WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
 _OTHER = 0.03  # the same: change since a trial that was taken back, after which the next one does not wait
 _FALLS = 0.02  # relative change of the friction since the last change of parameters: it falls
-_MORE_LEFT = 2.0  # times what is left of the friction now: the most that a truer model may leave with its gain
 _GAIN_WORTH = 0.01
 _LESS_GAIN, _LIMITED = 0.05, 20  # step of a lower gain, and windows of proposals for which it stays the highest
 _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
 _FIRST_PAUSE, _LONGEST_PAUSE = 1, 40  # windows without a trial, after one that was taken back
 _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
 _STOPPED_TICKS = 40
-_EXPLAINS = 0.8  # times the unexplained torque of former parameters
-_STEADY, _MOST_DRIFTED = 0.05, 1.25  # change of what the former compensation leaves within a trial: none, and most
 _WORSE = 1.2  # times the error at the last trial: another one does not wait any longer
 _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
 
@@ -107,7 +102,7 @@ class Learner:
         self._motions = Motions(self._file, _FIRST_PAUSE, period_s)
         self._resumed: Used | None = None
         self._misled = 0  # ticks in which the model file explained the torque better, one after the other
-        self._ticks: deque[dict[str, Array]] = deque(maxlen=WARM_TICKS + WINDOW_TICKS)
+        self._record = Record(period_s, resolution)
         self._fresh = 0  # ticks that no estimate has used yet
         self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
         self._trial: Trial | None = None
@@ -125,11 +120,11 @@ class Learner:
     @property
     def rows_per_tick(self) -> int:
         """Number of rows that `take` expects."""
-        return round(TICK_S / self._period_s)
+        return self._record.rows_per_tick
 
     def pause(self) -> Proposal | None:
         """Forget the rows so far, after some that are not to be learned from; return what is taken back."""
-        self._ticks.clear()
+        self._record.ticks.clear()
         self._motions.interrupt()
         self._fresh = self._same = 0
         if self._trial is None:
@@ -210,14 +205,15 @@ class Learner:
         """Take the rows of a tick, `COLUMNS`; return what is to be handed over, which then counts as handed over."""
         tick = {name: np.asarray(rows[name]) for name in COLUMNS}
         self._belief = self._belief.older(_DRIFT, TICK_S)
-        recent = [*list(self._ticks)[1 - oddity.FROZEN_TICKS :], tick]
+        recent = [*list(self._record.ticks)[1 - oddity.FROZEN_TICKS :], tick]
         if (reason := oddity.broken(joined(recent), self._belief.coordinates.model.level)) is not None:
             return self._stop(reason)
         if self._motions.take(tick["position_demand"], tick["velocity_demand"]):
             return self._change_motion()
-        if (reason := self._oddity(tick)) is not None:
+        own = None if self._estimate is None else replace(self._used, x=self._belief.x)
+        if reason := self._record.oddity(tick, self._same - self._settling, own, self._belief, self._usual):
             return self._stop(reason)
-        self._ticks.append(tick)
+        self._record.ticks.append(tick)
         self._fresh += 1
         self._same += 1
         if self._resumed is not None and np.any(tick["velocity_demand"]):
@@ -243,19 +239,13 @@ class Learner:
         """Return a position or an error in words."""
         return quantity(length, "rad" if self._belief.coordinates.model.axis == "rotary" else "m")
 
-    @property
-    def _warm_s(self) -> float:
-        """Beginning of the record that only brings the model's state to where it was, s."""
-        return TICK_S * (len(self._ticks) - WINDOW_TICKS if len(self._ticks) > WINDOW_TICKS else 2)
-
     def _refine(self) -> None:
         """Refine the belief by the last window."""
         self._fresh, self._finding = 0, None
-        ticks, warm_s = list(self._ticks), self._warm_s
-        rows = joined(ticks)
-        if not np.any(rows["velocity_demand"]):
+        warm_s = self._record.warm_s
+        if not any(np.any(tick["velocity_demand"]) for tick in self._record.ticks):
             return
-        window = self._window(rows, self._used.layer)
+        window = self._record.window(self._used.layer, self._belief.model)
         if self._has_families and (self._trial is None or self._trial.step is not Step.FAMILY):
             self._families.look(window, self._belief, self._resolution, warm_s)
         try:
@@ -263,17 +253,17 @@ class Learner:
         except NUMERICAL:
             return
         self._estimate, self._belief, self._residual_torque = found, found.belief, found.residual
-        self._usual = rms(self._unexplained(replace(self._used, x=self._belief.x), ticks)[WARM_TICKS:])
+        self._usual = rms(self._record.unexplained(replace(self._used, x=self._belief.x), self._belief)[WARM_TICKS:])
         self.figures.errors = self._belief.errors
         if self._has_layer:
-            left = left_over(self._window(rows), self._belief, self._resolution, warm_s)
+            left = left_over(self._record.window(), self._belief, self._resolution, warm_s)
             self._finding = self._residual.look(left, self._used.layer)
 
     def _propose(self) -> Proposal | None:
         """Return what is worth a trial."""
         if self._estimate is None or self._same < WINDOW_TICKS or self._motions.now.ranges is None:
             return None
-        before, now = self._work(WINDOW_TICKS), self._motions.now
+        before, now = self._record.work(self._same - self._settling), self._motions.now
         level = self._belief.coordinates.model.level
         refined = self._belief.shown(self._used.x)
         other = replace(self._used, x=refined)
@@ -283,7 +273,7 @@ class Learner:
         now.rest = 0
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
-        present, next_one = self._torques(self._used, other)
+        present, next_one = self._record.torques(self._used, other)
         change, decline = rms(next_one - present) / level, 1.0 - rms(next_one) / rms(present)
         falls = decline if decline > _FALLS and not self._used.has_model_of(self._file) else 0.0
         gain = self._next_gain(now, falls)
@@ -294,7 +284,9 @@ class Learner:
         tried = replace(self._used, x=refined if is_other else self._used.x, gain=gain)
         # more torque than the friction will be makes an axis swing, which the torque of now does not show
         is_less = falls > 0.0 or not (is_other or gain > self._used.gain)
-        if not is_less and not self._promises(replace(tried, gain=max(gain, self._used.gain))):
+        if not is_less and not self._record.promises(
+            self._belief, replace(tried, gain=max(gain, self._used.gain)), self._used
+        ):
             self._is_gain_doubted = False
             return None
         words = [f"torque changes by {100.0 * change:.1f} % of the friction level"] * is_other
@@ -319,24 +311,8 @@ class Learner:
         """Return True if parameters are others than those that were refused: friction has changed since then."""
         if refused is None:
             return False
-        former, found_now = self._torques(refused, found)
+        former, found_now = self._record.torques(refused, found)
         return rms(found_now - former) > _OTHER * self._belief.coordinates.model.level
-
-    def _promises(self, tried: Used) -> bool:
-        """Return True if a change would have left less of the friction in the last window than what is in use.
-
-        A truer model may leave a little more with its gain: what a drive cannot correct is the part that changes fast.
-        """
-        in_use = self._used
-        whole = replace(tried, gain=1.0), replace(in_use, gain=1.0)
-        after, before, true_after, true_before = self._left(tried, in_use, *whole)
-        return after < HELPS * before or (true_after < HELPS * true_before and after < _MORE_LEFT * before)
-
-    def _left(self, *compensations: Used) -> list[float]:
-        """Return the friction that each would have left in the last window, N m."""
-        window = self._window(joined(list(self._ticks)))
-        models = [(each.model, each.gain) for each in compensations]
-        return uncompensated(window, self._belief, self._resolution, models, self._warm_s)
 
     def _propose_layer(self) -> Proposal | None:
         """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
@@ -347,14 +323,14 @@ class Learner:
             self._residual.end(figures)
             self._motions.now.used = replace(self._used, layer=None)
             return self._hand_over(Step.BACK, self._motions.now.used, "the residual layer explains nothing any more")
-        before = self._work(WINDOW_TICKS)
+        before = self._record.work(self._same - self._settling)
         is_seen = before.is_moving and before.rms >= _LEAST_COUNTS * self._resolution
         if not (self._residual.is_worth(found, self._used.layer, figures) and is_seen):
             return None
         tried = replace(self._used, layer=found.layer)
         if found.x is not None:
             tried = replace(tried, x=replace(self._belief, x=found.x).shown(self._used.x))
-            if not self._promises(tried):
+            if not self._record.promises(self._belief, tried, self._used):
                 return None
         self._residual.was_tried(found, self._used.layer, figures, before.rms)
         return self._try(Step.LAYER, tried, before, found.text)
@@ -363,7 +339,7 @@ class Learner:
         """Return a model of another family that is worth a trial, with the present gain."""
         if self._same < WINDOW_TICKS or self._motions.now.ranges is None or (best := self._families.best()) is None:
             return None
-        before = self._work(WINDOW_TICKS)
+        before = self._record.work(self._same - self._settling)
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
         self._families.was_tried(best.family, before.rms)
@@ -381,7 +357,7 @@ class Learner:
         return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
 
     def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:
-        self._trial = Trial(step, tried, before, self._used, self._left(self._used)[0], text)
+        self._trial = Trial(step, tried, before, self._used, self._record.left(self._belief, self._used)[0], text)
         self._is_turn_of_layer = step is not Step.LAYER
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
@@ -403,12 +379,12 @@ class Learner:
     def _judge(self, trial: Trial) -> Proposal | None:
         """Look at a trial: it goes on, or it is kept, or it is taken back."""
         trial.ticks += 1
-        rows = joined(list(self._ticks)[-max(trial.ticks - _UNJUDGED_TICKS, 1) :])
+        rows = self._record.rows(max(trial.ticks - _UNJUDGED_TICKS, 1))
         error = rows["position_demand"] - rows["position"]
         is_judged = trial.ticks > _UNJUDGED_TICKS
         if is_judged and is_harmful(error, trial.before, self._resolution, self._period_s):
             return self._take_back(f"the error rose from {self._size(trial.before.rms)} to {self._size(rms(error))}")
-        if np.any(np.diff(joined(list(self._ticks)[-2:])["gain_factor"]) < 0.0):
+        if np.any(np.diff(self._record.rows(2)["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
         if not trial.is_whole:
             if trial.ticks < self._first_ticks:
@@ -423,15 +399,15 @@ class Learner:
             return self._hand_over(trial.step, trial.tried, "the whole of a change of which a third did no harm")
         if trial.ticks < self._settling + WINDOW_TICKS:
             return None
-        after = self._work(WINDOW_TICKS)
+        after = self._record.work(self._same - self._settling)
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
-        expected = self._expected(trial)
+        expected = self._record.expected(self._belief, trial)
         why = objection(after, expected, self._resolution)
         shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
         if expected is not trial.before:
             shown += f" (without the change {self._size(expected.rms)} by now)"
-        if why and not (why == CHANCE and self._explains_more(trial.tried)):
+        if why and not (why == CHANCE and self._record.explains_more(self._belief, trial.tried, trial.former)):
             return self._take_back(f"error {shown}: {why}")
         self._trial, self._kept = None, trial.tried
         self._motions.keep(trial.tried)
@@ -445,25 +421,6 @@ class Learner:
         self.figures.error = after.rms
         self.notes.append(f"learning keeps the {trial.words}: error {shown}")
         return None
-
-    def _expected(self, trial: Trial) -> Work:
-        """Return what the axis would have done meanwhile with the former compensation, where friction has drifted.
-
-        The more of the friction it would leave now, the larger its error would be.
-        """
-        drifted = self._left(trial.former)[0] / trial.left
-        if abs(drifted - 1.0) <= _STEADY:
-            return trial.before
-        return trial.before.scaled(min(max(drifted, 1.0 / _MOST_DRIFTED), _MOST_DRIFTED))
-
-    def _explains_more(self, tried: Used) -> bool:
-        """Return True if a trial explains the torque since then, which it was not estimated from, clearly better.
-
-        Where friction drifts, the error with the former parameters would have risen meanwhile: no gain over before may
-        be one over what would be now.
-        """
-        left = [rms(self._unexplained(x, list(self._ticks))[WARM_TICKS:]) for x in (tried, self._motions.now.used)]
-        return left[0] < _EXPLAINS * left[1]
 
     def _take_back(self, reason: str, *, is_harmless: bool = False) -> Proposal:
         trial, self._trial = self._trial, None
@@ -498,7 +455,7 @@ class Learner:
         self._trial = self._estimate = None
         self._is_gain_doubted = False
         self._residual.changed_motion(now.used.layer, self.figures.layer)
-        self._ticks.clear()
+        self._record.ticks.clear()
         self._fresh = self._same = 0
         if now.used is self._used:
             proposal = None
@@ -515,7 +472,7 @@ class Learner:
             self.figures.stopped += 1
             self.notes.append(f"learning stops for {_STOPPED_TICKS * TICK_S:g} s: {reason}")
         self._stopped, self._why_stopped, self._fresh = _STOPPED_TICKS, reason, 0
-        self._ticks.clear()
+        self._record.ticks.clear()
         self._motions.interrupt()
         self._estimate = None
         self._belief = self._belief.doubted()
@@ -524,35 +481,12 @@ class Learner:
             self._residual.end(self.figures.layer)
         return self._take_back(reason, is_harmless=True) if is_layered or self._trial is not None else None
 
-    def _oddity(self, tick: dict[str, Array]) -> str | None:
-        """Return why an axis is not what it was in the same motion; None if it is."""
-        if len(self._ticks) < WARM_TICKS:
-            return None
-        past = list(self._ticks)
-        if jump := oddity.jump(joined(past), tick, self._resolution, is_known=len(past) >= WINDOW_TICKS):
-            return f"the position jumps by {self._size(jump)}"
-        settled = [*past[-max(self._same - self._settling, 0) :], tick] if self._same > self._settling else []
-        if settled and (times := oddity.follows_otherwise(settled, self._resolution, self._period_s)):
-            return (
-                f"the following error is {times:.2g} times what it was, in the same motion with the same compensation"
-            )
-        if self._estimate is not None:
-            own = replace(self._used, x=self._belief.x)
-            left = self._unexplained(own, [*list(self._ticks)[-WARM_TICKS:], tick])
-            if oddity.is_other_axis(left, self._usual, self._belief.coordinates.model.level):
-                return "the torque is not that of the model any more"
-        return None
-
-    def _unexplained(self, used: Used, ticks: list[dict[str, Array]]) -> Array:
-        """Return the root mean square of each tick's torque (n,) that a model leaves unexplained, N m."""
-        return oddity.unexplained(used, ticks, self._belief, self._period_s, self._resolution)
-
     def _fall_back(self) -> Proposal | None:
         """Return to the model file where that explains the torque clearly better than what was kept elsewhere."""
-        if self._trial is not None or self._used.has_model_of(self._file) or len(self._ticks) < WARM_TICKS + 1:
+        if self._trial is not None or self._used.has_model_of(self._file) or len(self._record.ticks) < WARM_TICKS + 1:
             return None
-        ticks = list(self._ticks)[-WARM_TICKS - 1 :]
-        used, file = (self._unexplained(each, ticks)[-1] for each in (self._used, self._file))
+        ticks = list(self._record.ticks)[-WARM_TICKS - 1 :]
+        used, file = (self._record.unexplained(each, self._belief, ticks)[-1] for each in (self._used, self._file))
         level = self._belief.coordinates.model.level
         self._misled = self._misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
         if self._misled < _MISLED_TICKS:
@@ -561,31 +495,3 @@ class Learner:
             self._residual.end(self.figures.layer)
         self._misled, self._motions.now.used = 0, self._file
         return self._hand_over(Step.BACK, self._file, "the model file explains the torque of this motion better")
-
-    def _torques(self, *compensations: Used) -> list[Array]:
-        """Return the friction torques (n,) of models along the last window, N m."""
-        window = self._window(joined(list(self._ticks)))
-        velocity = velocity_of(window, self._resolution)
-        return [each.own.simulate(velocity, self._period_s, **window.inputs()) for each in compensations]
-
-    def _work(self, ticks: int) -> Work:
-        """Return what the last ticks show; their errors from when the last change of settings or motion is over."""
-        rows = joined(list(self._ticks)[-ticks:])
-        unsettled = min(max(ticks - self._same + self._settling, 0), ticks - 1) * self.rows_per_tick
-        return work_of(
-            rows["position"],
-            rows["position_demand"],
-            rows["velocity_demand"],
-            rows["compensation"],
-            self._period_s,
-            unsettled,
-        )
-
-    def _window(self, rows: Mapping[str, Array], layer: Layer | None = None) -> Window:
-        """Return the motion of rows, and their torque without that of a layer."""
-        window = window_of(rows, self._period_s)
-        if layer is None:
-            return window
-        model, velocity = self._belief.model, velocity_of(window, self._resolution)
-        friction = [each.simulate(velocity, self._period_s, **window.inputs()) for each in (layer.on(model), model)]
-        return replace(window, torque=window.torque - (friction[0] - friction[1]))

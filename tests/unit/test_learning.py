@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 import friction_hil as fh
 from friction_hil.learning.coordinates import DEFAULT_ERROR, coordinates_of, value_of, with_values
 from friction_hil.learning.estimate import MECHANICS, Mechanics, estimate, first_belief
-from friction_hil.learning.learner import TICK_S, Learner
+from friction_hil.learning.learner import Learner
 from friction_hil.learning.motions import WINDOW_TICKS
 from friction_hil.learning.proposal import Step
 from friction_hil.learning.proven import Proven, recall, store
+from friction_hil.learning.record import TICK_S
 from friction_hil.learning.window import COLUMNS, Window
 from tests.compensators import INERTIA, LUGRE, MODELS, PERIOD_S, quantised, resolution
 

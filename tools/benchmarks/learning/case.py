@@ -10,8 +10,9 @@ import numpy as np
 from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.friction import FrictionModel
 from friction_hil.learning.estimate import Mechanics
-from friction_hil.learning.learner import TICK_S, Learner
+from friction_hil.learning.learner import Learner
 from friction_hil.learning.proposal import Proposal
+from friction_hil.learning.record import TICK_S
 from friction_hil.numerics.jit import Array
 from tools.benchmarks.compensation.grid import DriveLoops, Grid, Plant
 from tools.benchmarks.compensation.motions import GridMotion

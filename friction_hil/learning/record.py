@@ -1,0 +1,165 @@
+"""The latest rows of an axis, in ticks: what they show of its work, and of compensations that it has or might have."""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from friction_hil.friction import FrictionModel
+from friction_hil.learning import oddity
+from friction_hil.learning.estimate import Belief, uncompensated
+from friction_hil.learning.judge import HELPS, Work, rms, work_of
+from friction_hil.learning.layer import Layer
+from friction_hil.learning.motions import WINDOW_TICKS, Used
+from friction_hil.learning.oddity import WARM_TICKS
+from friction_hil.learning.proposal import Trial
+from friction_hil.learning.window import Window, joined, velocity_of, window_of
+from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import quantity
+
+TICK_S = 0.25
+_MORE_LEFT = 2.0  # times what is left of the friction now: the most that a truer model may leave with its gain
+_EXPLAINS = 0.8  # times the unexplained torque of former parameters
+_STEADY, _MOST_DRIFTED = 0.05, 1.25  # change of what the former compensation leaves within a trial: none, and most
+
+
+class Record:
+    """Rows of the last window, and those before that bring a model's state to where it was.
+
+    Parameters
+    ----------
+    period_s : float
+    resolution : float
+        Step of the position, rad or m.
+
+    Attributes
+    ----------
+    ticks : deque of dict
+        Rows of each tick, `friction_hil.learning.window.COLUMNS`.
+    """
+
+    def __init__(self, period_s: float, resolution: float) -> None:
+        self._period_s, self._resolution = period_s, resolution
+        self.ticks: deque[dict[str, Array]] = deque(maxlen=WARM_TICKS + WINDOW_TICKS)
+
+    @property
+    def rows_per_tick(self) -> int:
+        """Number of rows of a tick."""
+        return round(TICK_S / self._period_s)
+
+    @property
+    def warm_s(self) -> float:
+        """Beginning of the record that only brings the model's state to where it was, s."""
+        return TICK_S * (len(self.ticks) - WINDOW_TICKS if len(self.ticks) > WINDOW_TICKS else 2)
+
+    def rows(self, ticks: int) -> dict[str, Array]:
+        """Return the rows of the last ticks, one after the other."""
+        return joined(list(self.ticks)[-ticks:])
+
+    def window(self, layer: Layer | None = None, model: FrictionModel | None = None) -> Window:
+        """Return the motion, and the torque without that of a layer on a model."""
+        window = window_of(joined(list(self.ticks)), self._period_s)
+        if layer is None or model is None:
+            return window
+        velocity = velocity_of(window, self._resolution)
+        friction = [each.simulate(velocity, self._period_s, **window.inputs()) for each in (layer.on(model), model)]
+        return replace(window, torque=window.torque - (friction[0] - friction[1]))
+
+    def work(self, settled: int) -> Work:
+        """Return what the last window shows; of its errors, those of the last ``settled`` ticks, one at least."""
+        rows = self.rows(WINDOW_TICKS)
+        unsettled = min(max(WINDOW_TICKS - settled, 0), WINDOW_TICKS - 1) * self.rows_per_tick
+        return work_of(
+            rows["position"],
+            rows["position_demand"],
+            rows["velocity_demand"],
+            rows["compensation"],
+            self._period_s,
+            unsettled,
+        )
+
+    def torques(self, *compensations: Used) -> list[Array]:
+        """Return the friction torques (n,) of models without their layers, N m."""
+        window = self.window()
+        velocity = velocity_of(window, self._resolution)
+        return [each.own.simulate(velocity, self._period_s, **window.inputs()) for each in compensations]
+
+    def left(self, belief: Belief, *compensations: Used) -> list[float]:
+        """Return the friction that each would have left in the last window, N m."""
+        models = [(each.model, each.gain) for each in compensations]
+        return uncompensated(self.window(), belief, self._resolution, models, self.warm_s)
+
+    def promises(self, belief: Belief, tried: Used, in_use: Used) -> bool:
+        """Return True if a change would have left less of the friction in the last window than what is in use.
+
+        A truer model may leave a little more with its gain: what a drive cannot correct is the part that changes fast.
+        """
+        whole = replace(tried, gain=1.0), replace(in_use, gain=1.0)
+        after, before, true_after, true_before = self.left(belief, tried, in_use, *whole)
+        return after < HELPS * before or (true_after < HELPS * true_before and after < _MORE_LEFT * before)
+
+    def expected(self, belief: Belief, trial: Trial) -> Work:
+        """Return what the axis would have done meanwhile without a trial, where friction has drifted.
+
+        The more of the friction the former compensation would leave now, the larger its error would be.
+        """
+        drifted = self.left(belief, trial.former)[0] / trial.left
+        if abs(drifted - 1.0) <= _STEADY:
+            return trial.before
+        return trial.before.scaled(min(max(drifted, 1.0 / _MOST_DRIFTED), _MOST_DRIFTED))
+
+    def explains_more(self, belief: Belief, tried: Used, former: Used) -> bool:
+        """Return True if a trial explains the torque since then, which it was not estimated from, clearly better.
+
+        Where friction drifts, the error with the former parameters would have risen meanwhile: no gain over before may
+        be one over what would be now.
+        """
+        left = [rms(self.unexplained(each, belief)[WARM_TICKS:]) for each in (tried, former)]
+        return left[0] < _EXPLAINS * left[1]
+
+    def unexplained(self, used: Used, belief: Belief, ticks: Sequence[Mapping[str, Array]] | None = None) -> Array:
+        """Return the root mean square of each tick's torque (n,) that a model leaves unexplained, N m.
+
+        Parameters
+        ----------
+        used : Used
+        belief : Belief
+            Of the mechanics.
+        ticks : sequence of mapping, optional
+            All by default.
+        """
+        given = list(self.ticks) if ticks is None else ticks
+        return oddity.unexplained(used, given, belief, self._period_s, self._resolution)
+
+    def oddity(self, tick: Mapping[str, Array], settled: int, own: Used | None, belief: Belief, usual: float) -> str:
+        """Return why an axis is not what it was in the same motion; empty if it is.
+
+        Parameters
+        ----------
+        tick : mapping
+            The next one.
+        settled : int
+            Ticks of the record with the present compensation.
+        own : Used or None
+            What explains the torque best; None before the first estimate.
+        belief : Belief
+        usual : float
+            Torque that it left unexplained, N m.
+        """
+        if len(self.ticks) < WARM_TICKS:
+            return ""
+        past = list(self.ticks)
+        is_known = len(past) >= WINDOW_TICKS
+        if jump := oddity.jump(joined(past), tick, self._resolution, is_known=is_known):
+            return (
+                f"the position jumps by {quantity(jump, 'rad' if belief.coordinates.model.axis == 'rotary' else 'm')}"
+            )
+        same = [*past[-settled:], tick] if settled > 0 else []
+        if times := oddity.follows_otherwise(same, self._resolution, self._period_s):
+            return (
+                f"the following error is {times:.2g} times what it was, in the same motion with the same compensation"
+            )
+        if own is not None:
+            left = self.unexplained(own, belief, [*past[-WARM_TICKS:], tick])
+            if oddity.is_other_axis(left, usual, belief.coordinates.model.level):
+                return "the torque is not that of the model any more"
+        return ""
