@@ -148,7 +148,7 @@ ELSEWHERE = (
     ("./tools/campaign --list", "test_the_command_lists_faults_and_refuses_others"),
     ("./tools/bench", "test_unknown_benchmark_is_answered_with_what_there_is"),
     ("./tools/bench compensation --grid --json", "test_command_prints_one_json_object"),
-    ("./tools/bench learning", "test_the_benchmark_of_learning_prints_one_json_object"),
+    ("./tools/bench learning --only", "test_the_benchmark_of_learning_prints_one_json_object"),
     ("./tools/bench compensation --identified", "test_the_command_takes_machines_and_simulates_only_them"),
     ("./tools/bench models --json", "test_every_figure_of_the_benchmark_has_its_row"),
     ("./tools/bench recordings --json", "test_benchmark_of_recordings_has_every_format"),
