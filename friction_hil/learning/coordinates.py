@@ -15,6 +15,7 @@ from friction_hil.numerics.jit import Array
 
 DEFAULT_ERROR = 0.3  # relative standard error of a parameter for which the model file has none
 _MOST_ERROR = 1.0
+_LEAST_BELOW = 1e-6  # of an upper bound: a parameter stays so far below
 _LEAST_ERROR = 0.01  # a standard error of identification does not contain what temperature has changed since
 # Exponents and weights shape a curve: the motion of a machine in service hardly tells them from its levels.
 _FIXED = re.compile(r"(^|\.)(weight\[\d+\]|.*exponent|reference|order|A|interpolation|rise_s|lag_s)$")
@@ -25,8 +26,9 @@ _INDEX = re.compile(r"(.+)\[(\d+)\]$")
 class Coordinates:
     """Parameters of a friction model as coordinates of a fit.
 
-    A parameter with a sign is ``value exp(x)``, x being its coordinate: it keeps its sign. The two components of a
-    ripple are ``value + amplitude x``.
+    A parameter with a sign is ``value exp(x)``, x being its coordinate: it keeps its sign. One with an upper bound,
+    such as a share, is a logistic curve of the same slope at x = 0: it stays below. The two components of a ripple are
+    ``value + amplitude x``.
 
     Attributes
     ----------
@@ -37,7 +39,9 @@ class Coordinates:
     values : (m,) array
         Parameters at x = 0.
     scales : (m,) array
-        NaN for an exponential coordinate, else the unit of a linear one.
+        NaN for an exponential or logistic coordinate, else the unit of a linear one.
+    uppers : (m,) array
+        Upper bounds; infinite where there is none.
     errors : (m,) array
         Standard deviations before anything was learned.
     """
@@ -46,12 +50,18 @@ class Coordinates:
     names: tuple[str, ...]
     values: Array
     scales: Array
+    uppers: Array
     errors: Array
 
     def at(self, x: Array) -> Array:
         """Return the parameters (m,) at coordinates (m,)."""
-        is_linear = np.isfinite(self.scales)
-        return np.where(is_linear, self.values + np.nan_to_num(self.scales) * x, self.values * np.exp(x))
+        is_linear, share = np.isfinite(self.scales), self.values / self.uppers
+        growth = np.exp(np.where(share > 0.0, x / (1.0 - share), x))
+        bounded = growth / (1.0 + share * (growth - 1.0)) if np.any(share > 0.0) else growth
+        most = np.where(np.isfinite(self.uppers), (1.0 - _LEAST_BELOW) * self.uppers, np.inf)
+        return np.where(
+            is_linear, self.values + np.nan_to_num(self.scales) * x, np.minimum(self.values * bounded, most)
+        )
 
     def inverse(self, parameters: Mapping[str, float]) -> Array:
         """Return the coordinates (m,) of parameters by name; 0 for those that are missing or of the other sign."""
@@ -60,13 +70,18 @@ class Coordinates:
             value, unit = parameters.get(name, self.values[k]), self.scales[k]
             if math.isfinite(unit):
                 found[k] = (value - self.values[k]) / unit
-            elif value * self.values[k] > 0.0:
-                found[k] = math.log(value / self.values[k])
+            elif value * self.values[k] > 0.0 and value < self.uppers[k]:
+                before, after = self.values[k] / self.uppers[k], value / self.uppers[k]
+                found[k] = (1.0 - before) * (
+                    math.log(value / self.values[k]) - math.log1p(-after) + math.log1p(-before)
+                )
         return found
 
     def slopes(self, x: Array) -> Array:
         """Return the derivative of each parameter with respect to its coordinate, (m,)."""
-        return np.where(np.isfinite(self.scales), self.scales, self.at(x))
+        values = self.at(x)
+        bounded = values * (1.0 - values / self.uppers) / (1.0 - self.values / self.uppers)
+        return np.where(np.isfinite(self.scales), self.scales, bounded)
 
     def model_at(self, x: Array) -> FrictionModel:
         """Create the model at coordinates (m,).
@@ -111,7 +126,7 @@ def coordinates_of(model: FrictionModel, standard_errors: Mapping[str, float]) -
         Absolute standard errors of the parameters by name, as `identify` writes them into a model file; parameters
         without one get a relative error of `DEFAULT_ERROR`.
     """
-    names, values, scales, errors = [], [], [], []
+    names, values, scales, uppers, errors = [], [], [], [], []
     for name in model.free:
         value = value_of(model, name)
         scale = _amplitude(model, name)
@@ -122,8 +137,10 @@ def coordinates_of(model: FrictionModel, standard_errors: Mapping[str, float]) -
         names.append(name)
         values.append(value)
         scales.append(math.nan if scale is None else scale)
+        uppers.append(_upper(model, name))
         errors.append(min(max(relative, _LEAST_ERROR), _MOST_ERROR))
-    return Coordinates(model, tuple(names), np.array(values), np.array(scales), np.array(errors))
+    arrays = (np.array(each) for each in (values, scales, uppers, errors))
+    return Coordinates(model, tuple(names), *arrays)
 
 
 def value_of(model: FrictionModel, name: str) -> float:
@@ -163,6 +180,17 @@ def _place(name: str, parameters: Any, modifiers: Any) -> tuple[Any, Any]:
         if index[1] == "points":
             group, key = group[key], 1
     return group, key
+
+
+def _upper(model: FrictionModel, name: str) -> float:
+    """Return the upper bound of a parameter; infinite if there is none."""
+    head, _, rest = name.rpartition(".")
+    if head and not head.startswith("direction"):
+        return math.inf
+    for parameter in model.family.parameters:
+        if parameter.name == rest.partition("[")[0] and parameter.upper is not None:
+            return parameter.upper
+    return math.inf
 
 
 def _amplitude(model: FrictionModel, name: str) -> float | None:

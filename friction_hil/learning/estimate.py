@@ -121,6 +121,10 @@ class Belief:
         across = self.covariance[np.ix_(is_shown, ~is_shown)]
         within = self.covariance[np.ix_(~is_shown, ~is_shown)]
         found[is_shown] = self.x[is_shown] + across @ np.linalg.solve(within, (others - self.x)[~is_shown])
+        try:
+            self.coordinates.model_at(found[:-MECHANICS])
+        except UsageError:  # what was shown does not go with the other values
+            return self.x
         return found
 
     def older(self, drift: float, seconds: float) -> "Belief":

@@ -1,6 +1,7 @@
 """Learning of an axis's parameters: estimate, judgement, and what is handed over and taken back."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,6 +70,8 @@ def window(rows):
 
 # coordinates
 
+SHARED = "elasto_plastic"  # one of its parameters is a share: it has an upper bound
+
 
 @pytest.mark.parametrize("model", [*MODELS.values(), DIRECTED], ids=str)
 def test_the_model_at_the_origin_is_the_model_of_the_file(model):
@@ -77,7 +80,7 @@ def test_the_model_at_the_origin_is_the_model_of_the_file(model):
     assert not {"stribeck_exponent", "weight[0]"} & set(found.names)
 
 
-@pytest.mark.parametrize("model", [LUGRE, DIRECTED, MODELS["gms"], MODELS["table"]], ids=str)
+@pytest.mark.parametrize("model", [LUGRE, DIRECTED, *(MODELS[name] for name in ("gms", "table", SHARED))], ids=str)
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=10, deadline=None)
 def test_slopes_are_the_derivatives_of_the_parameters(model, seed):
@@ -88,6 +91,30 @@ def test_slopes_are_the_derivatives_of_the_parameters(model, seed):
         numeric = (found.at(x + step) - found.at(x - step))[k] / 2e-6
         assert numeric == pytest.approx(found.slopes(x)[k], rel=1e-6, abs=1e-12)
         assert value_of(with_values(model, {name: found.at(x)[k]}), name) == found.at(x)[k]
+
+
+@pytest.mark.parametrize("name", [SHARED, "lugre"])
+@given(x=st.lists(st.floats(-8.0, 8.0), min_size=10, max_size=10))
+@settings(max_examples=20, deadline=None)
+def test_any_coordinates_are_those_of_a_model(name, x):
+    found = coordinates_of(MODELS[name], {})
+    x = np.array(x[: len(found.names)])
+    model = found.model_at(x)
+    values = {each: value_of(model, each) for each in found.names}
+    np.testing.assert_allclose(found.at(found.inverse(values)), [*values.values()], rtol=1e-6)
+
+
+def test_what_is_shown_is_never_a_model_that_does_not_exist():
+    """Gamma of a Bouc-Wen model may be negative, but not below -beta: the other values would not go with it."""
+    model = fh.models.create("bouc_wen", **{**dict(MODELS["bouc_wen"].given), "beta": 0.6, "gamma": -0.5})
+    belief = first_belief(model, Mechanics(INERTIA), {})
+    x, covariance = belief.x.copy(), belief.covariance.copy()
+    beta, gamma = (belief.coordinates.names.index(name) for name in ("beta", "gamma"))
+    x[beta] = x[gamma] = -0.3
+    covariance[beta, beta] *= 0.01
+    found = replace(belief, x=x, covariance=covariance)
+    np.testing.assert_array_equal(found.shown(belief.x), found.x)
+    assert found.coordinates.model_at(found.x[:-MECHANICS]).name == "bouc_wen"
 
 
 def test_standard_errors_of_the_model_file_are_what_is_known_at_first():
