@@ -151,9 +151,11 @@ class Motions:
         is_new = False
         for part in np.array_split(np.arange(position.size), min(_PARTS, position.size)):
             p, v = position[part], velocity[part]
-            if np.any(v):
+            is_moving = v != 0.0
+            if np.any(is_moving):
                 is_new = True
-                own = (np.max(np.abs(v)), np.min(p), np.max(p), np.mean(changes[part] ** 2))
+                square = np.sum(changes[part][is_moving] ** 2)
+                own = (np.max(np.abs(v)), np.min(p), np.max(p), square, np.count_nonzero(is_moving))
                 self._parts.append(tuple(map(float, own)))
         if not is_new:
             return False
@@ -214,22 +216,26 @@ def _ranges(parts: Collection[tuple[float, ...]], margin: int = 0) -> Array:
     ----------
     parts : sequence of tuple
     margin : int
-        The least is that of spans by so many parts shorter, the most that of longer ones: rests shift the parts.
+        The least is that of spans by up to so many parts shorter, the most that of longer ones: rests shift the parts.
     """
     rows = np.array(list(parts))
     found = np.full((2, len(_SPANS_TICKS), 3), np.nan)
     for k, ticks in enumerate(_SPANS_TICKS):
         if len(rows) < ticks * _PARTS:
             break
-        found[0, k] = _spans(rows, ticks * _PARTS - margin).min(axis=0)
-        found[1, k] = _spans(rows, min(ticks * _PARTS + margin, len(rows))).max(axis=0)
+        for change in range(margin + 1):  # all: a mean square is not always least for the shortest ones
+            shorter, longer = (_spans(rows, ticks * _PARTS + sign * change) for sign in (-1, 1))
+            found[0, k] = np.fmin(found[0, k], shorter.min(axis=0))
+            found[1, k] = np.fmax(found[1, k], longer.max(axis=0))
     return found
 
 
 def _spans(rows: Array, length: int) -> Array:
-    """Return top speed, travel and mean square of the acceleration of all spans of a length, (k, 3)."""
-    top, low, high, square = np.lib.stride_tricks.sliding_window_view(rows, length, axis=0).swapaxes(0, 1)
-    return np.column_stack([top.max(axis=1), high.max(axis=1) - low.min(axis=1), square.mean(axis=1)])
+    """Return top speed, travel and mean square of the acceleration of all spans of a length (of all parts if fewer)."""
+    length = min(length, len(rows))
+    top, low, high, square, count = np.lib.stride_tricks.sliding_window_view(rows, length, axis=0).swapaxes(0, 1)
+    mean = square.sum(axis=1) / count.sum(axis=1)
+    return np.column_stack([top.max(axis=1), high.max(axis=1) - low.min(axis=1), mean])
 
 
 def _latest(parts: Collection[tuple[float, ...]]) -> Array:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from friction_hil.learning.coordinates import coordinates_of
@@ -35,6 +35,7 @@ class Moved:
         return [(k + TICK) * PERIOD_S for k in range(0, ends, TICK) if self.motions.take(*rows[:, k : k + TICK])]
 
 
+@example(frequency=13.5, amplitude=1.0, factor=0.90234375, rest=520)  # parts of spans that are mostly rest
 @given(
     frequency=st.floats(0.5, 20.0),
     amplitude=st.floats(1e-4, 10.0),
