@@ -75,16 +75,8 @@ class Work:
         )
 
 
-def work_of(
-    position: Array,
-    position_demand: Array,
-    velocity_demand: Array,
-    compensation: Array,
-    period_s: float,
-    unsettled: int = 0,
-) -> Work:
-    """Return what rows (n,) of an axis show; the errors of the ``unsettled`` first ones do not count."""
-    error = (position_demand - position)[unsettled:]
+def work_of(error: Array, position_demand: Array, velocity_demand: Array, compensation: Array, period_s: float) -> Work:
+    """Return what rows (n,) of an axis show, of whose following errors those (k,) that are given count."""
     halves = max(round(0.5 / period_s), 1)
     squares = [np.mean(error[k : k + 2 * halves] ** 2) for k in range(0, max(error.size - halves, 1), 2 * halves)]
     return Work(

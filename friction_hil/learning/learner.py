@@ -40,7 +40,7 @@ _FALLS = 0.02  # relative change of the friction since the last change of parame
 _GAIN_WORTH = 0.01
 _LESS_GAIN, _LIMITED = 0.05, 20  # step of a lower gain, and windows of proposals for which it stays the highest
 _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
-_FIRST_PAUSE, _LONGEST_PAUSE = 1, 40  # windows without a trial, after one that was taken back
+_FIRST_PAUSE, _LONGER, _LONGEST_PAUSE = 1, 3, 40  # windows without a trial after one taken back, the next one longer
 _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
 _STOPPED_TICKS = 40
 _WORSE = 1.2  # times the error at the last trial: another one does not wait any longer
@@ -201,8 +201,11 @@ class Learner:
         """What is known now."""
         return self._belief
 
-    def take(self, rows: Mapping[str, Array]) -> Proposal | None:
-        """Take the rows of a tick, `COLUMNS`; return what is to be handed over, which then counts as handed over."""
+    def take(self, rows: Mapping[str, Array], *, is_in_force: bool = True) -> Proposal | None:
+        """Take the rows of a tick, `COLUMNS`; return what is to be handed over, which then counts as handed over.
+
+        Unless ``is_in_force``, they are older than the last change, and do not show what that does.
+        """
         tick = {name: np.asarray(rows[name]) for name in COLUMNS}
         self._belief = self._belief.older(_DRIFT, TICK_S)
         recent = [*list(self._record.ticks)[1 - oddity.FROZEN_TICKS :], tick]
@@ -215,7 +218,7 @@ class Learner:
             return self._stop(reason)
         self._record.ticks.append(tick)
         self._fresh += 1
-        self._same += 1
+        self._same += is_in_force
         if self._resumed is not None and np.any(tick["velocity_demand"]):
             self._motions.now.used = self._kept = self._resumed
             self._resumed = None
@@ -225,7 +228,7 @@ class Learner:
         if self._stopped:
             self._stopped -= 1
             return None
-        if self._trial is not None and (proposal := self._judge(self._trial)) is not None:
+        if is_in_force and self._trial is not None and (proposal := self._judge(self._trial)) is not None:
             return proposal
         if self._fresh >= WINDOW_TICKS:
             self._refine()
@@ -379,8 +382,7 @@ class Learner:
     def _judge(self, trial: Trial) -> Proposal | None:
         """Look at a trial: it goes on, or it is kept, or it is taken back."""
         trial.ticks += 1
-        rows = self._record.rows(max(trial.ticks - _UNJUDGED_TICKS, 1))
-        error = rows["position_demand"] - rows["position"]
+        error = self._record.errors(max(trial.ticks - _UNJUDGED_TICKS, 1))
         is_judged = trial.ticks > _UNJUDGED_TICKS
         if is_judged and is_harmful(error, trial.before, self._resolution, self._period_s):
             return self._take_back(f"the error rose from {self._size(trial.before.rms)} to {self._size(rms(error))}")
@@ -445,7 +447,7 @@ class Learner:
     def _wait(self, error: float, refused: Used | None = None) -> None:
         """Leave the present motion without a trial for a while, longer each time, or until error or friction change."""
         now = self._motions.now
-        now.rest, now.pause = now.pause, min(2 * now.pause, _LONGEST_PAUSE)
+        now.rest, now.pause = now.pause, min(_LONGER * now.pause, _LONGEST_PAUSE)
         now.refused_error, now.refused = error, refused
 
     def _change_motion(self) -> Proposal | None:

@@ -54,9 +54,11 @@ def jump(past: Mapping[str, Array], tick: Mapping[str, Array], resolution: float
     is_known : bool
         The past contains all of the motion, not only its beginning.
     """
-    errors = [rows["position_demand"] - rows["position"] for rows in (past, tick)]
-    usual = float(np.max(np.abs(np.diff(errors[0]))))
-    found = float(np.max(np.abs(np.diff(errors[1], prepend=errors[0][-1]))))
+    errors = [_error(rows) for rows in (past, tick)]
+    usual, found = (
+        float(np.nanmax(np.abs(changes), initial=0.0))
+        for changes in (np.diff(errors[0]), np.diff(errors[1], prepend=errors[0][-1]))
+    )
     factor = _GLITCH if is_known else _FIRST_GLITCH
     return found if found > factor * usual + _GLITCH_COUNTS * resolution else 0.0
 
@@ -74,9 +76,8 @@ def follows_otherwise(ticks: Sequence[Mapping[str, Array]], resolution: float, p
     """
     if len(ticks) < _SPAN_TICKS + _LEAST_ALIKE:
         return 0.0
-    names = ("position", "position_demand", "velocity_demand")
-    position, demand, velocity = (np.array([tick[name] for tick in ticks]) for name in names)
-    squares = np.mean((demand - position) ** 2, axis=1), np.mean(velocity**2, axis=1)
+    velocity = np.array([tick["velocity_demand"] for tick in ticks])
+    squares = np.array([np.nanmean(_error(tick) ** 2) for tick in ticks]), np.mean(velocity**2, axis=1)
     changes = np.mean((np.diff(velocity, axis=1) / period_s) ** 2, axis=1)
     windows = [np.lib.stride_tricks.sliding_window_view(each, _SPAN_TICKS) for each in (*squares, changes)]
     error, speed, acceleration = (np.sqrt(each.mean(axis=1)) for each in windows)
@@ -115,7 +116,8 @@ def unexplained(
 ) -> Array:
     """Return the root mean square of each tick's torque (n,) that a model leaves unexplained, N m.
 
-    Rows without demanded motion are left out: at rest friction has any value to break-away. 0 for a tick of rest.
+    Rows without demanded motion are left out: at rest friction has any value to break-away; and those of missed
+    periods. 0 for a tick of rest.
 
     Parameters
     ----------
@@ -137,8 +139,14 @@ def unexplained(
     left = window.torque - friction - (1.0 + inertia) * belief.mechanics.inertia * acceleration
     left -= static * belief.coordinates.model.level + gravity_torque(*belief.mechanics.static, window.position)
     counted = slice(0, -_UNFILTERED)  # in each tick, so that an old one compares with the latest
-    is_moving = (rows["velocity_demand"] != 0.0).reshape(len(ticks), -1)[:, counted]
+    is_moving = (rows["velocity_demand"] != 0.0) & (rows["is_disturbed"] == 0.0)
+    is_moving = is_moving.reshape(len(ticks), -1)[:, counted]
     counts = is_moving.sum(axis=1)
     squares = np.where(is_moving, left.reshape(len(ticks), -1)[:, counted] ** 2, 0.0).sum(axis=1)
     is_shown = counts >= _LEAST_MOVING * len(window) / len(ticks)
     return np.asarray(np.where(is_shown, np.sqrt(squares / np.maximum(counts, 1)), 0.0))
+
+
+def _error(rows: Mapping[str, Array]) -> Array:
+    """Return the following error (n,); NaN in rows of missed periods."""
+    return np.where(rows["is_disturbed"] == 0.0, rows["position_demand"] - rows["position"], np.nan)

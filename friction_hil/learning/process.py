@@ -25,11 +25,12 @@ from friction_hil.errors import FrictionHilError, UsageError
 from friction_hil.friction.model import as_dict
 from friction_hil.learning.compilation import compile_estimate
 from friction_hil.learning.estimate import Mechanics
+from friction_hil.learning.gaps import Gaps
 from friction_hil.learning.learner import Learner
 from friction_hil.learning.notices import described, fitting
 from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.learning.proven import Proven, digest, recall, store
-from friction_hil.learning.window import COLUMNS
+from friction_hil.learning.window import RECORDED
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
 
@@ -41,6 +42,7 @@ _NICENESS = 5
 _FOREVER = 2**62  # cycle that no run reaches
 _ALIKE = 0.05  # differences of a proposal from the former one that are not worth another notice
 _IDLE = "the axis is not in compensated motion"
+_LATE = "the loop has missed too many periods"
 _BUSY = "this process has used its share of the processor"
 _NO_TORQUE = "its drive does not report the torque"
 _FOREIGN = "the settings were changed by somebody else, or before its process began again"
@@ -75,6 +77,7 @@ class AxisLearning:
             fade_s=given.fade_s,
             is_gain_fixed=given.gain_negative is not None,
         )
+        self._gaps = Gaps(self.learner.rows_per_tick, period_s)
         self.unit = "rad" if config.model.axis == "rotary" else "m"
         self._is_paused, self._why_paused = True, STARTING
         self._file = None if folder is None or not self.is_tried else folder / f"{name}.json"
@@ -91,16 +94,27 @@ class AxisLearning:
         """Compile what an estimate needs: for the first time on a machine, rows would be lost meanwhile."""
         compile_estimate(self.learner.belief, self.period_s, resolution)
 
-    def take(self, rows: Mapping[str, Array]) -> Proposal | None:
-        """Take the rows of a tick; those of an axis that is not compensated in motion only end a trial."""
-        is_running = np.all(rows["state"] == LoopState.RUNNING) and np.all(rows["is_enabled"] == 1.0)
-        is_whole = rows["cycle"].size == self.learner.rows_per_tick and np.all(np.diff(rows["cycle"]) == 1.0)
-        if is_running and is_whole:
-            self._is_paused = False
-            if not self._is_begun:
-                self._resume(float(rows["temperature_estimate"][-1]))
-            return self.learner.take({**rows, "torque": rows["torque"] / self.config.model.mechanics.torque_ratio})
-        return self.skip(_IDLE)
+    def take(self, rows: Mapping[str, Array], following: Mapping[str, Array], *, is_in_force: bool) -> Proposal | None:
+        """Take the rows of a tick; those of an axis that is not compensated in motion only end a trial.
+
+        Parameters
+        ----------
+        rows : mapping of str to (k,) array
+        following : mapping of str to (0,) or (1,) array
+            The row after them, if there is one yet.
+        is_in_force : bool
+            The last change was in force by then.
+        """
+        whole = self._gaps.fill(rows, following)
+        if not (np.all(rows["state"] == LoopState.RUNNING) and np.all(rows["is_enabled"] == 1.0)):
+            return self.skip(_IDLE)
+        if whole is None:
+            return self.skip(_LATE)
+        self._is_paused = False
+        if not self._is_begun:
+            self._resume(float(rows["temperature_estimate"][-1]))
+        ratio = self.config.model.mechanics.torque_ratio
+        return self.learner.take({**whole, "torque": whole["torque"] / ratio}, is_in_force=is_in_force)
 
     def skip(self, reason: str) -> Proposal | None:
         """Leave a tick out; what is on trial then is taken back."""
@@ -240,7 +254,13 @@ class Learning:
         fields = STATE.fields
         assert fields is not None
         gain_factor = len(names) + fields["gain_factor"][1] // 8
-        wanted = ["state", "is_enabled", columns.CHANGE, *(each for each in COLUMNS if each != "gain_factor")]
+        wanted = [
+            "state",
+            "is_enabled",
+            "is_fresh",
+            columns.CHANGE,
+            *(each for each in RECORDED if each != "gain_factor"),
+        ]
         self._names = [*wanted, "gain_factor"]
         places = [*(names.index(each) for each in wanted), gain_factor]
         self._wanted = np.array([axis * width + place for axis in self._axes for place in places], dtype=np.intp)
@@ -267,18 +287,21 @@ class Learning:
             ends = np.append(ends, len(rows))
         first = 0
         for end in ends.tolist():
-            self._take(rows[first:end])
+            self._take(rows[first:end], rows[end : end + 1])
             first = end
         self._rows = rows[first:]
         return bool(ends.size)
 
-    def _take(self, rows: Array) -> None:
-        """Take the rows of a tick of all axes."""
+    def _take(self, rows: Array, following: Array) -> None:
+        """Take the rows of a tick of all axes, and the one after them, if there is one yet."""
         values: dict[str, Any] = {}
         notes: list[str] = []
         handed: list[str] = []
-        for axis, part in zip(self._axes.values(), np.split(rows, len(self._axes), axis=1), strict=True):
-            named = dict(zip(self._names, np.ascontiguousarray(part.T), strict=True))
+        parts = (np.split(each, len(self._axes), axis=1) for each in (rows, following))
+        for axis, part, after in zip(self._axes.values(), *parts, strict=True):
+            named, next_one = (
+                dict(zip(self._names, np.ascontiguousarray(each.T), strict=True)) for each in (part, after)
+            )
             change = float(np.nanmax(named[columns.CHANGE], initial=0.0))
             if change > self._own and not self._foreign:
                 self._foreign = True
@@ -288,7 +311,8 @@ class Learning:
             if self._foreign:
                 continue
             is_left_out = not self._is_simulated and self._is_too_busy()
-            proposal = axis.skip(_BUSY) if is_left_out else axis.take(named)
+            is_in_force = change >= self._own  # rows may be older than what was made of those before them
+            proposal = axis.skip(_BUSY) if is_left_out else axis.take(named, next_one, is_in_force=is_in_force)
             more_notes, more_handed = axis.take_note(proposal)
             notes, handed = [*notes, *more_notes], [*handed, *more_handed]
             if text := axis.keep(float(named["temperature_estimate"][-1])):

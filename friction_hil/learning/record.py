@@ -12,7 +12,7 @@ from friction_hil.learning.layer import Layer
 from friction_hil.learning.motions import WINDOW_TICKS, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.proposal import Trial
-from friction_hil.learning.window import Window, joined, velocity_of, window_of
+from friction_hil.learning.window import Window, errors_of, joined, velocity_of, window_of
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import quantity
 
@@ -67,15 +67,12 @@ class Record:
     def work(self, settled: int) -> Work:
         """Return what the last window shows; of its errors, those of the last ``settled`` ticks, one at least."""
         rows = self.rows(WINDOW_TICKS)
-        unsettled = min(max(WINDOW_TICKS - settled, 0), WINDOW_TICKS - 1) * self.rows_per_tick
-        return work_of(
-            rows["position"],
-            rows["position_demand"],
-            rows["velocity_demand"],
-            rows["compensation"],
-            self._period_s,
-            unsettled,
-        )
+        error = self.errors(min(max(settled, 1), WINDOW_TICKS))
+        return work_of(error, rows["position_demand"], rows["velocity_demand"], rows["compensation"], self._period_s)
+
+    def errors(self, ticks: int) -> Array:
+        """Return the following errors of the last ticks, (k,), rad or m, without those of missed periods."""
+        return errors_of(self.rows(ticks))
 
     def torques(self, *compensations: Used) -> list[Array]:
         """Return the friction torques (n,) of models without their layers, N m."""

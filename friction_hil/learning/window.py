@@ -9,7 +9,7 @@ import numpy as np
 from friction_hil.identification.fine import moves_by_bands
 from friction_hil.numerics.jit import Array
 
-COLUMNS = (
+RECORDED = (
     "cycle",
     "position",
     "torque",
@@ -20,11 +20,12 @@ COLUMNS = (
     "compensation",
     "gain_factor",
 )
+COLUMNS = (*RECORDED, "is_disturbed")  # 1 in rows whose error is due to a period that was missed, see `gaps`
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Rows of one axis without a gap, (n,) each.
+    """Rows of one axis, (n,) each, without a gap or with gaps that are filled in.
 
     Attributes
     ----------
@@ -73,6 +74,11 @@ def velocity_of(window: Window, resolution: float) -> Array:
 def joined(ticks: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
     """Return the rows of ticks, `COLUMNS`, one after the other."""
     return {name: np.concatenate([tick[name] for tick in ticks]) for name in COLUMNS}
+
+
+def errors_of(rows: Mapping[str, Array]) -> Array:
+    """Return the following error of the rows that are not disturbed, (k,), rad or m."""
+    return np.asarray((rows["position_demand"] - rows["position"])[rows["is_disturbed"] == 0.0])
 
 
 def window_of(rows: Mapping[str, Array], period_s: float) -> Window:

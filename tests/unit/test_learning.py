@@ -54,6 +54,7 @@ def record(seconds, true=LUGRE, begin_s=0.0, count=COUNT, error=0.0, seed=None, 
         "temperature_estimate": np.full(t.size, math.nan),
         "compensation": 0.9 * friction,
         "gain_factor": np.ones(t.size),
+        "is_disturbed": np.zeros(t.size),
     }
     return {name: values[name] for name in COLUMNS}
 
@@ -181,12 +182,12 @@ class Driven:
         )
         self.ticks, self.proposals, self.notes = 0, [], []
 
-    def take(self, ticks, until=None, change=None, **given):
+    def take(self, ticks, until=None, change=None, is_in_force=True, **given):
         for _ in range(ticks):
             rows = record(TICK_S, begin_s=self.ticks * TICK_S, **given)
             if change is not None:
                 change(rows)
-            proposal = self.learner.take(rows)
+            proposal = self.learner.take(rows, is_in_force=is_in_force)
             self.ticks += 1
             self.notes += self.learner.notes
             self.learner.notes.clear()
@@ -227,6 +228,31 @@ def test_a_change_of_which_a_third_is_no_help_is_taken_back_before_the_whole(fir
     first.take(8, error=1.02e-3)
     assert [proposal.step for _, proposal in first.proposals] == [Step.PARAMETERS, Step.BACK]
     assert "a third" in first.proposals[-1][1].text
+
+
+def test_rows_from_before_a_change_say_nothing_about_it(first):
+    """A busy computer hands over late: the change is judged from then on."""
+    first.take(20, is_in_force=False, error=1.02e-3)
+    assert len(first.proposals) == 1
+    first.take(5, error=8e-4)
+    assert len(first.proposals) == 1
+    first.take(3, error=8e-4)
+    assert [proposal.step for _, proposal in first.proposals] == 2 * [Step.PARAMETERS]
+
+
+def disturbed(rows):
+    """A period was missed: until the axis has recovered, its error is large."""
+    rows["is_disturbed"][100:140] = 1.0
+    rows["position"][100:140] -= 5e-3 * np.hanning(40)
+
+
+def test_errors_of_missed_periods_neither_stop_learning_nor_count_against_a_change():
+    driven = Driven().take(WINDOW_TICKS + 2, until=Step.PARAMETERS, error=1e-3)
+    driven.take(8, until=Step.PARAMETERS, change=disturbed, error=8e-4)
+    driven.take(WINDOW_TICKS + 6, change=disturbed, error=3e-4)
+    figures = driven.learner.figures
+    assert (figures.kept, figures.taken_back, figures.stopped) == (1, 0, 0)
+    assert figures.error == pytest.approx(3e-4 / math.sqrt(2.0), rel=0.05)
 
 
 def test_less_error_than_half_a_second_may_have_is_harm_within_a_longer_time(tried):

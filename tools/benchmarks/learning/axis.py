@@ -1,5 +1,6 @@
 """A simulated axis with a compensator whose settings change while it moves; what it records, the learner is given."""
 
+from collections.abc import Container
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from friction_hil.compensator import INPUTS, Compensator
 from friction_hil.daemon.control.desk import LATEST_CYCLES
 from friction_hil.daemon.control.prepare import state_in
+from friction_hil.learning.window import RECORDED
 from friction_hil.numerics.jit import Array
 from friction_hil.servo.assembly import controller_record, machine_record, servo_state
 from friction_hil.servo.config import ServoConfig
@@ -15,17 +17,6 @@ from tools.benchmarks.compensation.grid import DriveLoops, Plant
 from tools.benchmarks.compensation.machine import TRACE, advance
 from tools.benchmarks.compensation.simulation import servo_config
 
-COLUMNS = (
-    "cycle",
-    "position",
-    "torque",
-    "position_demand",
-    "velocity_demand",
-    "load_estimate",
-    "temperature_estimate",
-    "compensation",
-    "gain_factor",
-)
 _NO_TRACE = np.empty((len(TRACE), 0))
 
 
@@ -97,6 +88,7 @@ class Axis:
         self.state = servo_state(servo, self.record, 0.0)
         self.cycle = 0
         self._pending = [0.0] * (sensors.delay_cycles + 1)
+        self._acting = 0.0
         self._random = np.random.default_rng(seed)
         self._torque_step = plant.rated_torque / 1000.0
         self._inputs: list[list[tuple[float, ...]]] = []  # of the latest moves
@@ -123,7 +115,9 @@ class Axis:
         mechanics = servo.mechanics.model_copy(update={"gravity": Gravity(sine=self.gravity)})
         return servo.model_copy(update={"mechanics": mechanics})
 
-    def move(self, demands: tuple[Array, Array, Array], ahead: tuple[Array, Array]) -> tuple[dict[str, Array], Array]:
+    def move(
+        self, demands: tuple[Array, Array, Array], ahead: tuple[Array, Array], missed: Container[int] = ()
+    ) -> tuple[dict[str, Array], Array]:
         """Move along demands at the samples of the drive; return the rows of the cycles and the following errors.
 
         Parameters
@@ -132,11 +126,14 @@ class Axis:
             Position, velocity and acceleration.
         ahead : tuple of (k,) arrays
             Velocity and acceleration of each cycle when its torque acts.
+        missed : container of int
+            Those of these cycles in which nothing is computed: the drive stays where it was sent last, with the last
+            torque. Not the first one.
         """
         cycles, given = ahead[0].size, self.sensors
-        rows = np.empty((len(COLUMNS), cycles))
+        rows = np.full((len(RECORDED), cycles), np.nan)
+        demands = tuple(each.copy() for each in demands)
         errors = np.empty((2, cycles))
-        score = np.zeros(2)
         resolution = np.pi * 2.0 / 2**given.bits
         noise = given.torque_noise * self._random.standard_normal(cycles)
         compensator, state = self.compensator, self.state
@@ -147,6 +144,11 @@ class Axis:
         self._states = [*self._states[max(len(self._states) - kept, 0) :], compensator.state.copy()]
         for k in range(cycles):
             i = k * self.samples
+            if k in missed:
+                demands[0][i : i + self.samples] = demands[0][i - 1]
+                demands[1][i : i + self.samples] = demands[2][i : i + self.samples] = 0.0
+                errors[:, k] = self._advance(demands, i)
+                continue
             position = np.floor((view["position"] + given.slip) / resolution) * resolution
             if not given.is_frozen:
                 torque = view["torque"] * given.torque_factor + noise[k]
@@ -172,18 +174,23 @@ class Axis:
             for factor, other in self.beside:
                 torque += factor * other.step(*values)
             self._pending.append(torque)
-            score[:] = 0.0
-            advance(
-                self.record,
-                self.controller,
-                state,
-                *demands,
-                i,
-                self.samples,
-                self._pending.pop(0) if given.delay_cycles else self._pending.pop(),
-                score,
-                _NO_TRACE,
-            )
-            errors[:, k] = np.sqrt(score[0] / self.samples), score[1]
-            self.cycle += 1
-        return dict(zip(COLUMNS, rows, strict=True)), errors
+            self._acting = self._pending.pop(0) if given.delay_cycles else self._pending.pop()
+            errors[:, k] = self._advance(demands, i)
+        return dict(zip(RECORDED, rows[:, np.isfinite(rows[0])], strict=True)), errors
+
+    def _advance(self, demands: tuple[Array, ...], first: int) -> tuple[float, float]:
+        """Move for a cycle; return root mean square and peak of the following error, rad."""
+        score = np.zeros(2)
+        advance(
+            self.record,
+            self.controller,
+            self.state,
+            *demands,
+            first,
+            self.samples,
+            self._acting,
+            score,
+            _NO_TRACE,
+        )
+        self.cycle += 1
+        return float(np.sqrt(score[0] / self.samples)), float(score[1])

@@ -10,9 +10,11 @@ import numpy as np
 from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.friction import FrictionModel
 from friction_hil.learning.estimate import Mechanics
+from friction_hil.learning.gaps import Gaps
 from friction_hil.learning.learner import Learner
 from friction_hil.learning.proposal import Proposal
 from friction_hil.learning.record import TICK_S
+from friction_hil.learning.window import RECORDED
 from friction_hil.numerics.jit import Array
 from tools.benchmarks.compensation.grid import DriveLoops, Grid, Plant
 from tools.benchmarks.compensation.motions import GridMotion
@@ -20,6 +22,8 @@ from tools.benchmarks.compensation.simulation import Error
 from tools.benchmarks.learning.axis import Axis, Sensors
 
 FADE_S = 0.5
+_NOTHING = {name: np.empty(0) for name in (*RECORDED, "is_fresh")}  # no row of a later tick is known
+_MOST_MISSED = 4  # periods in a row
 Event = Callable[[Axis], None]
 
 
@@ -39,6 +43,8 @@ class Setup:
     sensors : Sensors
     lead_s : float
     seed : int
+    missed_until_s : float
+        Until then the computer misses up to `_MOST_MISSED` periods about once a second.
     """
 
     plant: Plant
@@ -49,6 +55,7 @@ class Setup:
     sensors: Sensors
     lead_s: float
     seed: int = 1
+    missed_until_s: float = 0.0
 
 
 @dataclass(slots=True)
@@ -138,6 +145,7 @@ def follow(
             has_families=has_families,
         )
     cycles = round(TICK_S / period_s)
+    gaps = Gaps(cycles, period_s)
     found = Followed(np.empty((2, 0)), np.empty(0), learner=learner)
     errors, compensation = [], []
     for tick in range(round(seconds / TICK_S)):
@@ -148,13 +156,15 @@ def follow(
         if retuned is not None and (better := retuned(at)) is not None:
             other = Compensator(better, settings)
             axis.compensator.adopt(other.record, axis.state_of(other) if tick else other.friction_state)
-        rows, error = axis.move(*_demands(of, at, cycles))
+        is_late = learner is not None and at < of.missed_until_s
+        rows, error = axis.move(*_demands(of, at, cycles), _missed(of.seed, tick, cycles) if is_late else ())
         errors.append(error)
         compensation.append(rows["compensation"])
         if learner is None:
             continue
         began = process_time()
-        proposal = learner.take(rows)
+        whole = gaps.fill({**rows, "is_fresh": np.ones_like(rows["cycle"])}, _NOTHING)
+        proposal = learner.pause() if whole is None else learner.take(whole)
         found.busy_s += process_time() - began
         found.notes += [(at + TICK_S, note) for note in learner.notes]
         learner.notes.clear()
@@ -171,6 +181,14 @@ def follow(
 def without(of: Setup, seconds: float, events: Mapping[float, Event] | None = None) -> Followed:
     """Simulate the axis without compensation."""
     return follow(replace(of, settings=replace(of.settings, gain=0.0)), seconds, is_learning=False, events=events)
+
+
+def _missed(seed: int, tick: int, cycles: int) -> range:
+    """Return the cycles of a tick that are missed, neither its first nor its last one."""
+    random = np.random.default_rng((seed, tick))
+    count = int(random.integers(1, _MOST_MISSED + 1)) if random.random() < TICK_S else 0
+    first = int(random.integers(1, cycles - _MOST_MISSED))
+    return range(first, first + count)
 
 
 def _demands(of: Setup, begin_s: float, cycles: int) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:

@@ -22,7 +22,7 @@ from tools.benchmarks.learning.case import Event, Followed, Setup, follow, setup
 
 AFTER_S = 60.0  # of the axis's own motion, then the error is scored
 SCORED_S = 4.0
-POOR_SCORED_S = 20.0  # through a coarse encoder, stick-slip varies by a tenth within a few strokes
+LONG_SCORED_S = 20.0  # stick-slip varies by a tenth from a few strokes to the next
 WRONG = ("mismatch_a", "mismatch_b")
 _LEVELS = ("coulomb", "static", "sigma2", "viscous")
 _DRIFT_S = 600.0
@@ -142,9 +142,14 @@ def _off(grid: Grid) -> Cases:
         yield name, partial(_reductions, of)
 
 
+def _late(grid: Grid) -> Cases:
+    for name, of in _combinations(grid, WRONG, AFTER_S):
+        yield name, partial(_reductions, replace(of, missed_until_s=AFTER_S))
+
+
 def _exact(grid: Grid) -> Cases:
     for name, of in _combinations(grid, ("exact",), AFTER_S):
-        yield name, partial(_reductions, of, is_fixed_from_start=True)
+        yield name, partial(_reductions, of, scored_s=LONG_SCORED_S, is_fixed_from_start=True)
 
 
 def _poor(grid: Grid) -> Cases:
@@ -158,7 +163,7 @@ def _poor(grid: Grid) -> Cases:
             changed = replace(of, sensors=sensors, settings=settings, lead_s=settings.lead_s)
             yield (
                 f"{name} torque x {factor}",
-                partial(_reductions, changed, scored_s=POOR_SCORED_S, is_fixed_from_start=True),
+                partial(_reductions, changed, scored_s=LONG_SCORED_S, is_fixed_from_start=True),
             )
 
 
@@ -427,6 +432,7 @@ def _change_plant(axis: Axis, plant: Plant, drive: DriveLoops | None = None) -> 
 
 _ROWS: dict[str, Callable[[Grid], Cases]] = {
     "off": _off,
+    "late": _late,
     "exact": _exact,
     "drift": _drift,
     "changing": _changing,
