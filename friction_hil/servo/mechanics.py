@@ -23,6 +23,7 @@ from friction_hil.numerics.dual import borrowed_at
 from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined
 
 BALANCE = 1e-12  # relative difference of torque and friction below which they balance
+_CORRECTIONS = 3  # of the hysteresis to the twist of a step
 _PASSES = 5  # each but the last holds or releases one of the two masses
 _HALVINGS = 200
 
@@ -76,6 +77,14 @@ def _mean_spring(stiffness: float, gap: float, twist: float, change: float) -> f
     before = math.copysign(max(abs(twist) - 0.5 * gap, 0.0), twist)
     after = math.copysign(max(abs(twist + change) - 0.5 * gap, 0.0), twist + change)
     return 0.5 * stiffness * (after + before) * ((after - before) / change)
+
+
+@compiled
+def _hysteresis(torque: float, stiffness: float, before: float, turned: float) -> float:
+    """Return the torque of a gear's hysteresis after it has turned by an angle: Dahl's equation, exact."""
+    if torque == 0.0 or turned == 0.0:
+        return before
+    return before - math.expm1(-stiffness * abs(turned) / torque) * (math.copysign(torque, turned) - before)
 
 
 @compiled
@@ -269,12 +278,7 @@ def _move_two_masses(plant: StructuredArray, s: StructuredArray, torque: float, 
         variation, slope = harmonics(c.inertia_variation, load_middle)
         load_inertia += variation
         inertial = 0.5 * slope * load_ahead * load_ahead
-    hysteresis_before = r.hysteresis
-    if c.hysteresis_torque > 0.0:  # Dahl's equation, exact for a rate held over the step
-        settled = math.copysign(c.hysteresis_torque, rate) if rate != 0.0 else r.hysteresis
-        share = -math.expm1(-c.hysteresis_stiffness * abs(rate) * dt / c.hysteresis_torque)
-        r.hysteresis += share * (settled - r.hysteresis)
-    hysteresis = r.hysteresis
+    hysteresis = _hysteresis(c.hysteresis_torque, c.hysteresis_stiffness, r.hysteresis, dt * rate)
 
     expected = coupling_torque(c.stiffness, c.damping, c.gap, twist, rate, 0.0, dt) + hysteresis
     applied, load_applied = torque - ratio * expected, expected - load - inertial
@@ -313,21 +317,29 @@ def _move_two_masses(plant: StructuredArray, s: StructuredArray, torque: float, 
     is_load_balanced = abs(load_applied - load_friction) <= BALANCE * abs(load_applied)
     is_load_held = c.is_load_friction_static > 0.0 and is_load_balanced and abs(v2) <= c.load_stick_velocity
     is_free, is_load_free = c.is_friction_static == 0.0 or is_held, c.is_load_friction_static == 0.0 or is_load_held
-    u1 = u2 = coupled = 0.0
-    driving, load_driving = torque - ratio * hysteresis, hysteresis - load - inertial
+    u1 = u2 = transmitted = 0.0
     for _ in range(_PASSES):
         a, b = 0.5 * dt / c.inertia, 0.5 * dt / load_inertia
-        mean, load_mean = v1 + a * (driving - friction), v2 + b * (load_driving - load_friction)
+        mean, load_mean = v1 + a * (torque - friction), v2 - b * (load + inertial + load_friction)
         if is_held:
             a, mean = 0.0, 0.5 * v1
         if is_load_held:
             b, load_mean = 0.0, 0.5 * v2
         give = ratio * ratio * a + b
-        coupled = coupling_torque(c.stiffness, c.damping, c.gap, twist, ratio * mean - load_mean, give, dt)
-        u1 = 0.0 if is_held else 2.0 * (mean - a * ratio * coupled) - v1
-        u2 = 0.0 if is_load_held else 2.0 * (load_mean + b * coupled) - v2
-        stopping = driving - ratio * coupled + c.inertia * v1 / dt
-        load_stopping = load_driving + coupled + load_inertia * v2 / dt
+        free = ratio * mean - load_mean
+        coupled = coupling_torque(c.stiffness, c.damping, c.gap, twist, free - give * hysteresis, give, dt)
+        if c.hysteresis_torque > 0.0:  # that of the twist of this step: of another one it might create energy
+            steepest = 2.0 * c.hysteresis_stiffness * dt * give
+            for _ in range(_CORRECTIONS):
+                turned = dt * (free - give * (coupled + hysteresis))
+                after = _hysteresis(c.hysteresis_torque, c.hysteresis_stiffness, r.hysteresis, turned)
+                hysteresis += (after - hysteresis) / (1.0 + steepest)
+                coupled = coupling_torque(c.stiffness, c.damping, c.gap, twist, free - give * hysteresis, give, dt)
+        transmitted = coupled + hysteresis
+        u1 = 0.0 if is_held else 2.0 * (mean - a * ratio * transmitted) - v1
+        u2 = 0.0 if is_load_held else 2.0 * (load_mean + b * transmitted) - v2
+        stopping = torque - ratio * transmitted + c.inertia * v1 / dt
+        load_stopping = transmitted - load - inertial + load_inertia * v2 / dt
         if not is_free and not is_held and (u1 * v1 < 0.0 or (v1 == 0.0 and u1 * (applied - friction) < 0.0)):
             is_held = True
         elif not is_free and is_held and stopping * v1 < 0.0:  # the other torques reverse it within the step
@@ -343,16 +355,16 @@ def _move_two_masses(plant: StructuredArray, s: StructuredArray, torque: float, 
         else:
             break
     if is_held:
-        friction = driving - ratio * coupled + c.inertia * v1 / dt
+        friction = torque - ratio * transmitted + c.inertia * v1 / dt
     if is_load_held:
-        load_friction = load_driving + coupled + load_inertia * v2 / dt
+        load_friction = transmitted - load - inertial + load_inertia * v2 / dt
     mean, load_mean = 0.5 * (v1 + u1), 0.5 * (v2 + u2)
     r.position += dt * mean
     r.load_position += dt * load_mean
     r.velocity_before, r.velocity = v1, u1
     r.load_velocity_before, r.load_velocity = v2, u2
     r.friction_torque, r.load_friction_torque = friction, load_friction
-    r.transmitted_torque = coupled + hysteresis
+    r.transmitted_torque = transmitted
     r.motor_work += torque * mean * dt
     r.load_work -= outside * load_mean * dt
     r.friction_heat += friction * mean * dt
@@ -360,8 +372,9 @@ def _move_two_masses(plant: StructuredArray, s: StructuredArray, torque: float, 
     turned = dt * (ratio * mean - load_mean)
     stored = spring_energy(c.stiffness, c.gap, twist + turned) - spring_energy(c.stiffness, c.gap, twist)
     if c.hysteresis_torque > 0.0:
-        stored += 0.5 * (hysteresis**2 - hysteresis_before**2) / c.hysteresis_stiffness
-    r.coupling_heat += (coupled + hysteresis) * turned - stored
+        stored += 0.5 * (hysteresis**2 - r.hysteresis**2) / c.hysteresis_stiffness
+        r.hysteresis = hysteresis
+    r.coupling_heat += transmitted * turned - stored
 
 
 @compiled
