@@ -1,7 +1,7 @@
 """What is measured of an axis in one stretch of a recording, and the layout that makes stretches comparable. Pure."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -130,6 +130,14 @@ def unit(name: str, kind: AxisKind) -> str:
     return {VISCOUS: f"{torque} s/{length}", LOST_MOTION: length}.get(family(name), torque)
 
 
+def _rounded(edge: float, edges: Sequence[float]) -> str:
+    """Return an edge to about a thousandth of the travel."""
+    travel = max(edges) - min(edges)
+    digits = max(2 - math.floor(math.log10(travel)), 0) if travel > 0.0 else 3
+    text = f"{round(edge, digits) + 0.0:.{digits}f}"  # -0.0 becomes 0.0
+    return text.rstrip("0").rstrip(".") if digits else text
+
+
 def label(name: str, layout: Layout) -> str:
     """Return a quantity in words: ``Coulomb friction, positive direction``."""
     first, _, rest = name.partition(".")
@@ -137,7 +145,8 @@ def label(name: str, layout: Layout) -> str:
     towards = f", {direction} direction" if direction in DIRECTIONS else ""
     if first == ZONE:
         k, length = int(place), "rad" if layout.kind == "rotary" else "m"
-        return f"extra friction from {layout.edges[k]:.3g} to {layout.edges[k + 1]:.3g} {length}{towards}"
+        begin, end = (_rounded(edge, layout.edges) for edge in layout.edges[k : k + 2])
+        return f"extra friction from {begin} to {end} {length}{towards}"
     if first == RIPPLE:
         return f"ripple at order {rest} per {'revolution' if layout.kind == 'rotary' else 'metre'}"
     words = {

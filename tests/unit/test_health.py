@@ -14,6 +14,7 @@ from friction_hil.health import Layout, Motion, Observation, Quantity
 from friction_hil.health.chart import average_run_length, draw_chart, fit_baseline, threshold_for
 from friction_hil.health.history import History, append, load
 from friction_hil.health.metrics import metrics_text
+from friction_hil.health.observation import label
 from friction_hil.recordings import Recording
 
 DAY_S = 86400.0
@@ -265,3 +266,15 @@ def test_metrics_are_what_prometheus_reads():
     assert alarm.value == 1.0
     (change,) = families["friction_hil_health_change"]
     assert change.value == pytest.approx(0.05, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("edges", "words"),
+    [
+        ((-0.4812397, -0.2405879, 6.3816e-05, 0.2407156, 0.4813674), "from -0.241 to 0 rad"),
+        ((1000.0, 1000.0021, 1000.0042, 1000.0063, 1000.0084), "from 1000.0021 to 1000.0042 rad"),
+        ((-1.2e-3, -0.6e-3, -1e-7, 0.6e-3, 1.2e-3), "from -0.0006 to 0 rad"),
+    ],
+)
+def test_a_part_of_the_travel_is_named_as_exactly_as_the_travel_is_long(edges, words):
+    assert label("zone.1.positive", Layout("rotary", edges, ())) == f"extra friction {words}, positive direction"

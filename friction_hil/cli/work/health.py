@@ -171,7 +171,7 @@ def _observe(
         name, state = f"{path.name} {start:.3f}", state_of(path)
         if known.states.get(name) != state:
             started[path] = start, name, state
-            if not is_known:
+            if not (is_known or path in moved):  # a simulated one that was made just now is of now
                 notes.append(f"{path}: the start is not recorded; the time of the last change of the file is taken")
     notes = _shortened(notes)
     problems: list[str] = []
