@@ -257,8 +257,10 @@ def uncompensated(
     resolution: float,
     commands: Iterable[tuple[FrictionModel, float]],
     skipped_s: float = 0.0,
-) -> list[float]:
-    """Return the root mean square of the friction that compensations would have left in a record, N m.
+) -> list[tuple[float, float]]:
+    """Return the friction that compensations would have left in a record, and how much of that is a lack of it, N m.
+
+    Root mean square of what is left, and the part in proportion to the friction; it is negative for too much torque.
 
     The friction is the measured torque less inertia and static torque; rows weigh as in `estimate`, so that those whose
     torque nothing explains do not hide the difference.
@@ -272,12 +274,15 @@ def uncompensated(
     """
     problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
     left, _ = problem.residual(belief.x)
-    weights, friction = problem.weights(belief.x, left), problem.friction(belief.x)
+    weights, friction = problem.weights(belief.x, left) ** 2, problem.friction(belief.x)
+    developed = friction[problem.rows]
+    size = max(float(np.sqrt(np.average(developed**2, weights=weights))), _QUANTUM * problem.level)
     found = []
     for model, gain in commands:
         torque = gain * model.simulate(problem.velocity, window.period_s, **window.inputs())
         remaining = left + (friction - torque)[problem.rows]
-        found.append(float(np.sqrt(np.average(remaining**2, weights=weights**2))))
+        lacking = float(np.average(remaining * developed, weights=weights)) / size
+        found.append((float(np.sqrt(np.average(remaining**2, weights=weights))), lacking))
     return found
 
 

@@ -20,7 +20,7 @@ from friction_hil.learning.estimate import Belief, Estimate, Mechanics, first_be
 from friction_hil.learning.families import Families
 from friction_hil.learning.figures import FamilyFigures, Figures
 from friction_hil.learning.judge import CHANCE, Work, is_harmful, no_help, objection, rms
-from friction_hil.learning.motions import WINDOW_TICKS, Kind, Motions, Used
+from friction_hil.learning.motions import WINDOW_TICKS, Limit, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.proposal import Proposal, Step, Trial
 from friction_hil.learning.record import TICK_S, Record
@@ -38,7 +38,7 @@ _WORTH = 0.004  # of the friction level: change of the torque that is worth a tr
 _OTHER = 0.03  # the same: change since a trial that was taken back, after which the next one does not wait
 _FALLS = 0.02  # relative change of the friction since the last change of parameters: it falls
 _GAIN_WORTH = 0.01
-_LESS_GAIN, _LIMITED = 0.05, 20  # step of a lower gain, and windows of proposals for which it stays the highest
+_LESS_GAIN = 0.05  # step of a lower gain
 _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
 _FIRST_PAUSE, _LONGER, _LONGEST_PAUSE = 1, 3, 40  # windows without a trial after one taken back, the next one longer
 _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
@@ -279,7 +279,7 @@ class Learner:
         present, next_one = self._record.torques(self._used, other)
         change, decline = rms(next_one - present) / level, 1.0 - rms(next_one) / rms(present)
         falls = decline if decline > _FALLS and not self._used.has_model_of(self._file) else 0.0
-        gain = self._next_gain(now, falls)
+        gain = self._next_gain(now.highest_gain(rms(next_one)), falls)
         is_other = change > _WORTH
         if not is_other and abs(gain - self._used.gain) <= _GAIN_WORTH:
             self._is_gain_doubted = False
@@ -297,7 +297,7 @@ class Learner:
         words += [f"gain {gains[0]} -> {gains[1]}"] * (gains[0] != gains[1])
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
 
-    def _next_gain(self, now: Kind, falls: float) -> float:
+    def _next_gain(self, highest: float, falls: float) -> float:
         """Return the gain to go on with: less where the known one was no help to this motion, or where friction falls.
 
         Until the next change it will have fallen by as much as since the last one, ``falls``.
@@ -306,9 +306,7 @@ class Learner:
             return self._used.gain
         if self._is_gain_doubted:
             return max(self._used.gain - _LESS_GAIN, self._least_gain)
-        now.limited = max(now.limited - 1, 0)
-        most = now.limit if now.limited else 1.0
-        return max(min(self._known_gain(), most) - falls, self._least_gain)
+        return max(min(self._known_gain(), highest) - falls, self._least_gain)
 
     def _is_another(self, found: Used, refused: Used | None) -> bool:
         """Return True if parameters are others than those that were refused: friction has changed since then."""
@@ -391,7 +389,7 @@ class Learner:
         if not trial.is_whole:
             if trial.ticks < self._first_ticks:
                 return None
-            if (both := no_help(error, trial.before, self._period_s)) is not None:
+            if (both := no_help(error, self._record.expected(self._belief, trial), self._period_s)) is not None:
                 shown, part = " -> ".join(map(self._size, both)), "a third of " * (trial.step is not Step.FAMILY)
                 return self._take_back(f"error {shown} with {part}the change")
             trial.is_whole = True
@@ -413,8 +411,9 @@ class Learner:
             return self._take_back(f"error {shown}: {why}")
         self._trial, self._kept = None, trial.tried
         self._motions.keep(trial.tried)
-        if trial.tried.gain < trial.former.gain - _GAIN_WORTH:
-            self._motions.now.limit, self._motions.now.limited = trial.tried.gain, _LIMITED
+        if self._is_gain_doubted and trial.tried.gain < trial.former.gain - _GAIN_WORTH:
+            self._motions.now.limit = Limit(trial.tried.gain, rms(self._record.torques(trial.tried)[0]))
+        self._is_gain_doubted = False
         if trial.step is Step.LAYER:
             self._residual.was_kept(trial.tried.layer, self.figures.layer, after.rms)
         if trial.step is Step.FAMILY:

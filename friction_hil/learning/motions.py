@@ -28,6 +28,7 @@ _PARTS = 10  # of a tick: spans begin at each, so that their ranges do not depen
 _MARGIN = 2  # of parts, by which a span of a motion may be longer or shorter
 _REMEMBERED_TICKS = 54  # of both sides of a comparison
 _MOST_KINDS = 8
+_LIMITED, _OTHER_FRICTION = 20, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,10 +102,8 @@ class Kind:
         Root mean square of the following error before the last trial that was taken back, SI.
     refused : Used or None
         What that trial tried.
-    limit : float
+    limit : Limit or None
         Gain that was kept because a higher one was no help.
-    limited : int
-        Windows until a higher one is tried again.
     ranges : (2, spans, 3) array or None
         Least and most top speed, travel and mean square of the acceleration, of each span; NaN where none was so long.
         None: the motion has just begun.
@@ -115,9 +114,39 @@ class Kind:
     rest: int = 0
     refused_error: float = math.inf
     refused: Used | None = None
-    limit: float = 1.0
-    limited: int = 0
+    limit: "Limit | None" = None
     ranges: Array | None = None
+
+    def highest_gain(self, torque: float) -> float:
+        """Return the highest gain that is to be tried at a root mean square of the friction torque, N m."""
+        if self.limit is not None and (self.limit.left == 0 or self.limit.is_of_other_friction(torque)):
+            self.limit = None
+        if self.limit is None:
+            return 1.0
+        self.limit.left -= 1
+        return self.limit.gain
+
+
+@dataclass(slots=True)
+class Limit:
+    """A gain above which a higher one is not tried for a while.
+
+    Attributes
+    ----------
+    gain : float
+    torque : float
+        Root mean square of the friction torque when it was found, N m.
+    left : int
+        Proposals until a higher one is tried again.
+    """
+
+    gain: float
+    torque: float
+    left: int = _LIMITED
+
+    def is_of_other_friction(self, torque: float) -> bool:
+        """Return True if friction has changed so much since then that a higher gain may be a help now."""
+        return abs(torque - self.torque) > _OTHER_FRICTION * self.torque
 
 
 class Motions:

@@ -52,8 +52,8 @@ class Trial:
         With what was in force before, of the same motion.
     former : Used
         What was in force before.
-    left : float
-        Of the friction by it, in the window before, N m.
+    left : (float, float)
+        Of the friction by it, in the window before, and how much of that was a lack of torque, N m.
     text : str
         Why.
     is_whole : bool
@@ -66,7 +66,7 @@ class Trial:
     tried: Used
     before: Work
     former: Used
-    left: float
+    left: tuple[float, float]
     text: str = ""
     is_whole: bool = False
     ticks: int = 0

@@ -1,5 +1,6 @@
 """The latest rows of an axis, in ticks: what they show of its work, and of compensations that it has or might have."""
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,7 +20,7 @@ from friction_hil.numerics.readable import quantity
 TICK_S = 0.25
 _MORE_LEFT = 2.0  # times what is left of the friction now: the most that a truer model may leave with its gain
 _EXPLAINS = 0.8  # times the unexplained torque of former parameters
-_STEADY, _MOST_DRIFTED = 0.05, 1.25  # change of what the former compensation leaves within a trial: none, and most
+_STEADY, _MOST_DRIFTED = 0.02, 1.25  # change of what the former compensation leaves within a trial: none, and most
 
 
 class Record:
@@ -80,8 +81,8 @@ class Record:
         velocity = velocity_of(window, self._resolution)
         return [each.own.simulate(velocity, self._period_s, **window.inputs()) for each in compensations]
 
-    def left(self, belief: Belief, *compensations: Used) -> list[float]:
-        """Return the friction that each would have left in the last window, N m."""
+    def left(self, belief: Belief, *compensations: Used) -> list[tuple[float, float]]:
+        """Return the friction that each would have left in the last window, and how much of it is a lack, N m."""
         models = [(each.model, each.gain) for each in compensations]
         return uncompensated(self.window(), belief, self._resolution, models, self.warm_s)
 
@@ -91,15 +92,18 @@ class Record:
         A truer model may leave a little more with its gain: what a drive cannot correct is the part that changes fast.
         """
         whole = replace(tried, gain=1.0), replace(in_use, gain=1.0)
-        after, before, true_after, true_before = self.left(belief, tried, in_use, *whole)
+        after, before, true_after, true_before = (size for size, _ in self.left(belief, tried, in_use, *whole))
         return after < HELPS * before or (true_after < HELPS * true_before and after < _MORE_LEFT * before)
 
     def expected(self, belief: Belief, trial: Trial) -> Work:
         """Return what the axis would have done meanwhile without a trial, where friction has drifted.
 
-        The more of the friction the former compensation would leave now, the larger its error would be.
+        The more of the friction the former compensation would leave now, the larger its error would be. Only what is in
+        proportion to the friction shows drift: the rest depends on how the axis moves with what is tried.
         """
-        drifted = self.left(belief, trial.former)[0] / trial.left
+        size, lack = trial.left
+        _, lack_now = self.left(belief, trial.former)[0]
+        drifted = math.sqrt(max(size**2 - lack**2, 0.0) + lack_now**2) / size
         if abs(drifted - 1.0) <= _STEADY:
             return trial.before
         return trial.before.scaled(min(max(drifted, 1.0 / _MOST_DRIFTED), _MOST_DRIFTED))

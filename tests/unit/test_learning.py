@@ -12,10 +12,10 @@ import friction_hil as fh
 from friction_hil.learning.coordinates import DEFAULT_ERROR, coordinates_of, value_of, with_values
 from friction_hil.learning.estimate import MECHANICS, Mechanics, estimate, first_belief
 from friction_hil.learning.learner import Learner
-from friction_hil.learning.motions import WINDOW_TICKS
-from friction_hil.learning.proposal import Step
+from friction_hil.learning.motions import WINDOW_TICKS, Used
+from friction_hil.learning.proposal import Step, Trial
 from friction_hil.learning.proven import Proven, recall, store
-from friction_hil.learning.record import TICK_S
+from friction_hil.learning.record import TICK_S, Record
 from friction_hil.learning.window import COLUMNS, Window
 from tests.compensators import INERTIA, LUGRE, MODELS, PERIOD_S, quantised, resolution
 
@@ -228,6 +228,26 @@ def test_a_change_of_which_a_third_is_no_help_is_taken_back_before_the_whole(fir
     first.take(8, error=1.02e-3)
     assert [proposal.step for _, proposal in first.proposals] == [Step.PARAMETERS, Step.BACK]
     assert "a third" in first.proposals[-1][1].text
+
+
+@pytest.mark.parametrize(
+    ("true", "shaking", "expected"), [(LUGRE, 0.01, 1.0), (levels(1.02), 0.0, 1.2), (levels(0.98), 0.0, 0.8)]
+)
+def test_only_what_is_in_proportion_to_the_friction_counts_as_drift(true, shaking, expected):
+    """With a trial an axis may shake, which leaves more torque unexplained: the former error would be what it was."""
+    belief, kept = first_belief(LUGRE, Mechanics(INERTIA), {}), Record(PERIOD_S, COUNT)
+    former = Used(belief.x, 0.9, belief.coordinates)
+
+    def taken(begin_s, **given):
+        for k in range(WINDOW_TICKS + 4):
+            rows = record(TICK_S, begin_s=begin_s + k * TICK_S, error=2e-5, **given)
+            rows["torque"] += (begin_s > 0.0) * shaking * np.sin(math.tau * 40.0 * rows["cycle"] * PERIOD_S)
+            kept.ticks.append(rows)
+
+    taken(0.0)
+    trial = Trial(Step.PARAMETERS, former, kept.work(WINDOW_TICKS), former, kept.left(belief, former)[0])
+    taken(8.0, true=true)
+    assert kept.expected(belief, trial).rms == pytest.approx(expected * trial.before.rms, rel=0.07)
 
 
 def test_rows_from_before_a_change_say_nothing_about_it(first):

@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from friction_hil.learning.coordinates import coordinates_of
-from friction_hil.learning.motions import WINDOW_TICKS, Motions, Used
+from friction_hil.learning.motions import WINDOW_TICKS, Kind, Limit, Motions, Used
 from tests.compensators import LUGRE
 
 PERIOD_S = 2e-3
@@ -90,3 +90,10 @@ def test_the_kinds_that_were_not_seen_for_longest_are_forgotten():
         moved.move(8.0, 1e-3 * 2.0**k, 1.0)
     moved.move(8.0, 1e-3, 1.0)
     assert moved.motions.now.used is FILE
+
+
+@pytest.mark.parametrize(("torque", "tried"), [(0.085, 20), (0.09, 0), (0.07, 0)])
+def test_a_gain_that_was_no_help_is_tried_again_after_a_while_or_once_friction_is_another(torque, tried):
+    kind = Kind(FILE, 1, limit=Limit(0.93, 0.08))
+    assert [kind.highest_gain(torque) for _ in range(tried + 1)] == [*(tried * [0.93]), 1.0]
+    assert kind.limit is None
