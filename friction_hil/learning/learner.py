@@ -201,10 +201,12 @@ class Learner:
         """What is known now."""
         return self._belief
 
-    def take(self, rows: Mapping[str, Array], *, is_in_force: bool = True) -> Proposal | None:
+    def take(
+        self, rows: Mapping[str, Array], *, is_in_force: bool = True, may_estimate: bool = True
+    ) -> Proposal | None:
         """Take the rows of a tick, `COLUMNS`; return what is to be handed over, which then counts as handed over.
 
-        Unless ``is_in_force``, they are older than the last change, and do not show what that does.
+        They are older than the last change unless ``is_in_force``. Unless ``may_estimate``, the next estimate waits.
         """
         tick = {name: np.asarray(rows[name]) for name in COLUMNS}
         self._belief = self._belief.older(_DRIFT, TICK_S)
@@ -230,7 +232,7 @@ class Learner:
             return None
         if is_in_force and self._trial is not None and (proposal := self._judge(self._trial)) is not None:
             return proposal
-        if self._fresh >= WINDOW_TICKS:
+        if self._fresh >= WINDOW_TICKS and may_estimate:
             self._refine()
             if self._trial is not None:
                 return None

@@ -80,6 +80,7 @@ class AxisLearning:
         self._gaps = Gaps(self.learner.rows_per_tick, period_s)
         self.unit = "rad" if config.model.axis == "rotary" else "m"
         self._is_paused, self._why_paused = True, STARTING
+        self._is_busy = False
         self._file = None if folder is None or not self.is_tried else folder / f"{name}.json"
         self._model = digest(config.model.model_dump(mode="json", exclude={"fit"}))
         self._kept = self.learner.proven
@@ -94,7 +95,9 @@ class AxisLearning:
         """Compile what an estimate needs: for the first time on a machine, rows would be lost meanwhile."""
         compile_estimate(self.learner.belief, self.period_s, resolution)
 
-    def take(self, rows: Mapping[str, Array], following: Mapping[str, Array], *, is_in_force: bool) -> Proposal | None:
+    def take(
+        self, rows: Mapping[str, Array], following: Mapping[str, Array], *, is_in_force: bool, is_busy: bool
+    ) -> Proposal | None:
         """Take the rows of a tick; those of an axis that is not compensated in motion only end a trial.
 
         Parameters
@@ -104,19 +107,23 @@ class AxisLearning:
             The row after them, if there is one yet.
         is_in_force : bool
             The last change was in force by then.
+        is_busy : bool
+            This process has used its share of the processor: estimates wait.
         """
+        self._is_busy = is_busy
         whole = self._gaps.fill(rows, following)
         if not (np.all(rows["state"] == LoopState.RUNNING) and np.all(rows["is_enabled"] == 1.0)):
-            return self.skip(_IDLE)
+            return self._skip(_IDLE)
         if whole is None:
-            return self.skip(_LATE)
+            return self._skip(_LATE)
         self._is_paused = False
         if not self._is_begun:
             self._resume(float(rows["temperature_estimate"][-1]))
         ratio = self.config.model.mechanics.torque_ratio
-        return self.learner.take({**whole, "torque": whole["torque"] / ratio}, is_in_force=is_in_force)
+        given = {**whole, "torque": whole["torque"] / ratio}
+        return self.learner.take(given, is_in_force=is_in_force, may_estimate=not is_busy)
 
-    def skip(self, reason: str) -> Proposal | None:
+    def _skip(self, reason: str) -> Proposal | None:
         """Leave a tick out; what is on trial then is taken back."""
         self._why_paused = reason
         if self._is_paused:
@@ -192,8 +199,8 @@ class AxisLearning:
         """Return what has happened so far, for `run --json`."""
         figures = self.learner.figures
         doing, reason = ("ended", self.why_ended) if self.why_ended else self.learner.doing
-        if doing == "watching" and self._is_paused:
-            doing, reason = "waiting", self._why_paused
+        if doing == "watching" and (self._is_paused or self._is_busy):
+            doing, reason = "waiting", self._why_paused if self._is_paused else _BUSY
         return first_report(self.config.compensation.learning, self.unit, figures.gain) | {
             "doing": doing,
             "reason": reason,
@@ -310,9 +317,9 @@ class Learning:
                 self._untold.append(f"learning ends: {_FOREIGN}")
             if self._foreign:
                 continue
-            is_left_out = not self._is_simulated and self._is_too_busy()
+            is_busy = not self._is_simulated and self._is_too_busy()
             is_in_force = change >= self._own  # rows may be older than what was made of those before them
-            proposal = axis.skip(_BUSY) if is_left_out else axis.take(named, next_one, is_in_force=is_in_force)
+            proposal = axis.take(named, next_one, is_in_force=is_in_force, is_busy=is_busy)
             more_notes, more_handed = axis.take_note(proposal)
             notes, handed = [*notes, *more_notes], [*handed, *more_handed]
             if text := axis.keep(float(named["temperature_estimate"][-1])):

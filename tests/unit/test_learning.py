@@ -182,12 +182,12 @@ class Driven:
         )
         self.ticks, self.proposals, self.notes = 0, [], []
 
-    def take(self, ticks, until=None, change=None, is_in_force=True, **given):
+    def take(self, ticks, until=None, change=None, is_in_force=True, may_estimate=True, **given):
         for _ in range(ticks):
             rows = record(TICK_S, begin_s=self.ticks * TICK_S, **given)
             if change is not None:
                 change(rows)
-            proposal = self.learner.take(rows, is_in_force=is_in_force)
+            proposal = self.learner.take(rows, is_in_force=is_in_force, may_estimate=may_estimate)
             self.ticks += 1
             self.notes += self.learner.notes
             self.learner.notes.clear()
@@ -258,6 +258,18 @@ def test_rows_from_before_a_change_say_nothing_about_it(first):
     assert len(first.proposals) == 1
     first.take(3, error=8e-4)
     assert [proposal.step for _, proposal in first.proposals] == 2 * [Step.PARAMETERS]
+
+
+def test_a_computer_that_is_too_busy_for_an_estimate_judges_what_is_tried_all_the_same(tried):
+    tried.take(WINDOW_TICKS + 6, may_estimate=False, error=3e-4)
+    figures = tried.learner.figures
+    assert (figures.kept, figures.taken_back) == (1, 0)
+    estimated = figures.errors
+    tried.take(2 * WINDOW_TICKS, may_estimate=False, error=3e-4, true=levels(1.1))
+    assert figures.errors is estimated
+    assert len(tried.proposals) == 2
+    tried.take(1, error=3e-4, true=levels(1.1))
+    assert tried.learner.figures.errors is not estimated
 
 
 def disturbed(rows):
