@@ -7,7 +7,7 @@ into a part that changes sign with the friction and one that does not: d = (d s)
 meanwhile thus gets a torque between those of old and new settings, and not a remainder that pushes it.
 
 While the axis reverses, two models differ by far more than they do later: one builds its torque up sooner. A difference
-that is found then, or between torques of opposite directions, one of which has reversed already, vanishes within 20 ms.
+that is found then, or between torques of opposite directions, one of which has reversed already, vanishes within 10 ms.
 """
 
 import math
@@ -15,7 +15,7 @@ from typing import Any
 
 from friction_hil.numerics.jit import inlined
 
-_REVERSING_S = 0.02
+_REVERSING_S = 0.01
 _CALM_S = 0.1  # a torque that changes by the friction level within less belongs to a reversal
 BEGINNING = 2.0  # value of ``bridge_left`` that a change sets
 
