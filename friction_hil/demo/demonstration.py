@@ -178,12 +178,12 @@ def _run_processes(path: Path, pace: str, show: ShowProgress) -> tuple[dict[str,
 
 def _compile_learning(configuration: "Configuration") -> None:
     """Compile what learning needs, which beside a loop in real time would take as long as the motion."""
-    from friction_hil.learning.compilation import compile_estimate
+    from friction_hil.learning.compilation import compile_learning
     from friction_hil.learning.estimate import Mechanics, first_belief
 
     for axis in configuration.axes.values():
         mechanics = Mechanics(axis.model.mechanics.inertia, (0.0, 0.0, 0.0))
-        compile_estimate(first_belief(axis.model.friction_model, mechanics, {}), configuration.period_s, _RESOLUTION)
+        compile_learning(first_belief(axis.model.friction_model, mechanics, {}), configuration.period_s, _RESOLUTION)
 
 
 class _Progress:

@@ -1,19 +1,23 @@
-"""Compilation of what an estimate needs, which takes seconds for the first time on a machine."""
+"""Compilation of what learning needs, which takes half a minute for the first time on a machine."""
 
 import contextlib
 import math
 
 import numpy as np
 
+from friction_hil.errors import UsageError
 from friction_hil.identification.least_squares import NUMERICAL
-from friction_hil.learning.estimate import Belief, estimate
+from friction_hil.learning.conversion import ALTERNATIVES, converted
+from friction_hil.learning.estimate import Belief, estimate, first_belief, left_over
+from friction_hil.learning.layer import RIPPLE, Feature, Layer
+from friction_hil.learning.residual import Residual
 from friction_hil.learning.window import Window
 
-_COMPILED_S = 0.5
+_WINDOW_S, _SKIPPED_S = 3.0, 1.0
 
 
-def compile_estimate(belief: Belief, period_s: float, resolution: float) -> None:
-    """Compile what an estimate needs, and keep it for other processes.
+def compile_learning(belief: Belief, period_s: float, resolution: float) -> None:
+    """Compile what estimates, a residual layer and other families need, and keep it for other processes.
 
     Parameters
     ----------
@@ -23,8 +27,17 @@ def compile_estimate(belief: Belief, period_s: float, resolution: float) -> None
     resolution : float
         Step of the position, rad or m.
     """
-    time_s = np.arange(round(_COMPILED_S / period_s)) * period_s
+    time_s = np.arange(round(_WINDOW_S / period_s)) * period_s
     position, nothing = np.sin(math.tau * time_s), np.zeros(time_s.size)
-    window = Window(period_s, position, nothing, position, nothing, np.full(time_s.size, math.nan))
-    with contextlib.suppress(*NUMERICAL):  # of this motion, which no axis makes, the result does not matter
-        estimate(window, belief, resolution)
+    torque = belief.model.level * np.sign(np.cos(math.tau * time_s))
+    window = Window(period_s, position, torque, position, nothing, np.full(time_s.size, math.nan))
+    ripple = Layer((Feature(RIPPLE, 1.0, "sine"),), (0.01 * belief.model.level,))
+    # of this motion, which no axis makes, no result matters
+    with contextlib.suppress(UsageError, *NUMERICAL):
+        estimate(window, belief, resolution, _SKIPPED_S)
+        Residual(belief.model).look(left_over(window, belief, resolution, _SKIPPED_S), None)
+        ripple.on(belief.model).simulate(nothing, period_s, **window.inputs())
+    for name in ALTERNATIVES.get(belief.model.name, ()):
+        with contextlib.suppress(UsageError, *NUMERICAL):
+            other = converted(belief.model, name, speed=math.tau, deflection=1e-3)
+            estimate(window, first_belief(other, belief.mechanics, {}), resolution, _SKIPPED_S)

@@ -122,14 +122,14 @@ class Learner:
         """Number of rows that `take` expects."""
         return self._record.rows_per_tick
 
-    def pause(self) -> Proposal | None:
-        """Forget the rows so far, after some that are not to be learned from; return what is taken back."""
+    def pause(self, reason: str) -> Proposal | None:
+        """Forget the rows so far, after some that are not to be learned from; return what is taken back therefore."""
         self._record.ticks.clear()
         self._motions.interrupt()
         self._fresh = self._same = 0
         if self._trial is None:
             return None
-        return self._take_back("the motion ended: nothing to compare with", is_harmless=True)
+        return self._take_back(f"{reason}: nothing to compare with", is_harmless=True)
 
     def resume(self, parameters: Mapping[str, float], gain: float, model: Mapping[str, Any] | None = None) -> None:
         """Begin with parameters that were kept in an earlier run: they are handed over with the first motion.
@@ -232,10 +232,9 @@ class Learner:
             return None
         if is_in_force and self._trial is not None and (proposal := self._judge(self._trial)) is not None:
             return proposal
-        if self._fresh >= WINDOW_TICKS and may_estimate:
+        # not during a trial, which nobody would take back meanwhile
+        if self._trial is None and self._fresh >= WINDOW_TICKS and may_estimate:
             self._refine()
-            if self._trial is not None:
-                return None
             both = (self._propose, self._propose_layer)[:: -1 if self._is_turn_of_layer else 1]
             return both[0]() or both[1]() or self._propose_family()
         return None
@@ -251,7 +250,7 @@ class Learner:
         if not any(np.any(tick["velocity_demand"]) for tick in self._record.ticks):
             return
         window = self._record.window(self._used.layer, self._belief.model)
-        if self._has_families and (self._trial is None or self._trial.step is not Step.FAMILY):
+        if self._has_families:
             self._families.look(window, self._belief, self._resolution, warm_s)
         try:
             found = refine(window, self._belief, self._resolution, warm_s, self._residual_torque)

@@ -23,7 +23,7 @@ from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import FrictionHilError, UsageError
 from friction_hil.friction.model import as_dict
-from friction_hil.learning.compilation import compile_estimate
+from friction_hil.learning.compilation import compile_learning
 from friction_hil.learning.estimate import Mechanics
 from friction_hil.learning.gaps import Gaps
 from friction_hil.learning.learner import Learner
@@ -42,7 +42,7 @@ _NICENESS = 5
 _FOREVER = 2**62  # cycle that no run reaches
 _ALIKE = 0.05  # differences of a proposal from the former one that are not worth another notice
 _IDLE = "the axis is not in compensated motion"
-_LATE = "the loop has missed too many periods"
+_LATE = "too many rows are missing"
 _BUSY = "this process has used its share of the processor"
 _NO_TORQUE = "its drive does not report the torque"
 _FOREIGN = "the settings were changed by somebody else, or before its process began again"
@@ -93,7 +93,7 @@ class AxisLearning:
 
     def compile(self, resolution: float) -> None:
         """Compile what an estimate needs: for the first time on a machine, rows would be lost meanwhile."""
-        compile_estimate(self.learner.belief, self.period_s, resolution)
+        compile_learning(self.learner.belief, self.period_s, resolution)
 
     def take(
         self, rows: Mapping[str, Array], following: Mapping[str, Array], *, is_in_force: bool, is_busy: bool
@@ -113,9 +113,9 @@ class AxisLearning:
         self._is_busy = is_busy
         whole = self._gaps.fill(rows, following)
         if not (np.all(rows["state"] == LoopState.RUNNING) and np.all(rows["is_enabled"] == 1.0)):
-            return self._skip(_IDLE)
+            return self._skip(_IDLE, "the motion ended")
         if whole is None:
-            return self._skip(_LATE)
+            return self._skip(_LATE, _LATE)
         self._is_paused = False
         if not self._is_begun:
             self._resume(float(rows["temperature_estimate"][-1]))
@@ -123,13 +123,13 @@ class AxisLearning:
         given = {**whole, "torque": whole["torque"] / ratio}
         return self.learner.take(given, is_in_force=is_in_force, may_estimate=not is_busy)
 
-    def _skip(self, reason: str) -> Proposal | None:
+    def _skip(self, state: str, end: str) -> Proposal | None:
         """Leave a tick out; what is on trial then is taken back."""
-        self._why_paused = reason
+        self._why_paused = state
         if self._is_paused:
             return None
         self._is_paused = True
-        return self.learner.pause()
+        return self.learner.pause(end)
 
     def _resume(self, temperature: float) -> None:
         """Begin with what an earlier run has kept."""

@@ -164,7 +164,7 @@ def follow(
             continue
         began = process_time()
         whole = gaps.fill({**rows, "is_fresh": np.ones_like(rows["cycle"])}, _NOTHING)
-        proposal = learner.pause() if whole is None else learner.take(whole)
+        proposal = learner.pause("too many rows are missing") if whole is None else learner.take(whole)
         found.busy_s += process_time() - began
         found.notes += [(at + TICK_S, note) for note in learner.notes]
         learner.notes.clear()
