@@ -14,7 +14,7 @@ from friction_hil.learning.notices import described
 from friction_hil.learning.proposal import Step
 from friction_hil.learning.proven import Proven, recall, store
 from tests.compensators import LUGRE, MODELS
-from tests.unit.test_learning import Driven
+from tests.learning_records import Driven
 
 MAP = fh.models.create("stribeck", coulomb=0.08, static=0.12, stribeck_velocity=0.2, viscous=2e-3)
 SIDES = {"positive": {"coulomb": 0.09, "static": 0.14}}

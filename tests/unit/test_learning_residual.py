@@ -20,7 +20,7 @@ from friction_hil.learning.proposal import Step
 from friction_hil.learning.residual import SHARE, Residual
 from friction_hil.learning.window import Window
 from tests.compensators import INERTIA, LUGRE, PERIOD_S
-from tests.unit.test_learning import COUNT, Driven, motion
+from tests.learning_records import COUNT, Driven, motion
 
 LEVEL = LUGRE.level
 LAYER = Layer(pairs("ripple", (7.0, 24.0)), (0.006, 0.0, 0.0, -0.008))
