@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from friction_hil.compensator import Compensator
 from friction_hil.learning.proposal import Step
-from friction_hil.learning.window import COLUMNS
+from friction_hil.learning.record import TICK_S
+from friction_hil.learning.window import RECORDED
 from tests.compensation_grids import TINY, grid_of
 from tools.benchmarks.learning import command, rows
-from tools.benchmarks.learning.axis import COLUMNS as RECORDED
+from tools.benchmarks.learning.axis import Axis
 from tools.benchmarks.learning.case import follow, setup
 
 
@@ -24,8 +26,18 @@ def short(tmp_path, monkeypatch):
     return tmp_path / "grid.yaml"
 
 
-def test_the_axis_records_what_the_learner_takes():
-    assert RECORDED == COLUMNS
+def test_the_axis_records_what_the_learner_takes(short):
+    """Missed periods leave rows out, and no others."""
+    of = setup(grid_of(short.parent, TINY), "servo", "stiff", 0, "off", 8.0)
+    axis = Axis(of.plant, of.drive, Compensator(of.believed, of.settings), of.sensors, of.settings.period_s, of.seed)
+    cycles = round(TICK_S / of.settings.period_s)
+    rest = tuple(np.zeros(cycles * axis.samples) for _ in range(3)), tuple(np.zeros(cycles) for _ in range(2))
+    for missed in ((), (3, 4), ()):
+        recorded, errors = axis.move(*rest, missed)
+        assert recorded.keys() == set(RECORDED)
+        there = np.setdiff1d(np.arange(cycles), missed) + axis.cycle - cycles
+        np.testing.assert_array_equal(recorded["cycle"], there)
+        assert errors.shape == (2, cycles)
 
 
 def test_the_benchmark_of_learning_prints_one_json_object(short):
