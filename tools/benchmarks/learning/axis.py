@@ -132,7 +132,7 @@ class Axis:
         """
         cycles, given = ahead[0].size, self.sensors
         rows = np.full((len(RECORDED), cycles), np.nan)
-        demands = tuple(each.copy() for each in demands)
+        demands = demands[0].copy(), demands[1].copy(), demands[2].copy()
         errors = np.empty((2, cycles))
         resolution = np.pi * 2.0 / 2**given.bits
         noise = given.torque_noise * self._random.standard_normal(cycles)
@@ -178,7 +178,7 @@ class Axis:
             errors[:, k] = self._advance(demands, i)
         return dict(zip(RECORDED, rows[:, np.isfinite(rows[0])], strict=True)), errors
 
-    def _advance(self, demands: tuple[Array, ...], first: int) -> tuple[float, float]:
+    def _advance(self, demands: tuple[Array, Array, Array], first: int) -> tuple[float, float]:
         """Move for a cycle; return root mean square and peak of the following error, rad."""
         score = np.zeros(2)
         advance(
