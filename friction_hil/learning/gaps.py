@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from friction_hil.analysis.following import recovery
-from friction_hil.learning.window import COLUMNS, RECORDED
+from friction_hil.learning.window import RECORDED
 from friction_hil.numerics.jit import Array
 
 _MOST_FILLED, _MOST_DISTURBED = 0.1, 0.75  # parts of a tick
@@ -31,7 +31,7 @@ class Gaps:
         self._recovered = 0.0  # first cycle that is not disturbed by earlier gaps
 
     def fill(self, rows: Mapping[str, Array], following: Mapping[str, Array]) -> dict[str, Array] | None:
-        """Return all rows of a tick, `COLUMNS`; None if too many are missing.
+        """Return all rows of a tick, `friction_hil.learning.window.COLUMNS`; None if too many are missing.
 
         Parameters
         ----------
@@ -72,5 +72,4 @@ class Gaps:
             found[name][is_measured] = rows[name][is_fresh]
         found["position"][~is_measured] += found["position_demand"][~is_measured]
         found["is_disturbed"] = marked
-        assert found.keys() == set(COLUMNS)
         return found

@@ -28,7 +28,10 @@ _PARTS = 10  # of a tick: spans begin at each, so that their ranges do not depen
 _MARGIN = 2  # of parts, by which a span of a motion may be longer or shorter
 _REMEMBERED_TICKS = 54  # of both sides of a comparison
 _MOST_KINDS = 8
-_LIMITED, _OTHER_FRICTION = 20, 0.1
+_LIMITED, _OTHER_FRICTION = (
+    20,
+    0.1,
+)  # proposals, and relative change of the friction, that a limit of the gain holds for
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +90,28 @@ class Used:
 
 
 @dataclass(slots=True)
+class Limit:
+    """A gain above which a higher one is not tried for a while.
+
+    Attributes
+    ----------
+    gain : float
+    torque : float
+        Root mean square of the friction torque when it was found, N m.
+    left : int
+        Proposals until a higher one is tried again.
+    """
+
+    gain: float
+    torque: float
+    left: int = _LIMITED
+
+    def is_of_other_friction(self, torque: float) -> bool:
+        """Return True if friction has changed so much since then that a higher gain may be a help now."""
+        return abs(torque - self.torque) > _OTHER_FRICTION * self.torque
+
+
+@dataclass(slots=True)
 class Kind:
     """A kind of motion.
 
@@ -114,7 +139,7 @@ class Kind:
     rest: int = 0
     refused_error: float = math.inf
     refused: Used | None = None
-    limit: "Limit | None" = None
+    limit: Limit | None = None
     ranges: Array | None = None
 
     def highest_gain(self, torque: float) -> float:
@@ -125,28 +150,6 @@ class Kind:
             return 1.0
         self.limit.left -= 1
         return self.limit.gain
-
-
-@dataclass(slots=True)
-class Limit:
-    """A gain above which a higher one is not tried for a while.
-
-    Attributes
-    ----------
-    gain : float
-    torque : float
-        Root mean square of the friction torque when it was found, N m.
-    left : int
-        Proposals until a higher one is tried again.
-    """
-
-    gain: float
-    torque: float
-    left: int = _LIMITED
-
-    def is_of_other_friction(self, torque: float) -> bool:
-        """Return True if friction has changed so much since then that a higher gain may be a help now."""
-        return abs(torque - self.torque) > _OTHER_FRICTION * self.torque
 
 
 class Motions:

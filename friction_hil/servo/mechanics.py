@@ -19,6 +19,7 @@ A static friction map stops a mass whose velocity would change its sign, and hol
 import math
 
 from friction_hil.friction import kernel
+from friction_hil.friction.elementary import approach
 from friction_hil.numerics.dual import borrowed_at
 from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined
 
@@ -84,7 +85,7 @@ def _hysteresis(torque: float, stiffness: float, before: float, turned: float) -
     """Return the torque of a gear's hysteresis after it has turned by an angle: Dahl's equation, exact."""
     if torque == 0.0 or turned == 0.0:
         return before
-    return before - math.expm1(-stiffness * abs(turned) / torque) * (math.copysign(torque, turned) - before)
+    return before + approach(stiffness * abs(turned) / torque) * (math.copysign(torque, turned) - before)
 
 
 @compiled
