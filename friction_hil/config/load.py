@@ -285,6 +285,8 @@ def model_files(folder: Path) -> list[Path]:
 def _is_model_file(path: Path) -> bool:
     """True for a file that looks like a model file, so that no other one is suggested in the place of one."""
     try:
+        if not path.is_file():  # a pipe would be waited for
+            return False
         with open(path, "rb") as file:
             return re.search(rb"^friction:", file.read(_HEAD_BYTES), re.MULTILINE) is not None
     except OSError:

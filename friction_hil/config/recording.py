@@ -38,8 +38,8 @@ class RecordingConfig(Section):
         le=_MOST_MB,
     )
     budget_mb: float | None = key(
-        "disk space of all recordings that were started with this path; beyond, the oldest files are removed, but "
-        "none of a fault; null: no limit",
+        "disk space of this daemon's recordings that were started with this path; beyond, the oldest files are "
+        "removed, but none of a fault; null: no limit",
         "MB",
         default=None,
         ge=10,

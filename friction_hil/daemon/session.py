@@ -16,6 +16,7 @@ from friction_hil.config.load import only_driver
 from friction_hil.daemon.assembly import experiment_note, ramp_s
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare, state_folder
+from friction_hil.daemon.companion.paths import series_name
 from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.journal import make_journal
 from friction_hil.daemon.control.lock import ControlSocket
@@ -392,6 +393,12 @@ def _recording_path(configuration: "Configuration", settings: SessionSettings, s
     return settings.record
 
 
+def _series(configuration: "Configuration", settings: SessionSettings) -> str:
+    wanted = settings.record or (configuration.recording and configuration.recording.path)
+    name = None if settings.control is None else settings.control.path.stem
+    return series_name(configuration.source_path, wanted or Path("run.mcap"), name)
+
+
 def _first_report(axis: "AxisConfig") -> dict[str, Any]:
     """Return what is known of the learning of an axis before its process runs."""
     given = axis.compensation
@@ -443,6 +450,7 @@ def _job(
         rotate_s=recording.rotate_s,
         rotate_bytes=recording.rotate_bytes,
         budget_bytes=recording.budget_bytes,
+        series=_series(configuration, settings),
         black_box=str(_black_box_path(configuration, path)) if settings.has_black_box else None,
         has_joint_states=recording.ros,
         uncertainty={name: table for name, axis in configuration.axes.items() if (table := uncertainty_table(axis))},

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from friction_hil.config import Configuration, Realtime, file_problems, load
 from friction_hil.config.drivers import driver_names, load_driver
+from friction_hil.daemon.companion.paths import series_name
 from friction_hil.daemon.realtime import RealClock, punctuality
 from friction_hil.doctor import disk, machine, timing
 from friction_hil.drive.finding import Finding, failure
@@ -160,7 +161,9 @@ def _daemon(configuration: Configuration) -> Iterator[Finding]:
     recording = configuration.recording
     if recording is not None and recording.path is not None:
         rate = _recording_rate(configuration)
-        found = disk.recording_folder(recording.path, rate, recording.budget_bytes)
+        found = disk.recording_folder(
+            recording.path, rate, recording.budget_bytes, series_name(configuration.source_path, recording.path)
+        )
         yield found
         if found.result != "fail":
             yield disk.recording_speed(recording.path, rate)

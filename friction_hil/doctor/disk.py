@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from friction_hil.daemon.companion.budget import Budget
 from friction_hil.drive.finding import Finding
 
 _LEAST_FREE_BYTES = 1 << 30
@@ -16,7 +17,7 @@ _FASTER = 4.0  # than the recording: the disk has other work too
 _LONGEST_S = 4.0  # to force a piece to the disk: half of what the ring holds meanwhile
 
 
-def recording_folder(path: Path, rate: float, budget: int | None) -> Finding:
+def recording_folder(path: Path, rate: float, budget: int | None, series: str | None = None) -> Finding:
     """Check whether a recording can be written to ``path``, whose folder need not exist yet, and for how long.
 
     Parameters
@@ -26,6 +27,8 @@ def recording_folder(path: Path, rate: float, budget: int | None) -> Finding:
         Bytes per second, without compression.
     budget : int or None
         Bytes that all recordings may take.
+    series : str, optional
+        What all recordings of the daemon have in common.
     """
     check, folder = "recording", _existing_folder(path)
     if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
@@ -40,9 +43,11 @@ def recording_folder(path: Path, rate: float, budget: int | None) -> Finding:
             fix = "free some space, or let recording.budget_mb remove the oldest files: a full disk stops the recording"
             return Finding(check, "warn", detail, fix, "FH-308")
         return Finding(check, "pass", detail)
-    own = sum(each.stat().st_size for each in folder.glob(f"{path.stem}*{path.suffix}")) if path.parent.exists() else 0
-    detail += f"; budget_mb allows {budget / 1e9:.3g} GB, {own / 1e9:.3g} GB of them are used"
-    if budget - own > free:
+    files = Budget(path, budget, series)
+    if path.parent.exists():
+        files.look()
+    detail += f"; budget_mb allows {budget / 1e9:.3g} GB, {files.used / 1e9:.3g} GB of them are used"
+    if budget - files.used > free:
         fix = "free some space, or reduce recording.budget_mb: the disk is full before the oldest files are removed"
         return Finding(check, "warn", detail, fix, "FH-308")
     return Finding(check, "pass", detail)

@@ -27,6 +27,7 @@ STATE_SUFFIX = "/state"
 EVENT_TOPIC = "/events"
 RECORDING_METADATA = "recording"  # name of the metadata record about the file itself
 PART = "part"  # its key: number of this file among those of one recording
+SERIES = "series"  # its key: the daemon and the path that all its recordings were started with
 IS_OF_FAULT = "is_of_fault"  # its key: the file is a copy of the rows around a fault
 JSON_KEY = "json"  # its only key, as in all metadata records of friction_hil
 

@@ -6,7 +6,9 @@ the start that all files of a run have in common.
 
 import io
 import itertools
+import os
 import re
+import stat
 import struct
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -22,7 +24,7 @@ from mcap.writer import MCAP0_MAGIC
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings import json_text
 from friction_hil.recordings.columns import CYCLE, TIME
-from friction_hil.recordings.mcap_format import IS_OF_FAULT, JSON_KEY, PART, RECORDING_METADATA
+from friction_hil.recordings.mcap_format import IS_OF_FAULT, JSON_KEY, PART, RECORDING_METADATA, SERIES
 from friction_hil.recordings.recording import Recording
 
 SUFFIX = ".mcap"
@@ -30,11 +32,22 @@ _RECORD = struct.Struct("<BQ")
 _LONGEST = 1 << 20  # bytes of a record before that metadata
 _FIRST_RECORDS = 3
 _NAMED = 20  # files in a message
+_NO_WAIT = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
 def part_of(path: Path) -> tuple[int, int] | None:
     """Return start of the run, ns since 1970, and number of a file that is part of a recording; None for any other."""
+    return _part_of(_about(path))
+
+
+def series_of(path: Path) -> tuple[str | None, tuple[int, int] | None]:
+    """Return by which daemon, for which path, a file was recorded, None if it does not say so, and its `part_of`."""
     about = _about(path)
+    series = about.get(SERIES)
+    return series if isinstance(series, str) else None, _part_of(about)
+
+
+def _part_of(about: dict[str, Any]) -> tuple[int, int] | None:
     started, part = about.get("started_unix_ns"), about.get(PART)
     return (started, part) if isinstance(started, int) and isinstance(part, int) else None
 
@@ -197,7 +210,10 @@ def _without_repeats(events: list[Any]) -> list[Any]:
 def _about(path: Path) -> dict[str, Any]:
     """Return the metadata record about the file itself; empty if there is none."""
     try:
-        with path.open("rb") as file:
+        # a pipe without a writer would be waited for, and what is no file has no header
+        with open(os.open(path, os.O_RDONLY | _NO_WAIT), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                return {}
             if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                 return {}
             for _ in range(_FIRST_RECORDS):

@@ -475,6 +475,23 @@ def test_a_run_without_a_fault_leaves_no_file_of_one(job: Job, tmp_path: Path) -
     assert {each.name for each in tmp_path.iterdir()} == {Path(each).name for each in report.recording}
 
 
+def test_room_is_made_for_the_file_of_a_fault(job: Job, tmp_path: Path) -> None:
+    """The last thing of a run is the minute before a fault: nobody begins a file after it that would make room."""
+    budget = 1_800_000
+    job = replace(job, rotate_s=1.0, budget_bytes=budget, black_box=str(tmp_path / "run.mcap"))
+    with Companion.start(job) as companion:
+        push(companion, 0, 20_000)
+        companion.push_event(19_999, "fault", "x: following error")
+        report = companion.close()
+    sizes = {each.name: each.stat().st_size for each in tmp_path.iterdir()}
+    (black_box,) = report.black_boxes
+    assert cycles((black_box,)) == list(range(20_000))
+    assert sizes[Path(black_box).name] > budget / 3
+    assert sum(sizes.values()) < budget + 80_000  # chunks that were not complete yet
+    assert 2 < len(sizes) < 21
+    assert {Path(each).name for each in (*report.recording, black_box)} == sizes.keys()
+
+
 def test_a_killed_companion_and_its_successor_number_their_files_on(job: Job, tmp_path: Path) -> None:
     job = replace(job, rotate_s=1.0, budget_bytes=10_000_000, black_box=str(tmp_path / "axes.mcap"))
     with Companion.start(job) as companion:

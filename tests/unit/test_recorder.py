@@ -3,7 +3,10 @@
 import itertools
 import os
 import resource
+import shutil
 import signal
+import socket
+import stat
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +19,7 @@ from friction_hil.daemon.companion import recorder as recorder_module
 from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.recorder import Recorder
 from friction_hil.daemon.ring import RingReader, RingWriter
+from friction_hil.doctor import disk
 from friction_hil.recordings.parts import first_files
 
 COLUMNS = ["time_s", "cycle", "position"]
@@ -126,6 +130,64 @@ def test_the_oldest_files_go_and_those_of_faults_and_of_others_stay(bench, tmp_p
 
 def first_files_that_can_be_read(folder):
     return [path for path in first_files(folder) if path.stat().st_size > 9 and path.name.startswith("run-20")]
+
+
+def test_what_is_not_a_part_of_this_daemons_own_recording_by_its_content_stays(tmp_path):
+    """The name alone proves nothing: other daemons, files that were renamed, and what nobody can read."""
+    ours, old = "mill/mill.mcap", 1_600_000_000_000_000_000
+    for name, series in (
+        ("mill-2", "mill-2/mill-2.mcap"),  # another daemon, whose path looks like a part
+        ("mill-20260101-120000", "mill-20260101-120000/mill-20260101-120000.mcap"),
+        ("mill-20260101-120001", "press/mill.mcap"),  # the same path in another configuration
+        ("mill-20260101-120002", None),  # an earlier version, which did not say whose it was
+        ("copy", ours),
+        ("mill-20260101-120003", ours),
+    ):
+        other = Bench(tmp_path / f"{name}.mcap", series=series, started_unix_ns=old)
+        other.push(300)
+        other.close()
+        os.close(other.ring.descriptor)
+    (tmp_path / "copy.mcap").rename(tmp_path / "mill-7.mcap")  # part 1 by its content
+    (tmp_path / "mill-8.mcap").write_bytes((tmp_path / "mill-20260101-120003.mcap").read_bytes()[:60])
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    shutil.copy(tmp_path / "mill-20260101-120003.mcap", outside / "mill-20260101-120004.mcap")
+    (tmp_path / "mill-20260101-120004.mcap").symlink_to(outside / "mill-20260101-120004.mcap")
+    (tmp_path / "mill-9.mcap").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "mill-10.mcap").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / "mill-11.mcap")
+    (tmp_path / "mill-12.mcap").mkdir()
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "mill-13.mcap"))
+        before = {each.name for each in tmp_path.iterdir()}
+        path = free_path(tmp_path / "mill.mcap", 1_700_000_000_000_000_000)
+        recorder = Bench(path, rotate_s=1.0, budget_bytes=1_000, series=ours)
+        recorder.push(300)
+        recorder.close()
+        os.close(recorder.ring.descriptor)
+        after = {each.name for each in tmp_path.iterdir()}
+    assert before - after == {"mill-20260101-120003.mcap"}
+    assert [each.name for each in outside.iterdir()] == ["mill-20260101-120004.mcap"]
+    assert after - before == {path.with_stem(f"{path.stem}-3").name}
+    assert disk.recording_folder(tmp_path / "mill.mcap", 1.0, 10**9, ours).result == "pass"
+
+
+@pytest.mark.parametrize("kind", ["pipe", "dangling link", "folder", "socket"])
+def test_a_path_that_something_else_has_is_not_used(tmp_path, kind):
+    path, started = tmp_path / "mill.mcap", 1_700_000_000_000_000_000
+    make = {"pipe": os.mkfifo, "folder": os.mkdir, "socket": lambda each: os.mknod(each, stat.S_IFSOCK | 0o600)}
+    make.get(kind, lambda each: os.symlink("away", each))(path)
+    first = free_path(path, started)
+    os.symlink("away", first)
+    second = free_path(path, started)
+    assert not os.path.lexists(second)
+    recorder = Bench(second, budget_bytes=10_000)
+    recorder.push(10)
+    recorder.close()
+    os.close(recorder.ring.descriptor)
+    assert cycles(second) == list(range(10))
+    assert not (tmp_path / "away").exists()
+    assert fh.recordings.parts.first_files(tmp_path) == [second]
 
 
 def test_a_budget_that_files_of_faults_exceed_is_reported_once(bench, tmp_path, capfd):

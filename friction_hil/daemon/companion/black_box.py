@@ -1,5 +1,6 @@
 """Files of faults: the minute before each, and the seconds after it."""
 
+import os
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from friction_hil.daemon.companion.budget import Budget
 from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.history import History
 from friction_hil.daemon.companion.job import Job, say, warn
@@ -37,10 +39,13 @@ class BlackBox:
     history : History
         To which the rows are appended before this is told of them.
     changes : Changes
+    budget : Budget, optional
+        In which room is made for it.
     """
 
-    def __init__(self, job: Job, history: History, changes: Changes) -> None:
+    def __init__(self, job: Job, history: History, changes: Changes, budget: Budget | None = None) -> None:
         assert job.black_box is not None
+        self._budget = budget
         self._job, self._history, self._path = job, history, Path(job.black_box)
         self._changes, self._file_changes = changes, changes.of_file(job.columns)
         self._time, self._cycle = job.columns.index(TIME), job.columns.index(CYCLE)
@@ -113,10 +118,14 @@ class BlackBox:
         path = _free_path(self._path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = begin_file(path, self._job, about={IS_OF_FAULT: True})
+            self._writer = begin_file(path, self._job, about={IS_OF_FAULT: True}, on_flush=self._make_room)
             self._file_changes = self._changes.of_file(self._job.columns)
         except (OSError, RecordingError) as error:
             self._give_up(error, path)
+
+    def _make_room(self) -> None:
+        if self._writer is not None and self._budget is not None:
+            self._budget.keep(self._writer.path, self._writer.size)
 
     def _write_events(self, cycle: float) -> None:
         assert self._writer is not None
@@ -144,7 +153,7 @@ def _free_path(path: Path) -> Path:
     now = datetime.fromtimestamp(time.time()).astimezone()
     wanted = path.with_stem(f"{path.stem}-fault-{now:%Y%m%d-%H%M%S}")
     number, free = 1, wanted
-    while free.exists():
+    while os.path.lexists(free):
         number += 1
         free = wanted.with_stem(f"{wanted.stem}-{number}")
     return free

@@ -53,7 +53,9 @@ class Job:
     rotate_s, rotate_bytes : optional
         Duration, s, and size of a file, after which the recording goes on in the next one.
     budget_bytes : int, optional
-        Disk space of all recordings that were started with this path.
+        Disk space of all recordings of this series.
+    series : str, optional
+        The daemon and the path wanted, in every file: what has another one belongs to another daemon.
     black_box : str, optional
         Where files of faults are written: ``run.mcap`` makes ``run-fault-20260131-142530.mcap``; none when absent.
     has_joint_states : bool
@@ -77,6 +79,7 @@ class Job:
     rotate_s: float | None = None
     rotate_bytes: int | None = None
     budget_bytes: int | None = None
+    series: str | None = None
     black_box: str | None = None
     has_joint_states: bool = False
     uncertainty: dict[str, dict[str, list[float]]] = field(default_factory=dict)

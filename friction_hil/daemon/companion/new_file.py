@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from friction_hil.daemon.companion.job import Job
+from friction_hil.recordings.mcap_format import SERIES
 from friction_hil.recordings.mcap_writer import McapWriter
 
 
@@ -30,7 +31,7 @@ def begin_file(
         state_width=job.state_width,
         started_unix_ns=job.started_unix_ns,
         metadata=job.metadata,
-        about=about,
+        about=about if job.series is None else {**about, SERIES: job.series},
         overwrite=overwrite,
         is_durable=True,
         has_joint_states=job.has_joint_states,

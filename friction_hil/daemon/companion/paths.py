@@ -4,9 +4,10 @@ import os
 import re
 import stat
 import time
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 
+from friction_hil.daemon.control.names import default_name
 from friction_hil.errors import RecordingError, UsageError
 
 
@@ -26,10 +27,26 @@ def free_path(path: str | Path, started_unix_ns: int) -> Path:
         Wall-clock time of the start, ns since 1970; 0 for now.
     """
     path = Path(path)
-    if not path.exists() and not any(part_number(each, path) for each in path.parent.glob("*")):
+    if not os.path.lexists(path) and not any(part_number(each, path) for each in path.parent.glob("*")):
         return path
     started = datetime.fromtimestamp((started_unix_ns or time.time_ns()) * 1e-9).astimezone()
-    return path.with_stem(f"{path.stem}-{started:%Y%m%d-%H%M%S}")
+    while os.path.lexists(free := path.with_stem(f"{path.stem}-{started:%Y%m%d-%H%M%S}")):
+        started += timedelta(seconds=1)
+    return free
+
+
+def series_name(config: Path | None, path: Path, daemon: str | None = None) -> str:
+    """Return what all recordings of a daemon that were started with a path have in common, and no other ones.
+
+    Parameters
+    ----------
+    config : Path or None
+        File of the configuration, which names the daemon unless ``daemon`` does.
+    path : Path
+        File wanted, before `free_path` made another one of it.
+    daemon : str, optional
+    """
+    return f"{daemon or default_name(config or Path())}/{path.name}"
 
 
 def part_number(path: Path, first: Path) -> int | None:
@@ -39,7 +56,7 @@ def part_number(path: Path, first: Path) -> int | None:
     """
     if path == first:
         return 1
-    found = re.fullmatch(rf"{re.escape(first.stem)}-(\d+){re.escape(first.suffix)}", path.name)
+    found = re.fullmatch(rf"{re.escape(first.stem)}-(\d{{1,9}}){re.escape(first.suffix)}", path.name)
     return int(found[1]) if found and first.suffix else None
 
 

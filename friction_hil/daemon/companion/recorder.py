@@ -44,6 +44,10 @@ class Recorder:
     changes : Changes
     clock : callable
         Monotonic time, s.
+
+    Attributes
+    ----------
+    budget : Budget or None
     """
 
     def __init__(
@@ -55,7 +59,7 @@ class Recorder:
         self._file_changes = changes.of_file(job.columns)
         self._number = 0
         self._writer: McapWriter | None = None
-        self._budget = None if job.budget_bytes is None else Budget(self._first, job.budget_bytes)
+        self.budget = None if job.budget_bytes is None else Budget(self._first, job.budget_bytes, job.series)
         self._time = job.columns.index(TIME)
         self._cycle_column = job.columns.index(CYCLE) if CYCLE in job.columns else None
         self._rows_per_s = max(1, round(1.0 / job.period_s))
@@ -91,9 +95,9 @@ class Recorder:
         )
         self._file_changes = self._changes.of_file(self._job.columns)
         self._size = self._writer.size
-        if self._budget is not None:
-            self._budget.look(path)
-            self._budget.keep(self._size)
+        if self.budget is not None:
+            self.budget.look()
+            self.budget.keep(path, self._size)
         return path
 
     def take(self, rows: Array, events: list[tuple[float, str, str]]) -> None:
@@ -179,8 +183,8 @@ class Recorder:
         self._chunk_bytes = max(self._chunk_bytes, self._writer.size - self._size)
         self._size = self._writer.size
         self._open_since_s = None
-        if self._budget is not None:
-            self._budget.keep(self._size)
+        if self.budget is not None:
+            self.budget.keep(self._writer.path, self._size)
 
     def _suspend(self, error: OSError | RecordingError) -> None:
         """Report that the disk is full or gone; the run goes on, and so does the recording once it can."""

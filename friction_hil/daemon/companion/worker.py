@@ -90,7 +90,8 @@ class _Outputs:
         self._uncertainty = UncertaintyColumn(job, changes)
         self.recorder = None if job.path is None else Recorder(job, ring, changes)
         self._history = None if memory is None else History(job, memory)
-        self._black_box = None if self._history is None else BlackBox(job, self._history, changes)
+        budget = None if self.recorder is None else self.recorder.budget
+        self._black_box = None if self._history is None else BlackBox(job, self._history, changes, budget)
 
     def take(self, rows: Array, events: list[tuple[float, str, str]]) -> None:
         self._uncertainty.fill(rows)
