@@ -9,6 +9,7 @@ modifier ``load`` has no such form, and is lost.
 from friction_hil.errors import UsageError
 from friction_hil.export.json_text import document, rounded
 from friction_hil.export.lossy import Converted, fit_stribeck, judge
+from friction_hil.export.mujoco_friction import DEFAULT, STIFF, words
 from friction_hil.export.points import Points
 from friction_hil.export.subject import Subject
 
@@ -28,7 +29,12 @@ def convert(subject: Subject, points: Points) -> Converted:
         parameters["armature"] = file.mechanics.inertia
     if file.mechanics.delay_s > 0.0:
         parameters["command_delay"] = file.mechanics.delay_s
-    loss = judge(file, points, lambda at: fit.torque(at.velocity))
+    level, inertia = fit.sliding.coulomb + fit.hump, file.mechanics.inertia or 1.0
+    soft = [
+        f"{DEFAULT.sentence(level, inertia, file.axis)} BAM's controller for MuJoCo sets its level only: give it "
+        f"{words(STIFF.attributes())}."
+    ]
+    loss = judge(file, points, lambda at: fit.torque(at.velocity), soft if level > 0.0 else [])
     notes = [
         "Fill in actuator, a name that BAM knows, and kt and R of its motor. BAM takes defaults for what is absent."
     ]

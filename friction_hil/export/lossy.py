@@ -63,6 +63,11 @@ class Loss:
     points: Points
     difference: Array
 
+    def amount(self) -> str:
+        """Return how much is lost in steady motion, in words."""
+        torque = "N m" if self.axis == "rotary" else "N"
+        return f"{self.rms:.3g} {torque} RMS, {100.0 * self.relative:.3g} % of the friction"
+
     def lines(self) -> list[str]:
         """Return what is lost, in sentences."""
         torque, speed = ("N m", "rad/s") if self.axis == "rotary" else ("N", "m/s")
@@ -74,9 +79,7 @@ class Loss:
             lost = ["Torque lost: none in steady motion."]
         else:
             lost = [
-                f"Torque lost: {self.rms:.3g} {torque} RMS, {100.0 * self.relative:.3g} % of the friction"
-                + (own if self.between_directions > 1e-3 * self.rms else "")
-                + ".",
+                f"Torque lost: {self.amount()}" + (own if self.between_directions > 1e-3 * self.rms else "") + ".",
                 f"Largest: {self.largest:.3g} {torque} at {where}.",
             ]
         return [*lost, f"Fitted to steady motion over the {self.origin}.", *self.lost]
@@ -111,9 +114,12 @@ class Viscous:
     coulomb: float
     viscous: tuple[float, ...]
 
-    def torque(self, velocity: Array) -> Array:
-        """Return the torque at each velocity, (n,)."""
-        return np.asarray(_columns(velocity, len(self.viscous)) @ np.array([self.coulomb, *self.viscous]))
+    def torque(self, velocity: Array, creep: float = 0.0) -> Array:
+        """Return the torque at each velocity, (n,), where the Coulomb level is reached at the speed ``creep``."""
+        torque = np.asarray(_columns(velocity, len(self.viscous)) @ np.array([self.coulomb, *self.viscous]))
+        if creep > 0.0:
+            torque -= self.coulomb * np.sign(velocity) * np.maximum(1.0 - np.abs(velocity) / creep, 0.0)
+        return torque
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,18 +1,20 @@
 """MJCF: a joint of MuJoCo with ``frictionloss``, ``damping`` and ``armature``.
 
 Source: MuJoCo's XML reference, body/joint: ``frictionloss`` is dry friction, N m or N; ``damping`` the coefficient of
-the velocity; ``armature`` is added to the inertia of the joint.
+the velocity; ``armature`` is added to the inertia of the joint. ``solreffriction`` and ``solimpfriction`` make the dry
+friction as stiff as MuJoCo has it (`mujoco_friction`).
 """
 
 from collections.abc import Sequence
 
 from friction_hil.export.lossy import Converted, fit_viscous, judge, number
+from friction_hil.export.mujoco_friction import STIFF
 from friction_hil.export.points import Points
 from friction_hil.export.subject import Subject
 from friction_hil.export.xml_text import element, head
 from friction_hil.models.model_file import ModelFile
 
-_NEARLY_NOTHING = 1e-9  # mass and inertia of the body, beside an armature
+_NEARLY_NOTHING = 1e-6  # mass and inertia of the body, of the armature
 _UNKNOWN = 1.0
 
 
@@ -21,8 +23,10 @@ def convert(subject: Subject, points: Points) -> Converted:
     file = subject.model_file
     fit = fit_viscous(points, points.torque(file.friction_model))
     parameters = {"frictionloss": fit.coulomb, "damping": fit.viscous[0], **armature(file)}
-    loss = judge(file, points, lambda at: fit.torque(at.velocity))
-    joint = {name: number(value) for name, value in parameters.items()}
+    creep = STIFF.creep(fit.coulomb, moved(file))
+    soft = [STIFF.sentence(fit.coulomb, moved(file), file.axis)] if creep > 0.0 else []
+    loss = judge(file, points, lambda at: fit.torque(at.velocity, creep), soft)
+    joint = {name: number(value) for name, value in parameters.items()} | STIFF.attributes()
     text = f"{head(subject, loss, notes(file))}\n{document(subject, joint)}"
     return Converted({f"{subject.name}.xml": text}, parameters, loss)
 
@@ -30,6 +34,11 @@ def convert(subject: Subject, points: Points) -> Converted:
 def armature(file: ModelFile) -> dict[str, float]:
     """Return the armature by its name, nothing if the inertia is not known."""
     return {"armature": file.mechanics.inertia} if file.mechanics.inertia > 0.0 else {}
+
+
+def moved(file: ModelFile) -> float:
+    """Return the inertia that the joint of the exported file moves, kg m^2 or kg."""
+    return file.mechanics.inertia or _UNKNOWN
 
 
 def notes(file: ModelFile) -> list[str]:
@@ -43,15 +52,15 @@ def notes(file: ModelFile) -> list[str]:
     ]
 
 
-def document(subject: Subject, joint: dict[str, str], actuator: Sequence[str] = ()) -> str:
+def document(subject: Subject, joint: dict[str, str], actuator: Sequence[str] = (), timestep: str | None = None) -> str:
     """Return a model of one joint that MuJoCo loads as it is."""
     file = subject.model_file
-    own = _NEARLY_NOTHING if file.mechanics.inertia > 0.0 else _UNKNOWN
+    own = _NEARLY_NOTHING * file.mechanics.inertia or _UNKNOWN
     kind = {"name": subject.name, "type": "hinge" if file.axis == "rotary" else "slide", "axis": "0 0 1"}
     inertial = {"pos": "0 0 0", "mass": own, "diaginertia": " ".join([f"{own:g}"] * 3)}
     lines = [
         element("mujoco", {"model": subject.name}, is_open=True),
-        '  <option gravity="0 0 0"/>',
+        f"  {element('option', {'gravity': '0 0 0', 'timestep': timestep})}",
         "  <worldbody>",
         "    <body>",
         f"      {element('joint', kind | joint)}",

@@ -9,13 +9,16 @@ motor is nothing but friction.
 import math
 
 from friction_hil.export.lossy import MEMORY, Converted, Stribeck, fit_stribeck, judge, number
-from friction_hil.export.mjcf import armature, document, notes
+from friction_hil.export.mjcf import armature, document, moved, notes
 from friction_hil.export.points import Points
 from friction_hil.export.subject import Subject
 from friction_hil.export.xml_text import element, head
 from friction_hil.friction import FrictionModel
+from friction_hil.models.model_file import ModelFile
 
 _POWERS = 3  # of the velocity, in the damping of a joint
+_DEFAULT_STEP = 0.002  # s, of MuJoCo
+_SHORTER = 0.25  # steps, of the longest possible, for which the damping of the model is kept
 _STATIC_DEFLECTION_S = 1e-3  # for a model without presliding: bristles bend by the travel of this time
 
 
@@ -25,9 +28,11 @@ def convert(subject: Subject, points: Points) -> Converted:
     model = file.friction_model
     fit = fit_stribeck(points, points.torque(model), _POWERS)
     stiffness, lost = _stiffness(model, fit)
+    damping, changed = _bristle_damping(file, stiffness)
+    lost += changed
     lugre = (
         stiffness,
-        _bristle_damping(model),
+        damping,
         fit.sliding.coulomb,
         fit.sliding.coulomb + fit.hump,
         fit.velocity,
@@ -50,9 +55,11 @@ def convert(subject: Subject, points: Points) -> Converted:
         "lugre": _words(lugre),
         "cogging": _words(cogging) if cogging else None,
     }
-    remarks = [*notes(file), *_time_step(file.mechanics.inertia, stiffness), *_cogging_note(model, cogging)]
+    longest = _longest_step(stiffness, damping, moved(file))
+    remarks = [*notes(file), *_time_step(longest), *_cogging_note(model, cogging)]
     actuator = ["  <actuator>", f"    {element('dcmotor', motor)}", "  </actuator>"]
-    text = f"{head(subject, loss, remarks)}\n{document(subject, joint, actuator)}"
+    timestep = f"{longest:.2g}" if longest < _DEFAULT_STEP else None
+    text = f"{head(subject, loss, remarks)}\n{document(subject, joint, actuator, timestep)}"
     return Converted({f"{subject.name}.xml": text}, parameters, loss)
 
 
@@ -61,8 +68,6 @@ def _stiffness(model: FrictionModel, fit: Stribeck) -> tuple[float, list[str]]:
     level = fit.sliding.coulomb + fit.hump
     if (own := model.presliding_stiffness) > 0.0:
         lost = [] if model.name == "lugre" else ["Presliding has the stiffness of the model, not its shape."]
-        if model.name == "lugre" and model.parameters["sigma1"] > 0.0 and not _bristle_damping(model):
-            lost = ["The damping of the bristles is left out: it falls with the velocity, and that of MuJoCo does not."]
         return float(model.parameters.get("sigma0", own)), lost
     if level == 0.0:
         return 0.0, []
@@ -71,11 +76,26 @@ def _stiffness(model: FrictionModel, fit: Stribeck) -> tuple[float, list[str]]:
     return level / travel, [*([] if model.family.is_static and model.network is None else [MEMORY]), added]
 
 
-def _bristle_damping(model: FrictionModel) -> float:
-    """Return sigma1 of a LuGre model whose bristle damping is constant, as MuJoCo's is."""
-    if model.name == "lugre" and math.isinf(model.parameters["damping_velocity"]):
-        return float(model.parameters["sigma1"])
-    return 0.0
+def _bristle_damping(file: ModelFile, stiffness: float) -> tuple[float, list[str]]:
+    """Return the damping of the bristles, and what is lost of that of the model.
+
+    With too little of it, MuJoCo's explicit steps make bristles and inertia swing, and the joint creeps under a
+    constant torque; that of the model is replaced by the best for long steps where it would need much shorter ones.
+    """
+    parameters, inertia = file.friction_model.parameters, moved(file)
+    own, best = float(parameters.get("sigma1", 0.0)), math.sqrt(2.0 * stiffness * inertia)
+    if own > 0.0 and (
+        file.mechanics.inertia <= 0.0
+        or _longest_step(stiffness, own, inertia) >= _SHORTER * _longest_step(stiffness, best, inertia)
+    ):
+        falls = "The damping of the bristles falls with the velocity, and that of MuJoCo does not."
+        return own, [] if math.isinf(parameters["damping_velocity"]) else [falls]
+    if best == 0.0:
+        return 0.0, []
+    unit = "N m s/rad" if file.axis == "rotary" else "N s/m"
+    return best, [
+        f"The damping of the bristles, {own:.3g} {unit}, became {best:.3g}: MuJoCo would let the joint creep."
+    ]
 
 
 def _cogging(model: FrictionModel) -> tuple[float, float, float] | None:
@@ -107,11 +127,18 @@ def _cogging_note(model: FrictionModel, cogging: tuple[float, float, float] | No
     return [] if cogging is None else [f"Of the ripple, the harmonic of order {cogging[1]:g} is carried, as cogging."]
 
 
-def _time_step(inertia: float, stiffness: float) -> list[str]:
-    """Return the note on the time step: the bristles are a spring that MuJoCo integrates explicitly."""
-    if inertia <= 0.0:
+def _longest_step(stiffness: float, damping: float, inertia: float) -> float:
+    """Return half the time step, s, from which on explicit steps make bristles and inertia swing more and more."""
+    return math.inf if stiffness == 0.0 else 0.5 * min(damping / stiffness, 2.0 * inertia / damping)
+
+
+def _time_step(longest: float) -> list[str]:
+    if math.isinf(longest):
         return []
-    return [f"Bristles and inertia need a time step well below {2.0 * math.sqrt(inertia / stiffness):.2g} s."]
+    return [
+        f"Bristles and this inertia need a time step of {longest:.2g} s at most, and MuJoCo's integrator Euler: with "
+        "longer ones the joint creeps under a constant torque, or the simulation is not stable."
+    ]
 
 
 def _words(values: tuple[float, ...]) -> str:

@@ -1,10 +1,12 @@
 """URDF: a robot of one joint with ``<dynamics damping friction>``.
 
 Source: the URDF specification of ROS, element joint: ``damping`` is the viscous coefficient, N m s/rad or N s/m,
-``friction`` the static friction, N m or N. Simulators take it for the Coulomb level while sliding.
+``friction`` the static friction, N m or N. Simulators take it for the Coulomb level while sliding. MuJoCo's importer
+makes it the ``frictionloss`` of a joint, as soft as MuJoCo's default: URDF has no place for ``solreffriction``.
 """
 
 from friction_hil.export.lossy import Converted, fit_viscous, judge
+from friction_hil.export.mujoco_friction import DEFAULT, STIFF, words
 from friction_hil.export.points import Points, identified
 from friction_hil.export.subject import Subject
 from friction_hil.export.xml_text import element, head
@@ -17,8 +19,15 @@ def convert(subject: Subject, points: Points) -> Converted:
     file = subject.model_file
     fit = fit_viscous(points, points.torque(file.friction_model))
     parameters = {"damping": fit.viscous[0], "friction": fit.coulomb}
-    loss = judge(file, points, lambda at: fit.torque(at.velocity))
     known = file.mechanics.inertia > 0.0
+    inertia = file.mechanics.inertia or _UNKNOWN_MASS
+    creep = DEFAULT.creep(fit.coulomb, inertia)
+    held = judge(file, points, lambda at: fit.torque(at.velocity))
+    soft = [
+        f"{DEFAULT.sentence(fit.coulomb, inertia, file.axis)} The loss is the one there. Where a simulator holds the "
+        f"joint, or MuJoCo's joint is given {words(STIFF.attributes())}, it is {held.amount()}."
+    ]
+    loss = judge(file, points, lambda at: fit.torque(at.velocity, creep), soft if creep > 0.0 else [])
     notes = [
         "Copy the element dynamics into a joint of your robot; the links are there to make the file complete."
         + ("" if known else " The inertia of the model file is not known: 1 stands for it."),

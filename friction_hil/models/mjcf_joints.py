@@ -12,6 +12,7 @@ from friction_hil.errors import UsageError
 from friction_hil.models.xml_input import choose, numbers
 
 _MAIN = "main"  # the class of what names none
+_STIFF_IMPEDANCE = 0.999  # of the dry friction, of 0.9999 that MuJoCo allows: hardly a joint creeps to be seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,7 @@ def find(root: ET.Element, path: str, name: str | None) -> Joint:
         and (any(any(_numbers(own, key, path, each)) for key in ("frictionloss", "damping")) or each in motors)
     ]
     chosen = choose(joints, has_friction, path, name, elsewhere)
-    notes = _of_other_actuators(root, chosen)
+    notes = (*_soft(joints[chosen], f"{path}: joint {chosen!r}"), *_of_other_actuators(root, chosen))
     return _joint(joints[chosen], motors.get(chosen), f"{path}: joint {chosen!r}", path, chosen, notes)
 
 
@@ -98,6 +99,18 @@ def _joint(
         cogging,
         "frictionloss" in own or lugre is not None,
         notes,
+    )
+
+
+def _soft(own: dict[str, str], where: str) -> tuple[str, ...]:
+    """Return a sentence about a dry friction that is soft, as it is by default in MuJoCo."""
+    level = numbers(own.get("frictionloss", "0"), f"{where}: frictionloss", 1, 1)[0]
+    impedance = numbers(own.get("solimpfriction", "0.9"), f"{where}: solimpfriction", 1, 5)[0]
+    if level == 0.0 or impedance >= _STIFF_IMPEDANCE:
+        return ()
+    return (
+        f"not in the model: MuJoCo's dry friction is soft here (solimpfriction {impedance:g}), and a joint that is "
+        "pushed with less than frictionloss creeps",
     )
 
 

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import friction_hil as fh
+from friction_hil.export.mujoco_friction import DEFAULT, STIFF
 from friction_hil.models.files import load_model_file, model_from_argument
+from friction_hil.models.model_file import ModelFile
 
 mujoco = pytest.importorskip("mujoco", minversion="4.0", reason="MuJoCo 4 is not installed")
 
@@ -83,3 +85,80 @@ def test_the_largest_harmonic_is_the_cogging_of_the_dcmotor(tmp_path):
         mujoco.mj_forward(model, data)
         expected = 0.001 * np.cos(7 * position) + 0.002 * np.sin(7 * position)
         assert -data.qfrc_actuator[0] == pytest.approx(expected, abs=1e-9)
+
+
+def speed_under(torque, text, dt):
+    """The mean speed of the joint in the second half of 0.3 s of constant torque."""
+    model = model_of(text, dt)
+    data = mujoco.MjData(model)
+    data.qfrc_applied[0] = torque
+    steps = round(0.3 / dt)
+    for k in range(steps):
+        mujoco.mj_step(model, data)
+        if k == steps // 2:
+            half = data.qpos[0]
+    return (data.qpos[0] - half) / ((steps - 1 - steps // 2) * dt)
+
+
+def axis_file(inertia, model="lugre", **parameters):
+    """A model file with a level of 0.08, whose inertia is known."""
+    own = {"coulomb": 0.08} | parameters
+    content = {"axis": "rotary", "friction": {"model": model, "parameters": own}}
+    return ModelFile.model_validate(content | {"mechanics": {"inertia": inertia}})
+
+
+AXIS = {"sigma0": 2000.0, "sigma1": 1.0, "sigma2": 0.002, "static": 0.12, "stribeck_velocity": 0.2}
+
+
+@pytest.mark.parametrize("inertia", [1e-6, 2e-4, 0.5])
+@pytest.mark.parametrize(("to", "softness"), [("mjcf", STIFF), ("urdf", DEFAULT)])
+def test_a_joint_under_a_constant_torque_creeps_as_it_is_said_to(to, softness, inertia):
+    converted = fh.export.convert(axis_file(inertia, **AXIS), to, name="x", speed=3.0)
+    (text,) = converted.files.values()
+    level = converted.parameters[{"mjcf": "frictionloss", "urdf": "friction"}[to]]
+    most = softness.creep(level, inertia)
+    assert f"up to {most:.2g} rad/s" in text
+    assert f"up to {most:.2g} rad/s" in "\n".join(converted.loss.lines())
+    for dt in (1e-4, 2e-3):
+        assert speed_under(0.6 * level, text, dt) == pytest.approx(0.6 * most, rel=1e-2)
+    assert speed_under(1.2 * level, text, 2e-3) > 0.02 * level / inertia * 0.3
+
+
+@pytest.mark.parametrize("to", ["mjcf", "urdf"])
+@pytest.mark.parametrize("inertia", [1e-5, 2e-4, 1.0])
+def test_the_stated_loss_is_what_mujoco_shows_in_steady_motion(to, inertia):
+    """Inverse dynamics without acceleration: the torque that keeps the joint at its speed."""
+    file = axis_file(inertia, **AXIS)
+    converted = fh.export.convert(file, to, name="x", speed=3.0)
+    (text,) = converted.files.values()
+    points, model = converted.loss.points, model_of(text)
+    data, seen = mujoco.MjData(model), np.empty(points.velocity.size)
+    for k, velocity in enumerate(points.velocity):
+        data.qvel[0], data.qacc[0] = velocity, 0.0
+        mujoco.mj_inverse(model, data)
+        seen[k] = data.qfrc_inverse[0]
+    difference = points.torque(file.friction_model) - seen
+    assert np.sqrt(points.weight @ difference**2) == pytest.approx(converted.loss.rms, rel=1e-3)
+    np.testing.assert_allclose(difference, converted.loss.difference, rtol=0, atol=1e-5 * 0.08)
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        axis_file(2e-4, **AXIS),
+        axis_file(2e-4, **AXIS | {"damping_velocity": 0.2}),
+        axis_file(2e-4, **AXIS | {"sigma1": 0.0}),
+        axis_file(1e-3, **AXIS | {"sigma0": 5e4, "sigma1": 1e-3}),
+        axis_file(2e-4, "dahl", sigma0=1500.0),
+        axis_file(2e-4, "stribeck", static=0.12, stribeck_velocity=0.2, viscous=0.002),
+    ],
+    ids=["constant", "falling", "none", "little", "dahl", "stribeck"],
+)
+def test_bristles_hold_a_constant_torque(own):
+    """At the time step of the file; without their damping they swing, and the joint creeps at 0.03 rad/s and more."""
+    (text,) = fh.export.convert(own, "mjcf_lugre", name="x", speed=3.0).files.values()
+    dt = mujoco.MjModel.from_xml_string(text).opt.timestep
+    assert f"a time step of {dt:.2g} s at most" in text
+    for torque in (0.02, 0.05, 0.07):
+        assert abs(speed_under(torque, text, dt)) < 1e-6
+    assert speed_under(0.15, text, dt) > 1.0

@@ -252,3 +252,11 @@ def test_files_that_are_wrong_are_refused(tmp_path, text, source, joint, message
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(FrictionHilError, match=r"none\.xml cannot be read"):
         foreign.read(tmp_path / "none.xml", "mjcf")
+
+
+def test_a_soft_dry_friction_is_said_not_to_be_in_the_model(tmp_path):
+    """MuJoCo's default lets a joint creep under its frictionloss; what the export wrote hardly does."""
+    (stiff,) = fh.export.convert("coulomb:coulomb=0.1,viscous=0.01", "mjcf", name="x", speed=2.0).files.values()
+    soft = "solimpfriction 0.9"
+    assert not any(soft in each for each in imported(tmp_path, stiff, "mjcf").notes)
+    assert any(soft in each for each in imported(tmp_path, MJCF, "mjcf", "d").notes)
