@@ -2,8 +2,11 @@
 
 It refuses what a controller might: undeclared names, names that differ in capitals only, types that do not match (no
 number is converted silently), inputs and constants that are assigned, arguments that do not exist or are missing. It
-evaluates both operands of AND and OR. It stops at what stops a controller: a division by zero, a number that is not
-finite, an index outside an array, a whole number of more than 32 bits, a variable that is read before it has a value.
+refuses, too, what matiec or STruC++ refuse, or compile to something else: initial values within a structure (STruC++
+drops them), numbers beyond single precision, VAR after VAR CONSTANT, FOR (matiec leaves out the last pass where its end
+is an expression), and NOT before an expression. It evaluates both operands of AND and OR. It stops at what stops a
+controller: a division by zero, a number that is not finite, an index outside an array, a whole number of more than 32
+bits, a variable that is read before it has a value.
 """
 
 import math
@@ -163,7 +166,7 @@ class Program:
         self._lines += [f"class t_{name}:", f"    __slots__ = {tuple(fields)!r}", "    def __init__(self):"]
         for key, one in fields.items():
             empty = f"[None] * {one.type[1]}" if isinstance(one.type, tuple) else "None"
-            self._lines.append(f"        self.{key} = {one.initial or empty}")
+            self._lines.append(f"        self.{key} = {empty}")
 
     def _type(self):
         if self._is("ARRAY"):
@@ -188,22 +191,14 @@ class Program:
         self._take(":")
         kind, initial = self._type(), ""
         if self._is(":="):
+            if section == "FIELD":
+                self._refuse("an initial value within a structure")
             self._take()
             initial = self._constant(kind)
         self._take(";")
         variables[name] = Declared(kind, section, initial)
 
     def _constant(self, kind):
-        if isinstance(kind, tuple):
-            self._take("[")
-            values = [self._constant(kind[2])]
-            while self._is(","):
-                self._take()
-                values.append(self._constant(kind[2]))
-            self._take("]")
-            if len(values) != kind[1]:
-                self._refuse(f"{len(values)} values for {kind[1]}")
-            return f"[{', '.join(values)}]"
         code, found = self._unary()
         if found != kind:
             self._refuse(f"{found} for {kind}")
@@ -221,10 +216,11 @@ class Program:
             section = self._take().upper()
             if self._is("CONSTANT"):
                 section = f"{section} {self._take().upper()}"
+            elif self._own.of("VAR CONSTANT"):
+                self._refuse(f"{section} after VAR CONSTANT")
             while not self._is("END_VAR"):
                 self._one_variable(self._own.variables, section)
             self._take()
-        self._counting = set()
         body = self._block("    " if not self._is_block else "        ")
         self._take("END_FUNCTION_BLOCK" if self._is_block else "END_FUNCTION")
         (self._write_block if self._is_block else self._write_function)(body)
@@ -283,8 +279,6 @@ class Program:
             self._take("DO")
             lines += self._block(inner)
             self._take("END_WHILE")
-        elif self._is("FOR"):
-            lines = self._loop(margin)
         elif self._is("RETURN"):
             self._take()
             lines = [margin + self._return()]
@@ -296,34 +290,13 @@ class Program:
         self._take(";")
         return lines
 
-    def _loop(self, margin):
-        self._take()
-        name = self._name()
-        if self._variable(name).type != "DINT" or self._variable(name).section != "VAR":
-            self._refuse("a loop needs a DINT of its own")
-        self._take(":=")
-        start = self._expected("DINT")
-        self._take("TO")
-        stop, step = self._expected("DINT"), "1"
-        if self._is("BY"):
-            self._take()
-            step, _ = self._unary()
-        self._take("DO")
-        self._counting.add(name)
-        end = f"{stop} {'-' if step.startswith('-') or '(-' in step else '+'} 1"
-        place = self._place(name)
-        lines = [f"{margin}for {place} in range({start}, {end}, {step}):", *self._block(f"{margin}    ")]
-        self._counting.discard(name)
-        self._take("END_FOR")
-        return [*lines, f"{margin}{place} = None"]  # it has no defined value after the loop
-
     def _assignment(self):
         name = self._name()
         if name == self._own.name and not self._is_block:
             kind, target = self._own.result, "result = {}"
         else:
             one = self._variable(name)
-            if one.section in ("VAR_INPUT", "VAR CONSTANT") or name in self._counting:
+            if one.section in ("VAR_INPUT", "VAR CONSTANT"):
                 self._refuse(f"{name} must not be assigned")
             kind, target = self._target(name, one.type)
         self._take(":=")
@@ -430,6 +403,8 @@ class Program:
             return f"(-{code})", kind
         if self._is("NOT"):
             self._take()
+            if self._is("("):
+                self._refuse("NOT before an expression")
             code, kind = self._primary()
             if kind != "BOOL":
                 self._refuse(f"NOT of {kind}")
@@ -439,6 +414,8 @@ class Program:
     def _primary(self):
         kind, text, _ = self._tokens[self._at]
         if kind in ("real", "int"):
+            if float(text) > 3.4e38:
+                self._refuse("a number beyond single precision")
             self._take()
             return text, "LREAL" if kind == "real" else "DINT"
         if self._is("("):

@@ -8,7 +8,15 @@ from friction_hil.export import ir
 from friction_hil.export.arithmetic import FUNCTIONS
 from friction_hil.export.c_printer import Printer, literal
 from friction_hil.export.counting import operations
-from friction_hil.export.kernels import CYCLES, MODEL_INPUTS, Program, compensator_program, model_program
+from friction_hil.export.kernels import (
+    CYCLES,
+    LARGEST_INPUT,
+    LARGEST_POSITION,
+    MODEL_INPUTS,
+    Program,
+    compensator_program,
+    model_program,
+)
 from friction_hil.export.subject import Subject, provenance
 
 REBASED = 1048576  # cycles, 2^20: cycle numbers stay below twice that, which single precision holds exactly
@@ -246,7 +254,8 @@ def _explained(part: _Part, angle: str, torque: str) -> str:
             f"velocity where it is positive. position: {angle}, at the end of the step; load_torque: {torque}, "
             "positive if it opposes positive motion; temperature: deg C, NAN for that of the parameters; "
             f"applied_torque: {torque}, which a static map balances at rest. Inputs are finite but for the "
-            "temperature, and dt is above zero; those that this model does not depend on are ignored."
+            f"temperature, and dt is above zero; those beyond {LARGEST_INPUT:g} (position: {LARGEST_POSITION:g}) count "
+            "as that, so that the friction is finite; those that this model does not depend on are ignored."
         )
     return _comment([text])
 

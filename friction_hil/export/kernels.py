@@ -34,6 +34,9 @@ WIDE_STATES = ("motion_position", "motion_suspect", "resting_position")
 # Cycle numbers in the state; they are kept small, so that single precision holds them.
 CYCLES = ("cycle", "motion_cycle", "motion_position_cycle", "motion_suspect_cycle")
 MODEL_INPUTS = ("velocity", "dt", "position", "load_torque", "temperature", "applied_torque")
+# Inputs of a model beyond these count as these: squares and cubes stay within single precision.
+LARGEST_INPUT = 1e9
+LARGEST_POSITION = 1e15
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +133,27 @@ BUILT_IN = frozenset(
 )  # fmt: skip
 
 
+def _step_within(
+    kind: Any,
+    p: Any,
+    s: Any,
+    velocity: float,
+    dt: float,
+    position: float,
+    load_torque: float,
+    temperature: float,
+    applied_torque: float,
+) -> float:
+    """Advance a model with inputs of any size, so that no finite input makes a number that is none."""
+    held = min(max(velocity, -LARGEST_INPUT), LARGEST_INPUT)
+    elapsed = min(dt, LARGEST_INPUT)
+    place = min(max(position, -LARGEST_POSITION), LARGEST_POSITION)
+    load = min(max(load_torque, -LARGEST_INPUT), LARGEST_INPUT)
+    celsius = min(max(temperature, -LARGEST_INPUT), LARGEST_INPUT)
+    applied = min(max(applied_torque, -LARGEST_INPUT), LARGEST_INPUT)
+    return kernel.step(kind, p, s, held, held, elapsed, place, load, celsius, applied, 0.0)
+
+
 def model_program(model: FrictionModel) -> Program:
     """Return the step of a model, as a simulation takes it, as a program: a static map sticks exactly."""
     state = State(
@@ -141,11 +165,10 @@ def model_program(model: FrictionModel) -> Program:
     )
 
     def arguments(p: TableArray) -> list[Any]:
-        motion = (velocity, velocity, dt, position, load_torque, temperature, applied)
-        return [known(model.kind), p, StateArray("friction", known(0)), *motion, known(0.0)]
+        return [known(model.kind), p, StateArray("friction", known(0)), *inputs]
 
     inputs = (velocity, dt, position, load_torque, temperature, applied)
-    return _program(model, state, inputs, kernel.step, arguments, "any_model")
+    return _program(model, state, inputs, _step_within, arguments, "bounded")
 
 
 def compensator_program(compensator: Compensator) -> Program:

@@ -60,11 +60,7 @@ def _variables(parent: ET.Element, variables: Iterable[Declared]) -> None:
     for each in variables:
         variable = ET.SubElement(parent, "variable", {"name": each.name})
         _type(ET.SubElement(variable, "type"), each.type)
-        if each.initial.startswith("["):
-            whole = ET.SubElement(ET.SubElement(variable, "initialValue"), "arrayValue")
-            for value in each.initial.strip("[]").split(", "):
-                ET.SubElement(ET.SubElement(whole, "value"), "simpleValue", {"value": value})
-        elif each.initial:
+        if each.initial:
             ET.SubElement(ET.SubElement(variable, "initialValue"), "simpleValue", {"value": each.initial})
         if each.comment:
             _text(ET.SubElement(variable, "documentation"), each.comment)

@@ -114,29 +114,24 @@ class _Part:
             fields.append(Declared(field_name(one.name), kind))
         for table in self.program.tables:
             low, high = table.used
-            values = ", ".join(literal(float(each)) for each in table.values[low : high + 1])
-            kind = _array("real", high - low + 1)
-            fields.append(Declared(table_name(table.name), kind, f"[{values}]", "constant"))
+            fields.append(Declared(table_name(table.name), _array("real", high - low + 1), "", "constant"))
         return fields
 
     def _begin(self) -> Pou:
-        name, lines, has_loop = f"{self.name}_begin", [], False
+        """Return the function that fills state and tables: a compiler drops initial values within a structure."""
+        name = f"{self.name}_begin"
+        lines = [f"{name} := TRUE;"]
         for one in self.program.fields:
             place = f"{STATE}.{field_name(one.name)}"
             values = [_initial(one, each) for each in one.initial]
-            if not one.is_array:
-                lines.append(f"{place} := {values[0]};")
-            elif len(values) > 1 and len(set(values)) == 1:
-                has_loop = True
-                lines += [f"FOR k := 0 TO {len(values) - 1} DO", f"    {place}[k] := {values[0]};", "END_FOR;"]
-            else:
-                lines += [f"{place}[{i}] := {each};" for i, each in enumerate(values)]
-        sections = {
-            "VAR_IN_OUT": [Declared(STATE, self.printer.state_type)],
-            "VAR": [Declared("k", "DINT")] if has_loop else [],
-        }
-        body = "\n".join([f"{name} := TRUE;", *lines])
-        return Pou("FUNCTION", name, "BOOL", sections, body, "Give the state the values of an axis at rest.")
+            lines += _filled(place, values) if one.is_array else [f"{place} := {values[0]};"]
+        for table in self.program.tables:
+            low, high = table.used
+            lines += _filled(
+                f"{STATE}.{table_name(table.name)}", [literal(float(x)) for x in table.values[low : high + 1]]
+            )
+        sections = {"VAR_IN_OUT": [Declared(STATE, self.printer.state_type)]}
+        return Pou("FUNCTION", name, "BOOL", sections, "\n".join(lines), "Begin at rest.")
 
     def _block(self) -> Pou:
         """Return the function block."""
@@ -214,6 +209,10 @@ class _Part:
 
 def _either(test: str, then: str, other: str) -> list[str]:
     return [f"IF {test} THEN", f"    {then}", "ELSE", f"    {other}", "END_IF;"]
+
+
+def _filled(place: str, values: list[str]) -> list[str]:
+    return [f"{place}[{k}] := {each};" for k, each in enumerate(values)]
 
 
 _TYPE = {"real": "LREAL", "bool": "BOOL"}

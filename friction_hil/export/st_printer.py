@@ -165,7 +165,7 @@ class StPrinter:
             "FUNCTION",
             self.name(function),
             TYPES[function.results[0]] if function.results else "BOOL",
-            {"VAR_IN_OUT": state, "VAR_INPUT": inputs, "VAR_OUTPUT": outputs, "VAR CONSTANT": constants, "VAR": own},
+            {"VAR_IN_OUT": state, "VAR_INPUT": inputs, "VAR_OUTPUT": outputs, "VAR": own, "VAR CONSTANT": constants},
             body,
             function.summary,
         )
@@ -201,11 +201,13 @@ class StPrinter:
                     lines += ["ELSE", *self._inner(other, depth, is_last=is_last)]
                 return [*lines, "END_IF;"]
             case ir.For(variable, start, stop, step, body):
+                # a compiler ends a FOR whose last value is an expression a pass early
                 self._locals[variable.name] = "DINT"
-                last = self.expression(binary("-" if step > 0 else "+", stop, known(1)))
-                by = "" if step == 1 else f" BY {step}"
-                head = f"FOR {self._names.of(variable.name)} := {self.expression(start)} TO {last}{by} DO"
-                return [head, *self._inner(body, depth, is_last=False), "END_FOR;"]
+                name, before = self._names.of(variable.name), self.expression(binary("-", start, known(step)))
+                last = self.expression(binary("-", stop, known(step)))
+                head = f"WHILE {name} {'<' if step > 0 else '>'} {last} DO"
+                count = f"    {name} := {name} {'+' if step > 0 else '-'} {abs(step)};"
+                return [f"{name} := {before};", head, count, *self._inner(body, depth, is_last=False), "END_WHILE;"]
             case ir.While(test, body):
                 head = f"WHILE {self.expression(test)} DO"
                 return [head, *self._inner(body, depth, is_last=False), "END_WHILE;"]

@@ -81,10 +81,18 @@ def _joined(name: str, a: Expression, b: Expression) -> Expression:
     return a if a == b else Operation("bool", name, (a, b))
 
 
+_OPPOSITE = {"<": ">=", ">=": "<", ">": "<=", "<=": ">", "==": "!=", "!=": "==", "and": "or", "or": "and"}
+
+
 def inverted(value: Expression) -> Expression:
-    """Return ``not`` of a condition."""
+    """Return ``not`` of a condition, which stands before no expression in brackets: a compiler takes none."""
     if isinstance(value, Constant):
         return known(not value.value)
+    if isinstance(value, Operation) and value.name == "not":
+        return value.operands[0]
+    if isinstance(value, Operation) and value.name in _OPPOSITE:
+        parts = tuple(map(inverted, value.operands)) if value.name in ("and", "or") else value.operands
+        return Operation("bool", _OPPOSITE[value.name], parts)
     return Operation("bool", "not", (value,))
 
 

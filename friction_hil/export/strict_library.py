@@ -9,9 +9,8 @@ from collections.abc import Callable
 from friction_hil.export import ir
 from friction_hil.export.ir import Block, Constant, Expression, Function, Operation, Variable
 
-UNLIMITED = 1e100  # stands for infinity; products of three of them do not overflow
-_NEGLIGIBLE = 1e-100
-_LARGEST_EXPONENT = 230.0  # exp(230) is about 1e100
+UNLIMITED = 1e30  # stands for infinity; products of three do not overflow; a compiler takes LREAL up to 3.4e38 only
+_LARGEST_EXPONENT = 69.0  # exp(69) is about 1e30
 
 
 def _number(value: float) -> Constant:
@@ -31,14 +30,12 @@ _X, _Y = Variable("real", "x"), Variable("real", "y")
 
 
 def _divide() -> Block:
-    return [
-        ir.If(
-            _of("<", _of("fabs", _Y), _number(_NEGLIGIBLE)),
-            [_when(_of("<", _X, _number(0.0)), _number(-UNLIMITED)), ir.Return((_number(UNLIMITED),))],
-            [],
-        ),
-        ir.Return((_of("/", _X, _Y),)),
+    is_beyond = _of("<=", _of("*", _of("fabs", _Y), _number(UNLIMITED)), _of("fabs", _X))
+    signs = [
+        _when(_of("and", _of("<", _X, _number(0.0)), _of(">=", _Y, _number(0.0))), _number(-UNLIMITED)),
+        _when(_of("and", _of(">=", _X, _number(0.0)), _of("<", _Y, _number(0.0))), _number(-UNLIMITED)),
     ]
+    return [ir.If(is_beyond, [*signs, ir.Return((_number(UNLIMITED),))], []), ir.Return((_of("/", _X, _Y),))]
 
 
 def _exponential() -> Block:
@@ -125,7 +122,7 @@ def _copysign() -> Block:
 
 
 _BODIES: dict[str, tuple[Callable[[], Block], str]] = {
-    "divide": (_divide, f"Return x / y; with the size {UNLIMITED:g} where y is zero."),
+    "divide": (_divide, f"Return x / y, of the size {UNLIMITED:g} at most, also where y is zero."),
     "exponential": (_exponential, f"Return exp x, at most {UNLIMITED:g}."),
     "root": (_root, f"Return the square root of x; {UNLIMITED:g} where it has none."),
     "logarithm": (_logarithm, f"Return the natural logarithm of x; {-UNLIMITED:g} where it has none."),

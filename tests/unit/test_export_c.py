@@ -45,6 +45,31 @@ def test_every_model_gives_the_torque_of_this_library(library, single, tolerance
         np.testing.assert_allclose(got, wanted, rtol=tolerance, atol=tolerance * model.level, err_msg=name)
 
 
+@pytest.mark.parametrize("single", [False, True])
+def test_the_friction_is_finite_for_all_finite_inputs(library, single):
+    """Speeds, times, torques over the range of float, positions over that of double."""
+    chosen = random.Random(0)
+
+    def any_size(largest=3e38):
+        return chosen.choice((-1, 1)) * chosen.choice(
+            (0.0, 1e-38, 1e-12, 1e-3, 1.0, 1e3, 1e8, 1e13, 1e15, 1e25, largest)
+        )
+
+    rows = [
+        (
+            any_size(),
+            abs(any_size()) or 1e-3,
+            any_size(1e308),
+            any_size(),
+            chosen.choice((math.nan, any_size())),
+            any_size(),
+        )
+        for _ in range(1000)
+    ]
+    for name in EVERY_MODEL:
+        assert np.all(np.isfinite(model_steps(library[single], name, rows, single=single))), name
+
+
 @pytest.mark.parametrize(("single", "tolerance"), [(False, 1e-12), (True, 1e-5)])
 def test_the_whole_compensator_gives_the_torque_of_this_library(library, single, tolerance):
     """In single precision a decision may fall a cycle later: then one cycle in a hundred may differ by more."""
