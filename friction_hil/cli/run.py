@@ -34,7 +34,8 @@ def command(**options: Any) -> int:
 
     It moves the axes along their trajectories and compensates their friction. Ctrl-C brings them to rest, fades the
     compensation out and disables the drives; so does every fault. At the end it prints the following error without
-    compensation (compensation.baseline_s) and with it. Exit status 1 after a fault.
+    compensation (compensation.baseline_s) and with it. Exit status 1 after a fault,
+    or if a drive was not left as it was found.
 
     While it runs, 'friction-hil set NAME' changes gains and models, 'stop NAME' and 'start NAME' take and give power.
     """

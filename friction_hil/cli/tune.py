@@ -51,7 +51,7 @@ def command(**options: Any) -> int:
     compensation, and kept if the following error is smaller with it. The model file that CONFIG names need not exist:
     tune writes it. An existing one is not changed; the new model is then in DIR.
 
-    Exit status 1 if a model did not help, or after a fault.
+    Exit status 1 if a model did not help, after a fault, or if a drive was not left as it was found.
     """
     from friction_hil.cli.work.tune import tune_machine  # imported here: --help must not wait for numba
 

@@ -41,6 +41,8 @@ class LoopResult:
         What the drives said beside their feedback: emergencies, warnings.
     drive_states : list of DriveState
         State of each drive after the stop; empty after a dry run.
+    leftovers : list of str
+        What the driver could not leave as it was found.
     """
 
     cycles: int = 0
@@ -51,6 +53,7 @@ class LoopResult:
     warnings: list[str] = field(default_factory=list)
     notices: list[str] = field(default_factory=list)
     drive_states: list[DriveState] = field(default_factory=list)
+    leftovers: list[str] = field(default_factory=list)
 
 
 class RunLog:
@@ -150,6 +153,11 @@ class RunLog:
         elif state.is_powered and not any(fault.startswith(f"{name}: still powered") for fault in self.result.faults):
             text = f"{name}: still powered after the stop: the drive is in {state.words}"
             self._keep_fault(cycle, FaultCode.STILL_POWERED.append_to(text))
+
+    def leftover(self, cycle: int, text: str) -> None:
+        """Keep what the driver could not leave as it was found."""
+        self.result.leftovers.append(text)
+        self._sink.event(cycle, "warning", text)
 
     def missed(self, cycle: int, skipped: int, overslept_ns: int, max_missed: int) -> None:
         """Count the periods missed before ``cycle``; ``max_missed`` of them in a row are a fault."""

@@ -361,9 +361,9 @@ def _run(
 
 
 def _close(drives: Drives, report: Callable[[str], None]) -> None:
-    """Leave the bus, and tell what the driver could not leave as it was found."""
+    """Leave the bus, and tell what the driver could not leave as it was found, or does not know of that."""
     drives.close()
-    for line in getattr(drives, "leftovers", ()):
+    for line in (*getattr(drives, "leftovers", ()), *getattr(drives, "remarks", ())):
         report(line)
 
 

@@ -65,6 +65,8 @@ class Stop:
         Name of the axis in the configuration, and where its drive is; "" without a configuration.
     fault : str
         What the drive reported as its fault before a reset, "" for none.
+    leftover : str
+        Set-points that could not be set to zero and would act once somebody enables the drive, "" for none.
     """
 
     node: int | None
@@ -75,11 +77,17 @@ class Stop:
     axis: str = ""
     address: str = ""
     fault: str = ""
+    leftover: str = ""
 
     @property
     def is_proved(self) -> bool:
-        """True if the drive has been read back without power, and after a reset without a fault."""
-        return self.result in ("stopped", "reset", "unpowered")
+        """True if the drive has been read back without power or set-points, and after a reset without a fault."""
+        return self.result in ("stopped", "reset", "unpowered") and not self.leftover
+
+    @property
+    def reason(self) -> str:
+        """`detail` and `leftover` in one text."""
+        return "; ".join(filter(None, (self.detail, self.leftover)))
 
 
 @dataclass(frozen=True, slots=True)

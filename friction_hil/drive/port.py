@@ -225,7 +225,8 @@ class Drives(Protocol):
         sequence of DriveState or None
             State of each drive as read back after the stop, `DriveState.UNKNOWN` where it was not. A state that is
             powered or unknown is a fault of the run. None: the driver reads nothing back; what counts then is the
-            feedback of the last cycle.
+            feedback of the last cycle. Afterwards the lists of str ``leftovers`` and ``remarks``, where the driver has
+            them, say what could not be left as it was found, which is exit status 1, and what is not known of that.
         """
         ...
 

@@ -27,6 +27,8 @@ class TuningRuns:
         Recordings so far.
     warnings : list of str
         Warnings of the daemon, each once; not those of limit cycles, which are results of a trial.
+    leftovers : list of str
+        What drives were left with after some run, in the words of their driver, each once.
     """
 
     def __init__(self, settings: TuneSettings, dialog: Dialog) -> None:
@@ -34,6 +36,7 @@ class TuningRuns:
         self._reported: set[str] = set()
         self.recordings: list[Path] = []
         self.warnings: list[str] = []
+        self.leftovers: list[str] = []
 
     def run(self, configuration: Configuration, duration_s: float, file: str, speeds: Mapping[str, float]) -> Path:
         """Run the daemon once; return the path of the recording, which is complete.
@@ -72,6 +75,7 @@ class TuningRuns:
             is_of_trial = any(is_limit_cycle(warning, name) for name in names)
             if not is_of_trial and warning not in self.warnings:
                 self.warnings.append(warning)
+        self.leftovers += (text for text in result.loop.leftovers if text not in self.leftovers)
         if report is not None and report.recording:
             self.recordings += map(Path, report.recording)
         if result.loop.faults:

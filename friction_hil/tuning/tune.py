@@ -66,6 +66,8 @@ class Tuning:
         By axis.
     experiments : dict of ExperimentResult
         How long the experiment took and why it ended, by axis.
+    leftovers : list of str
+        What drives were left with after some run.
     rehearsed : dict of tuple of RehearsedFit
         Models with what they do in simulation, best first, by axis; empty for an axis that could not be simulated.
     """
@@ -77,6 +79,7 @@ class Tuning:
     torque_lags: dict[str, TorqueLag] = field(default_factory=dict)
     torque_ratios: dict[str, TorqueRatio] = field(default_factory=dict)
     experiments: dict[str, ExperimentResult] = field(default_factory=dict)
+    leftovers: list[str] = field(default_factory=list)
     rehearsed: dict[str, tuple[RehearsedFit, ...]] = field(default_factory=dict)
 
 
@@ -184,6 +187,7 @@ class _Tuner:
             torque_lags=self._torque_lags,
             torque_ratios=self._torque_ratios,
             experiments=self._experiments,
+            leftovers=self._runs.leftovers,
             rehearsed=self._all_rehearsed,
         )
 

@@ -1,6 +1,7 @@
 """While drives are left, the daemon goes on being heard; a drive that may have power is not kept alive."""
 
 import tempfile
+import time
 
 import can
 import pytest
@@ -31,12 +32,17 @@ class TimedBus(can.BusABC):
         super().__init__(channel="timed")
         self.benches, self.answer_ms, self.now_ms = benches, answer_ms, 0.0
         self.waiting, self.sent, self.gone, self.refused = [], [], set(), []
+        self.lost = ()  # identifiers of frames that nobody hears
+        self.slow = {}  # milliseconds for the answers about some objects, by index
 
     def put(self, frames):
         for can_id, data in frames:
+            if can_id in self.lost:
+                continue
             is_sdo = 0x580 <= can_id < 0x600
             message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
-            self.waiting.append((self.now_ms + (self.answer_ms if is_sdo else 0.0), message))
+            late_ms = self.slow.get(int.from_bytes(data[1:3], "little"), self.answer_ms) if is_sdo else 0.0
+            self.waiting.append((self.now_ms + late_ms, message))
         self.waiting.sort(key=lambda one: one[0])
 
     def send(self, msg, timeout=None):
@@ -124,6 +130,12 @@ def machine(request):
     one.bus.shutdown()
 
 
+@pytest.fixture
+def in_time_of_the_bus(machine, monkeypatch):
+    """The leaving takes its time from the bus, so that seconds of silence take none."""
+    monkeypatch.setattr(time, "monotonic", lambda: 1e-3 * machine.bus.now_ms)
+
+
 @pytest.mark.parametrize("machine", [{}, {"missing": (0x1016,)}], indirect=True, ids=["heartbeat", "guarding"])
 def test_slow_drives_are_left_without_an_error(machine):
     """Restoring takes seconds here; heartbeat, guarding and RPDO timer are 60 ms, 60 ms and 20 ms."""
@@ -142,7 +154,7 @@ def test_slow_drives_are_left_without_an_error(machine):
 
 
 @pytest.mark.parametrize("request_at_last", [Request.ENABLE, Request.DISABLE])
-def test_a_drive_that_may_have_power_is_not_kept_alive(machine, request_at_last):
+def test_a_drive_that_may_have_power_is_not_kept_alive(machine, in_time_of_the_bus, request_at_last):
     machine.cycle(Request.ENABLE, 20)
     machine.bus.gone = {SECOND} if request_at_last is Request.ENABLE else set()
     machine.cycle(request_at_last, 20)
@@ -182,7 +194,7 @@ def test_the_watch_begins_with_the_first_command(machine):
     assert all(errors & {HEARTBEAT_LOST, RPDO_LOST} for errors in machine.errors()), "now they do"
 
 
-def test_drives_that_are_gone_are_asked_at_the_same_time(machine):
+def test_drives_that_are_gone_are_asked_at_the_same_time(machine, in_time_of_the_bus):
     machine.cycle(Request.ENABLE, 20)
     machine.bus.gone = {FIRST, SECOND}
     asked = len(machine.bus.sent)
@@ -194,3 +206,35 @@ def test_drives_that_are_gone_are_asked_at_the_same_time(machine):
     ]
     assert commands[:2] == [0x605, 0x606], "the second one does not wait for the first"
     assert machine.heartbeats(0.0)[-1] <= machine.bus.sent[asked][0]
+
+
+@pytest.mark.parametrize("machine", [{}, {"missing": (0x1016,)}], indirect=True, ids=["heartbeat", "guarding"])
+@pytest.mark.parametrize("answer_ms", [500.0, 2900.0])
+def test_a_drive_has_as_long_to_answer_at_the_end_as_at_the_beginning(machine, in_time_of_the_bus, answer_ms):
+    machine.cycle(Request.ENABLE, 20)
+    machine.cycle(Request.DISABLE, 20)
+    machine.bus.slow = {0x6041: answer_ms}
+    assert machine.drives.close() == [DriveState.SWITCH_ON_DISABLED] * 2
+    assert machine.drives.leftovers == []
+    assert machine.errors() == [set(), set()], "their watchdogs are fed meanwhile"
+
+
+def test_the_state_of_the_last_tpdo_counts_where_a_node_is_there_and_does_not_tell_it_by_sdo(
+    machine, in_time_of_the_bus
+):
+    machine.cycle(Request.ENABLE, 20)
+    machine.cycle(Request.DISABLE, 20)
+    machine.bus.slow = {0x6041: 60_000.0}
+    assert machine.drives.close() == [DriveState.SWITCH_ON_DISABLED] * 2
+    assert machine.drives.leftovers == []
+    assert machine.errors() == [set(), set()]
+
+
+def test_the_state_of_a_tpdo_that_is_not_of_the_last_cycle_does_not_count(machine, in_time_of_the_bus):
+    machine.cycle(Request.ENABLE, 20)
+    machine.cycle(Request.DISABLE, 20)
+    machine.bus.lost = range(0x180, 0x580)
+    machine.cycle(Request.DISABLE, 1)
+    machine.bus.slow = {0x6041: 60_000.0}
+    assert machine.drives.close() == [DriveState.UNKNOWN] * 2
+    assert all("its state" in text or "does not answer" in text for text in machine.drives.leftovers)

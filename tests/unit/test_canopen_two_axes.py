@@ -128,4 +128,4 @@ def test_stopping_a_node_stops_both_of_its_axes(bus):
     for bench in (bus.bench, bus.second):
         assert bench.statusword & 0x6F == 0x40
     written = {struct.unpack_from("<H", data, 1)[0] for _, data in bus.sent if data[0] >> 5 == 1}
-    assert written == {0x6040, 0x6840}
+    assert written == {0x6040, 0x6840, 0x60FF, 0x68FF}, "and of each the velocity that it was given"

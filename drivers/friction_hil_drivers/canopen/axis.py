@@ -189,6 +189,11 @@ class CanopenAxis:
         return is_known and not state.is_powered
 
     @property
+    def fresh_state(self) -> DriveState:
+        """State that the TPDOs of the last cycle have shown, UNKNOWN if these did not come."""
+        return self._measured.state if self.is_reachable and not self._missed else DriveState.UNKNOWN
+
+    @property
     def is_doubtful(self) -> bool:
         """True if only a cycle without SYNC shows whether the TPDOs are those of the last SYNC."""
         return self._answers.is_doubtful

@@ -41,6 +41,7 @@ NODE_TAKEN = "FH-245"
 SYNC_UNUSABLE = "FH-247"
 SYNC_LOST = "FH-248"
 PDO_NOT_AS_STATED = "FH-249"
+NMT_STATE_UNKNOWN = "FH-268"
 
 TITLES = {
     BUS_NOT_OPENED: "The CAN bus does not open",
@@ -84,6 +85,7 @@ TITLES = {
     SYNC_UNUSABLE: "A sidecar hears no SYNC of its period",
     SYNC_LOST: "A sidecar has lost SYNC, or hears two of them",
     PDO_NOT_AS_STATED: "A PDO is not as the configuration of a sidecar says",
+    NMT_STATE_UNKNOWN: "It is not known in which NMT state a node was found",
 }
 
 REMEDIES = {
@@ -128,4 +130,5 @@ REMEDIES = {
     SYNC_UNUSABLE: "start the master first; `bus.sync_cob_id`; `period_s` as the master's",
     SYNC_LOST: "the offset was faded out; start again beside a running master",
     PDO_NOT_AS_STATED: "an RPDO of its own; `entries` as in the master's project",
+    NMT_STATE_UNKNOWN: "`NMT start` by its master, if that expects it Operational",
 }

@@ -15,8 +15,11 @@ from friction_hil_drivers.canopen.dialogue import Transfer
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 
 if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.codec import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
 
+PATIENCE_S = 3.0  # storing parameters and a change of mapping take some drives more than a second
+_SILENT_S = 0.25  # for an answer of a node that has kept silent for its whole time before
 # between two requests: a queue of ten frames (SocketCAN's default) does not overflow, and a running master has room
 _SPACING_S = 0.001
 
@@ -55,13 +58,23 @@ class Conversation:
         Number of times that a request is sent to a silent node.
     meanwhile : callable, optional
         Called before each wait; returns for how long it need not be called again, s.
+    heard : callable, optional
+        Called with each frame that was read.
     """
 
     def __init__(
-        self, bus: "FrameBus", *, answer_s: float, attempts: int, meanwhile: Callable[[], float] | None = None
+        self,
+        bus: "FrameBus",
+        *,
+        answer_s: float,
+        attempts: int,
+        meanwhile: Callable[[], float] | None = None,
+        heard: "Callable[[Frame], None] | None" = None,
     ) -> None:
         self._bus = bus
         self._meanwhile = meanwhile
+        self._heard = heard
+        self._silent: set[int] = set()  # nodes that have not answered the request before
         self._answer_s = answer_s
         self._attempts = attempts
         self._turns: dict[int, _Turn] = {}
@@ -83,6 +96,8 @@ class Conversation:
             self._send_due()
             longest_s = float("inf") if self._meanwhile is None else self._meanwhile()
             frame = self._bus.receive(min(self._patience(), longest_s))
+            if frame is not None and self._heard is not None:
+                self._heard(frame)
             if frame is not None and frame[0] - objects.SDO_RESPONSE_BASE in self._turns:
                 self._take(frame[0] - objects.SDO_RESPONSE_BASE, frame[1])
             now = time.monotonic()
@@ -115,7 +130,7 @@ class Conversation:
             self._next_send = now + _SPACING_S
             turn = self._turns.get(node)
             if turn is not None and turn.transfer is not None:
-                turn.due = now + self._answer_s
+                turn.due = now + (min(self._answer_s, _SILENT_S) if node in self._silent else self._answer_s)
 
     def _patience(self) -> float:
         """Return the time until something is due, s."""
@@ -136,6 +151,7 @@ class Conversation:
         if transfer is None:
             return now >= turn.due
         if transfer.is_done:
+            self._silent.discard(node)
             return True
         if now < turn.due:
             return False
@@ -144,4 +160,5 @@ class Conversation:
             self._waiting.append((node, transfer.first()))
             return False
         transfer.is_silent = True
+        self._silent.add(node)
         return True

@@ -108,15 +108,15 @@ class Upload(Transfer):
 
 
 class Download(Transfer):
-    """Write an integer of at most 4 bytes."""
+    """Write an integer of at most 4 bytes: as many as its type has, or ``size``."""
 
-    def __init__(self, entry: Object, value: int) -> None:
+    def __init__(self, entry: Object, value: int, size: int | None = None) -> None:
         super().__init__(entry)
-        self._value = value
+        self._value, self._size = value, size or entry.type.bits // 8
 
     def first(self) -> bytes:
         """See `Transfer.first`."""
-        size = self.entry.type.bits // 8
+        size = self._size
         data = self._value.to_bytes(size, "little", signed=self._value < 0)
         return self._head(_DOWNLOAD | 0x03 | (4 - size) << 2) + data.ljust(4, b"\0")
 

@@ -34,7 +34,7 @@ from friction_hil_drivers.canopen.listening import (
 )
 from friction_hil_drivers.canopen.mapping import check_bus_load
 from friction_hil_drivers.canopen.new_keys import new_keys
-from friction_hil_drivers.canopen.nmt_state import ask_nmt_state, unknown_nmt_state
+from friction_hil_drivers.canopen.nmt_state import ask_nmt_state, kept_out_of_operational, unknown_nmt_state
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.passive import PassiveAxis, PassiveExchange
 from friction_hil_drivers.canopen.service import CanopenService
@@ -69,6 +69,8 @@ class CanopenDrives(CanopenService):
     ----------
     leftovers : list of str
         After `close`: what could not be left as it was found.
+    remarks : list of str
+        After `close`: what is not known of how it was found.
     """
 
     Options = CanopenOptions
@@ -112,6 +114,8 @@ class CanopenDrives(CanopenService):
                 yield failure(f"{name}: watchdogs", error, "FH-445")
             finally:
                 drives.close()
+            for text in drives.leftovers:
+                yield Finding(f"{name}: left", "fail", text)
 
     def _try_watchdogs(self, name: str) -> Iterator[Finding]:
         # imported here: python-can takes 0.5 s, and reading a configuration does not need it
@@ -124,6 +128,7 @@ class CanopenDrives(CanopenService):
             return
         assert self._bus is not None
         assert self._network is not None
+        self._keep_setpoints()
         self._is_started = True
         trial = WatchdogTrial(
             self._bus,
@@ -165,6 +170,7 @@ class CanopenDrives(CanopenService):
         self._states: dict[str, DriveState] = {}  # read back while leaving
         self._is_passive = False
         self.leftovers: list[str] = []
+        self.remarks: list[str] = []
         self._others = OtherMasters((), 0)
         self._axes: list[CanopenAxis] = []
         self._identifiers: set[int] = set()  # of all PDOs in use
@@ -356,11 +362,22 @@ class CanopenDrives(CanopenService):
         """Switch the nodes to Operational and begin the cyclic phase."""
         if self._exchange is None:
             raise BusError("the bus is not open: connect first")
+        if not self._dry_run:
+            self._keep_setpoints()
         self._is_started = True
         for axis in self._axes:
             if not self._is_passive:
                 self._set_nmt(objects.NmtCommand.START, axis.node)
         self._exchange.start()
+
+    def _keep_setpoints(self) -> None:
+        """Keep on disk that the set-points which are written from now on are to be zero in the end."""
+        assert self._network is not None
+        with self._network.reading():
+            for client in self._clients.values():
+                for entry in objects.ACTING_SETPOINTS:
+                    if (bits := client.width(entry) or client.hidden_width(entry)) and client.journal is not None:
+                        client.journal.leave_at_zero(entry.of_axis(client.axis_number), bits // 8)
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
         """Send SYNC and collect the feedback of every drive; see `exchange.CyclicExchange.receive`."""
@@ -410,16 +427,21 @@ class CanopenDrives(CanopenService):
             elif self._is_started:
                 assert self._bus is not None
                 axes = [(name, self._node_of(name), client.axis_number) for name, client in self._clients.items()]
-                self._states, failure = switch_off(self._bus, axes, network.meanwhile, frames)
+                told = {axis.facts.name: state for axis in self._axes if (state := axis.fresh_state)}
+                self._states, failure = switch_off(self._bus, axes, network.meanwhile, frames, told)
             for name, client in self._clients.items():
-                self.leftovers += restore(client, self._obstacle(self._node_of(name)))
+                obstacle = self._obstacle(self._node_of(name))
+                self.leftovers += restore(client, self._states.get(name) if obstacle is None else obstacle)
                 if frames is not None:
                     frames.left(self._node_of(name))
             for node, found in self._nmt_states.items():
-                if found == objects.NmtState.OPERATIONAL and self._is_unpowered(node):
-                    self._write_nmt(objects.NmtCommand.START, node)
+                if found == objects.NmtState.OPERATIONAL:
+                    if self._is_unpowered(node):
+                        self._write_nmt(objects.NmtCommand.START, node)
+                    else:
+                        self.leftovers.append(kept_out_of_operational(node))
                 elif found is None and self._clock.is_real:
-                    self.leftovers.append(unknown_nmt_state(node))
+                    self.remarks.append(unknown_nmt_state(node))
         if failure is not None:
             raise failure
 

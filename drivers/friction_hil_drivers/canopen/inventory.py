@@ -13,7 +13,7 @@ from friction_hil.drive import DriveState
 from friction_hil.drive.inventory import DriveEntry, Scan, Stop, StopReport
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
-from friction_hil_drivers.canopen.conversation import Conversation, Script
+from friction_hil_drivers.canopen.conversation import PATIENCE_S, Conversation, Script
 from friction_hil_drivers.canopen.description import describe, mode_name, mode_names
 from friction_hil_drivers.canopen.dialogue import Upload
 from friction_hil_drivers.canopen.exclusive import AxisLock
@@ -99,7 +99,7 @@ class CanopenInventory:
             raise DriveError(text, "check supply, wires and bit rate", codes.NODE_SILENT)
         owners = [text for node in asked if (text := self._owner(node))]
         self.notes = (*self.notes, *owners)
-        talk = Conversation(self._bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS)
+        talk = Conversation(self._bus, answer_s=PATIENCE_S / _ATTEMPTS, attempts=_ATTEMPTS)
         return [stop for stops in talk.hold({node: stop_drive(node) for node in asked}).values() for stop in stops]
 
     def stop_axes(self, axes: Mapping[str, tuple[int, int]]) -> StopReport:
@@ -137,7 +137,7 @@ class CanopenInventory:
         names: dict[int, dict[int, str]] = {}
         for name, (node, number) in axes.items():
             names.setdefault(node, {})[number] = name
-        talk = Conversation(self._bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS)
+        talk = Conversation(self._bus, answer_s=PATIENCE_S / _ATTEMPTS, attempts=_ATTEMPTS)
         answers = talk.hold({node: script(node, list(numbers)) for node, numbers in names.items()})
         found = {}
         for node, stops in answers.items():

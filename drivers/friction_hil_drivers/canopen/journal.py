@@ -3,6 +3,8 @@
 The file is written before the drive is: after a kill the next start finds it, takes its values for those found, and
 restores them at its end. A value that is neither the one found nor one that was written belongs to somebody else, who
 has changed the drive since; it is left alone.
+
+Set-points that act as soon as somebody enables the drive are no settings: they are left at zero, whatever was found.
 """
 
 import contextlib
@@ -63,6 +65,11 @@ class Found:
     def is_ours(self, present: bytes | None) -> bool:
         """Return True if ``present`` is what was found or written, or is not shown, so that nobody else changed it."""
         return present is None or present == self.found or present in self.written
+
+    @property
+    def wish(self) -> str:
+        """What the object is to hold, in words."""
+        return f"{self.entry} {f'was {_shown(self.found)}' if is_kept(self.entry) else 'is to be 0'}"
 
 
 # What belongs together
@@ -161,6 +168,18 @@ class Journal:
     def __bool__(self) -> bool:
         return bool(self._found)
 
+    def leave_at_zero(self, entry: Object, size: int) -> None:
+        """Keep that a set-point of so many bytes is to be zero once the drive is left.
+
+        Raises
+        ------
+        DriveError
+            It cannot be kept on disk.
+        """
+        self._open()
+        self._found[entry.address] = Found(entry, bytes(size))
+        self._save()
+
     def before(self, entry: Object, data: bytes) -> None:
         """Keep what the drive holds, before ``data`` is written to an object.
 
@@ -191,7 +210,7 @@ class Journal:
         if problem:
             self.notes.append(f"{self._path} is not used: {problem}")
         for one in kept:
-            if one.is_ours(self._access.peek(one.entry)):
+            if not is_kept(one.entry) or one.is_ours(self._access.peek(one.entry)):
                 self._found[one.entry.address] = one
         if self._found:
             self.notes.append(
@@ -243,7 +262,7 @@ class Journal:
             present = self._access.peek(one.entry)
             if one.found is not None and present != one.found and not self._is_unused(one.entry):
                 left[one.entry.address] = one
-                words.append(f"{one.entry} was {_shown(one.found)} and stays {_shown(present)}")
+                words.append(f"{one.wish} and stays {_shown(present)}")
         self._found = left
         self._forget_or_save()
         return words
@@ -271,7 +290,7 @@ class Journal:
 
     def what_is_left(self) -> list[str]:
         """Return what has not been restored, in words."""
-        return [f"{one.entry} was {_shown(one.found)}" for one in self._found.values() if one.found is not None]
+        return [one.wish for one in self._found.values() if one.found is not None]
 
     # The file
 

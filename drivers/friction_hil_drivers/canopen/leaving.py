@@ -1,25 +1,27 @@
 """Leaving drives: without power, and as they were found."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import Clock, DriveState
 from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import codes, objects
-from friction_hil_drivers.canopen.conversation import Conversation
+from friction_hil_drivers.canopen.codec import decode_heartbeat
+from friction_hil_drivers.canopen.conversation import PATIENCE_S, Conversation
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.stopping import disable_axes, has_no_power
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.codec import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
     from friction_hil_drivers.canopen.last_frames import LastFrames
     from friction_hil_drivers.canopen.sdo import SdoClient
 
-PATIENCE_S = 0.5  # for a drive that may be gone: the others wait meanwhile
 _ATTEMPTS = 2  # within the patience: the same controlword again is harmless, and a frame may have been lost
+_UNKNOWN = DriveState.UNKNOWN
 
 
 def watchdog_frames(bus: "FrameBus", frames: "LastFrames", clock: Clock) -> Callable[[], float]:
@@ -44,6 +46,7 @@ def switch_off(
     axes: Sequence[tuple[str, int, int]],
     meanwhile: Callable[[], float] | None,
     frames: "LastFrames | None",
+    told: Mapping[str, DriveState],
 ) -> tuple[dict[str, DriveState], BusError | None]:
     """Disable every drive, and stop the exchange of PDOs.
 
@@ -56,6 +59,9 @@ def switch_off(
         See `disable`.
     frames : LastFrames or None
         What the drives wait for meanwhile.
+    told : mapping of str to DriveState
+        States that the TPDOs have shown just now. They count where a node is still there, and only its SDO server does
+        not tell the state within its time.
 
     Returns
     -------
@@ -65,7 +71,13 @@ def switch_off(
         Why a node could not be sent to Pre-operational: the other drives come first.
     """
     # the last RPDO would take effect at the next SYNC, which is not sent any more; this does at once
-    states = disable(bus, axes, meanwhile)
+    while bus.receive(0.0) is not None:
+        pass  # of before: it says nothing of now
+    heard = _Heard()
+    states = disable(bus, axes, meanwhile, heard.take)
+    for name, node, _ in axes:
+        if states[name] is _UNKNOWN and node in heard.nodes and has_no_power(told.get(name, _UNKNOWN)):
+            states[name] = told[name]
     failure: BusError | None = None
     for node in dict.fromkeys(node for _, node, _ in axes):
         try:
@@ -76,11 +88,27 @@ def switch_off(
             if frames is not None:
                 frames.left_operational(node)
     _note(frames, states)
-    if unanswered := [axis for axis in axes if states[axis[0]] is DriveState.UNKNOWN]:
+    if unanswered := [axis for axis in axes if states[axis[0]] is _UNKNOWN]:
         # where the node was in the NMT state Stopped, it has SDO again
         states |= disable(bus, unanswered, meanwhile)
         _note(frames, states)
     return states, failure
+
+
+class _Heard:
+    """Nodes that have sent something since they were disabled, and have not restarted since."""
+
+    def __init__(self) -> None:
+        self.nodes: set[int] = set()
+
+    def take(self, frame: "Frame") -> None:
+        """Take a frame of the bus."""
+        can_id, data = frame
+        if objects.HEARTBEAT_BASE < can_id <= objects.HEARTBEAT_BASE + 127:
+            node, is_there = can_id - objects.HEARTBEAT_BASE, decode_heartbeat(data) != objects.NmtState.BOOT_UP
+            self.nodes = self.nodes | {node} if is_there else self.nodes - {node}
+        elif objects.SDO_RESPONSE_BASE < can_id <= objects.SDO_RESPONSE_BASE + 127:
+            self.nodes.add(can_id - objects.SDO_RESPONSE_BASE)
 
 
 def _note(frames: "LastFrames | None", states: dict[str, DriveState]) -> None:
@@ -96,7 +124,10 @@ def send_nmt(bus: "FrameBus", command: objects.NmtCommand, node: int) -> None:
 
 
 def disable(
-    bus: "FrameBus", axes: Iterable[tuple[str, int, int]], meanwhile: Callable[[], float] | None = None
+    bus: "FrameBus",
+    axes: Iterable[tuple[str, int, int]],
+    meanwhile: Callable[[], float] | None = None,
+    heard: Callable[["Frame"], None] | None = None,
 ) -> dict[str, DriveState]:
     """Write controlword 0 to drives and return what they report then, UNKNOWN where one does not answer.
 
@@ -106,13 +137,14 @@ def disable(
     ----------
     bus : FrameBus
     axes : iterable of (name, node, number of the axis in its node)
-    meanwhile : callable, optional
+    meanwhile, heard : callable, optional
         See `Conversation`.
     """
     names: dict[int, dict[int, str]] = {}
     for name, node, number in axes:
         names.setdefault(node, {})[number] = name
-    talk = Conversation(bus, answer_s=PATIENCE_S / _ATTEMPTS, attempts=_ATTEMPTS, meanwhile=meanwhile)
+    answer_s = PATIENCE_S / _ATTEMPTS
+    talk = Conversation(bus, answer_s=answer_s, attempts=_ATTEMPTS, meanwhile=meanwhile, heard=heard)
     answers = talk.hold({node: disable_axes(list(numbers)) for node, numbers in names.items()})
     return {names[node][number]: state for node, states in answers.items() for number, state in states.items()}
 
@@ -120,8 +152,7 @@ def disable(
 def read_state(client: "SdoClient") -> DriveState:
     """Return the state that a drive reports, UNKNOWN where it does not answer."""
     try:
-        with client.patience(PATIENCE_S):
-            return profile.drive_state(client.read(objects.STATUSWORD))
+        return profile.drive_state(client.read(objects.STATUSWORD))
     except (DriveError, BusError):
         return DriveState.UNKNOWN
 
@@ -136,7 +167,7 @@ def restore(client: "SdoClient", state: DriveState | None = None) -> list[str]:
     ----------
     client : SdoClient
     state : DriveState, optional
-        State in which the node must not be restored; without it, the drive's state is read.
+        What was read back of the node just now; without it, the drive's state is read.
     """
     journal = client.journal
     if not journal or not journal.what_is_left():

@@ -39,4 +39,10 @@ def unknown_nmt_state(node: int) -> str:
         f"node {node} is in Pre-operational now; whether it was Operational before is not known, because it sends no "
         "heartbeat: if its master expects it Operational, send NMT start"
     )
+    return coded(text, codes.NMT_STATE_UNKNOWN)
+
+
+def kept_out_of_operational(node: int) -> str:
+    """Return the message for a node that is not started again, because it was not read back without power."""
+    text = f"node {node} was Operational and stays Pre-operational: it was not read back without power"
     return coded(text, codes.NOT_RESTORED)

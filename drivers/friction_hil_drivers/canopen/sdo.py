@@ -18,6 +18,7 @@ import canopen.sdo.client
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.codec import Frame
+from friction_hil_drivers.canopen.conversation import PATIENCE_S
 from friction_hil_drivers.canopen.frames import FrameBus
 from friction_hil_drivers.canopen.journal import Journal
 from friction_hil_drivers.canopen.object_reader import ObjectReader
@@ -33,7 +34,6 @@ from friction_hil_drivers.canopen.sdo_answers import (
     describe,
 )
 
-PATIENCE_S = 3.0  # storing parameters and a change of mapping take some drives more than a second
 _READ_ATTEMPTS = 3  # within the patience: reading again is harmless, and a frame may have been lost
 _MOST_NOTES = 5
 _MOST_WAITING = 1000  # frames read at once: a request has its time limit on a busy bus too
@@ -244,6 +244,10 @@ class SdoClient(ObjectReader):
         """See `ObjectReader.why_hidden`."""
         address = entry.of_axis(self.axis_number).address
         return self.refusals[address] if address in self._hidden else ""
+
+    def hidden_width(self, entry: Object) -> int | None:
+        """Return the width in bits, as the standard has it, of an object that cannot be read; None for another."""
+        return entry.type.bits if self.why_hidden(entry) else None
 
     def _upload(self, entry: Object) -> bytes:
         try:

@@ -1,17 +1,20 @@
 """Stopping a drive that was left enabled, by SDO alone: it works in Pre-operational too, and needs no RPDO.
 
 Quick stop, standstill or two seconds, disable voltage, and the statusword read back. A fault is reset likewise, by the
-user's word alone. Nothing here can enable a drive.
+user's word alone. Torque and velocity that would act once somebody enables the drive are set to zero. Nothing here can
+enable a drive.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 from friction_hil.drive import DriveState
+from friction_hil.drive.codes import coded
 from friction_hil.drive.inventory import Stop
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.conversation import Pause, Script
 from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
+from friction_hil_drivers.canopen.sdo_answers import ABSENT
 from friction_hil_drivers.cia402 import profile
 
 _POLL_S = 0.02
@@ -75,7 +78,7 @@ def _stop_axis(node: int, axis: int, status: Upload) -> "Script[Stop]":
     if status.value is None:
         return _no_drive(node, status)
     if has_no_power(before):
-        return Stop(node, before, before, "unpowered")
+        return Stop(node, before, before, "unpowered", leftover=(yield from _clear(axis)))
     refused = yield from _command(axis, profile.QUICK_STOP)
     yield from _await_standstill(axis)
     refused = (yield from _command(axis, profile.DISABLE_VOLTAGE)) or refused
@@ -84,7 +87,7 @@ def _stop_axis(node: int, axis: int, status: Upload) -> "Script[Stop]":
         yield Pause(_RELAPSE_S)
         after = yield from _read_state(axis)
     result = "unknown" if after is DriveState.UNKNOWN else "powered" if after.is_powered else "stopped"
-    return Stop(node, before, after, result, _reason(result, refused))
+    return Stop(node, before, after, result, _reason(result, refused), leftover=(yield from _clear(axis)))
 
 
 def _reset_axis(node: int, axis: int) -> "Script[Stop]":
@@ -101,7 +104,7 @@ def _reset_axis(node: int, axis: int) -> "Script[Stop]":
     if before is not DriveState.FAULT:
         result = "unpowered" if has_no_power(before) else "powered" if before.is_powered else "unknown"
         detail = {"powered": "it has no fault", "unknown": "its statusword shows no state"}.get(result, "")
-        return Stop(node, before, before, result, detail)
+        return Stop(node, before, before, result, detail, leftover=(yield from _clear_if_off(axis, before)))
     fault = yield from _fault(axis)
     refused = yield from _command(axis, profile.DISABLE_VOLTAGE)  # the drive needs a rising edge
     refused = (yield from _command(axis, profile.FAULT_RESET)) or refused
@@ -114,11 +117,14 @@ def _reset_axis(node: int, axis: int) -> "Script[Stop]":
     refused = (yield from _command(axis, profile.DISABLE_VOLTAGE)) or refused
     yield Pause(_RELAPSE_S)
     after = yield from _read_state(axis)
+    left = yield from _clear_if_off(axis, after)
     if after is DriveState.FAULT:
         now = yield from _fault(axis)
-        return Stop(node, before, after, "fault", refused or f"after the reset it reports {now}", fault=fault)
+        return Stop(
+            node, before, after, "fault", refused or f"after the reset it reports {now}", fault=fault, leftover=left
+        )
     result = "unknown" if after is DriveState.UNKNOWN else "powered" if after.is_powered else "reset"
-    return Stop(node, before, after, result, _reason(result, refused), fault=fault)
+    return Stop(node, before, after, result, _reason(result, refused), fault=fault, leftover=left)
 
 
 def _no_drive(node: int, status: Upload) -> Stop:
@@ -158,6 +164,33 @@ def _command(axis: int, word: int) -> "Script[str]":
     download = Download(objects.CONTROLWORD.of_axis(axis), word)
     yield download
     return _failure(download, f"controlword {word:04X}h")
+
+
+def _clear_if_off(axis: int, state: DriveState) -> "Script[str]":
+    """Set the acting set-points of a drive without power to zero, as `_clear` does; a moving axis keeps them."""
+    return (yield from _clear(axis)) if has_no_power(state) else ""
+
+
+def _clear(axis: int) -> "Script[str]":
+    """Set the acting set-points that the drive has to zero; return those of which that was not read back, in words."""
+    left = []
+    for entry in objects.ACTING_SETPOINTS:
+        found = Upload(entry.of_axis(axis))
+        yield found
+        if found.value == 0 or found.abort_code in ABSENT:
+            continue
+        refused = ""
+        if not found.is_silent:
+            size = min(len(found.data or b"") or entry.type.bits // 8, 4)  # 60B2h has 32 bits in some drives
+            download = Download(found.entry, 0, size)
+            yield download
+            refused = _failure(download, "writing 0")
+            found = Upload(found.entry)
+            yield found
+        if found.value != 0:
+            held = "cannot be read back" if found.value is None else f"stays {found.value}"
+            left.append(f"{found.entry} {held}{f' ({refused})' if refused else ''}")
+    return coded(", ".join(left), codes.NOT_RESTORED) if left else ""
 
 
 def _failure(transfer: Transfer, what: str) -> str:

@@ -149,7 +149,7 @@ def _entry_json(entry: DriveEntry) -> dict[str, Any]:
 
 def _stop_json(stop: Stop) -> dict[str, Any]:
     before, after = stop.before.words, stop.after.words
-    return {"node": stop.node, "before": before, "after": after, "result": stop.result, "detail": stop.detail}
+    return {"node": stop.node, "before": before, "after": after, "result": stop.result, "detail": stop.reason}
 
 
 def _print_scan(entries: Sequence[DriveEntry]) -> None:
@@ -180,7 +180,7 @@ def _stop_line(stop: Stop) -> str:
         "powered": f"STILL POWERED: {stop.after.words} read back",
         "unknown": "UNKNOWN: it is not known whether it has power",
     }
-    return f"node {stop.node}: {words[stop.result]}{f' ({stop.detail})' if stop.detail else ''}"
+    return f"node {stop.node}: {words[stop.result]}{f' ({stop.reason})' if stop.reason else ''}"
 
 
 _HEX = ("vendor_id", "product_code", "revision")

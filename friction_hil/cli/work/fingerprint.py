@@ -14,7 +14,7 @@ from friction_hil.daemon.companion import state_folder
 from friction_hil.errors import OptionError, UsageError, choices
 from friction_hil.tuning import TuneSettings
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text
-from friction_hil.tuning.motions import experiment_of, experiment_run, refuse_shared_beam
+from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, refuse_shared_beam
 from friction_hil.tuning.runs import TuningRuns
 
 HISTORY_NAME = "{}-fingerprint"
@@ -77,6 +77,8 @@ def record_fingerprints(
             recorded[runs.run(run, duration_s, file, allowed_speeds(run, {name: bounds}))] = name
         for warning in runs.warnings:
             terminal.report(f"warning: {warning}")
+        if runs.leftovers:
+            raise TuningError(f"{'; '.join(runs.leftovers)}; the recordings are in {folder}")
     return recorded, folder.with_suffix(".jsonl")
 
 

@@ -47,7 +47,7 @@ def run(
     wait: bool,
     as_json: bool,
 ) -> int:
-    """Run the daemon and print a summary; return 1 after a fault, or if rows of the recording were lost."""
+    """Run the daemon and print a summary; return 1 after a fault, a lost row, or what was not restored."""
     if duration is not None and not (math.isfinite(duration) and duration > 0.0):
         raise click.BadParameter("must be a number of seconds above zero", param_hint="--duration")
     if force and record is None:
@@ -106,6 +106,7 @@ def _summary(result: "SessionResult") -> dict[str, Any]:
         "faults": result.loop.faults,
         "warnings": result.loop.warnings,
         "notices": result.loop.notices,
+        "not_restored": result.loop.leftovers,
         "drive_states": dict(zip(result.axes, (state.words for state in result.loop.drive_states), strict=False)),
         "axes": {name: _axis_summary(figures) for name, figures in result.axes.items()},
         "recording": paths[0] if paths else None,
@@ -152,7 +153,7 @@ def _report_problems(result: "SessionResult") -> int:
         echo_labelled("fault:", fault)
     for path in report.black_boxes if report else ():
         echo_labelled("black box:", f"the minute before the fault is in {path}")
-    return 1 if result.loop.faults or is_incomplete else 0
+    return 1 if result.loop.faults or result.loop.leftovers or is_incomplete else 0
 
 
 def _print(result: "SessionResult", configuration: "Configuration", *, dry_run: bool, is_real: bool) -> None:

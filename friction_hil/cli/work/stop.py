@@ -91,7 +91,7 @@ def _json(stop: Stop) -> dict[str, Any]:
         "after": stop.after.words,
         "result": stop.result,
         "fault": stop.fault,
-        "detail": stop.detail,
+        "detail": stop.reason,
     }
 
 
@@ -108,4 +108,4 @@ def _line(stop: Stop, config: str, *, is_reset: bool) -> str:
     if is_reset and stop.result == "powered" and stop.before.is_powered:
         words = f"NOT RESET: {before}, with power; friction-hil stop {config} takes its power"
     where = f" ({stop.address})" if stop.address else ""
-    return f"{stop.axis}{where}: {words}{f' ({stop.detail})' if stop.detail else ''}"
+    return f"{stop.axis}{where}: {words}{f' ({stop.reason})' if stop.reason else ''}"

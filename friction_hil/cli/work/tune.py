@@ -42,7 +42,7 @@ def tune_machine(
     pace: str,
     as_json: bool,
 ) -> int:
-    """Tune the axes of a configuration and print the result; return 1 if a model did not help."""
+    """Tune the axes of a configuration and print the result; return 1 if one did not help, or one is not restored."""
     if not yes and not sys.stdin.isatty():
         raise click.UsageError(
             "the machine moves several times, minutes apart, and there is no terminal to ask for confirmation: "
@@ -76,7 +76,7 @@ def tune_machine(
     for name in failed:
         why = "makes it oscillate" if tuning.axes[name].best.trial.own.is_swinging else "did not help"
         say(f"{name}: compensation {why}: its model is not used")
-    return 1 if failed else 0
+    return 1 if failed or tuning.leftovers else 0  # the runs have told what was not restored
 
 
 def checked(config: Path) -> Configuration:
@@ -136,6 +136,7 @@ def _as_dict(tuning: Tuning) -> dict[str, Any]:
         "recordings": tuning.recordings,
         "report": tuning.report,
         "warnings": tuning.warnings,
+        "not_restored": tuning.leftovers,
     }
 
 
