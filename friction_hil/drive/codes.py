@@ -116,6 +116,12 @@ class FaultCode(Enum):
         "end what takes the memory of this computer, or raise the limit of the process (`ulimit -v`, `MemoryMax=`)",
     )
 
+    TORQUE_LEFT = (
+        128,
+        "torque may be left in a drive",
+        "write the object or register that the message names to 0 before anybody enables the drive, or switch it off",
+    )
+
     def __init__(self, number: int, title: str, remedy: str) -> None:
         self.number = number
         self.title = title

@@ -7,9 +7,9 @@ import yaml
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS
 from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
 
-from friction_hil.drive import DriveState
+from friction_hil.drive import DriveState, Request
 from friction_hil.drive.inventory import Stop
-from tests.serial_rig import Bench
+from tests.serial_rig import KINDS, Bench
 
 
 def drive_of(bench: Bench) -> SimulatedDrive:
@@ -70,3 +70,54 @@ def test_a_servo_is_not_left_with_a_watchdog_that_would_be_its_next_fault(tmp_pa
         drive_of(bench).fail()
         assert served(bench, "reset_axes").result == "reset"
         assert drive_of(bench).read("watchdog") == 0.0
+
+
+READABLE = ("rtu", "rtu, function 23", "tcp", "dynamixel")  # odrive's torque can only be written
+
+
+def pushed(bench: Bench) -> Bench:
+    bench.begin().enable().cycle(Request.ENABLE, 0.2, count=5)
+    assert drive_of(bench).read("torque_command") != 0.0
+    return bench
+
+
+@pytest.mark.parametrize("kind", READABLE)
+def test_a_stop_clears_the_torque_that_a_killed_run_left(kind: str, tmp_path: Path) -> None:
+    with Bench(kind, tmp_path) as bench:
+        pushed(bench)
+        (bus,) = bench.drives._buses
+        bus.scheduler.line.close()  # as the kernel does
+        found = served(bench, "stop_axes")
+        assert (found.result, found.is_proved, found.reason) == ("stopped", True, "")
+        assert drive_of(bench).read("torque_command") == 0.0
+
+
+@pytest.mark.parametrize("kind", READABLE)
+def test_a_drive_that_keeps_its_torque_command_is_told_by_the_run_and_by_the_stop(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = SimulatedDrive.write
+
+    def keep(drive: SimulatedDrive, name: str, number: float) -> None:
+        if name != "torque_command" or number:
+            write(drive, name, number)
+
+    with Bench(kind, tmp_path) as bench:
+        pushed(bench)
+        monkeypatch.setattr(SimulatedDrive, "write", keep)
+        held = drive_of(bench).read("torque_command")
+        bench.drives.close()
+        expected = f"torque_command of the drive stays {held:g} [FH-128]"
+        assert bench.drives.leftovers == [f"x: {expected}"]
+        found = served(bench, "stop_axes")
+        assert (found.result, found.is_proved, found.reason) == ("unpowered", False, expected)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_line_that_is_gone_at_the_end_leaves_the_torque_in_doubt(kind: str, tmp_path: Path) -> None:
+    with Bench(kind, tmp_path) as bench:
+        pushed(bench) if kind in READABLE else bench.begin().enable()
+        bench.unplug()
+        bench.drives.close()
+        (text,) = bench.drives.leftovers
+        assert text == "x: the drive may still hold its last torque_command [FH-128]"

@@ -4,6 +4,7 @@ import itertools
 import random
 
 import pytest
+from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.sidecar_axis import SidecarAxis
 from friction_hil_drivers.canopen.sidecar_exchange import SidecarExchange
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
@@ -136,10 +137,30 @@ def test_nothing_is_sent_but_offsets():
     master_and_drive(world, 300)
     sidecar = Sidecar(world)
     sidecar.steps(200)
-    sidecar.exchange.send_zero()
+    assert sidecar.exchange.send_zero() == []
     assert {can_id for _, can_id, _ in world.sent} == {0x501}
     assert len(world.sent) == 201
     assert [data for _, _, data in world.sent][-2:] == [(200).to_bytes(2, "little"), b"\0\0"]
+
+
+@pytest.mark.parametrize("trouble", ["silent", "pre-operational", "full"])
+def test_a_drive_that_may_keep_the_last_offset_is_told(trouble):
+    world = World()
+    master_and_drive(world, 200 if trouble == "silent" else 300)
+    if trouble == "pre-operational":
+        world.add(190 * T, 0x701, b"\x7f")
+    sidecar = Sidecar(world)
+    sidecar.steps(200)
+    if trouble == "full":
+
+        def send(can_id, data):
+            raise QueueFullError("the queue is full")
+
+        world.send = send
+    [text] = sidecar.exchange.send_zero()
+    assert text.startswith("x: 60B2h torque offset may hold the last offset and not 0: ")
+    assert {"silent": "not been heard", "pre-operational": "not Operational", "full": "queue is full"}[trouble] in text
+    assert text.endswith("[FH-128]")
 
 
 def test_a_configured_heartbeat_is_sent():

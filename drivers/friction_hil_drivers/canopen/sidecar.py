@@ -4,7 +4,6 @@ Nothing is sent but the torque offset of each axis in an RPDO of its own, and a 
 NMT, no SYNC, no SDO. What the drive sends and how it is to be read is stated in the configuration.
 """
 
-import contextlib
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -49,6 +48,8 @@ class SidecarDrives:
         True: the loop enables nothing and sends torque offsets only.
     phase_lock : PhaseLock
         Period and phase of the master's SYNC.
+    leftovers : list of str
+        After `close`: torque offsets that may be left in drives.
     """
 
     is_follower = True
@@ -73,6 +74,7 @@ class SidecarDrives:
         self._axes: list[SidecarAxis] = []
         self._exchange: SidecarExchange | None = None
         self._is_started = False
+        self.leftovers: list[str] = []
         self.phase_lock = PhaseLock(configuration.period_s)
 
     def connect(self) -> Sequence[AxisFacts]:
@@ -145,8 +147,7 @@ class SidecarDrives:
         if self._bus is not None:
             try:
                 if self._is_started and self._exchange is not None:
-                    with contextlib.suppress(BusError):  # the cycle before has told it
-                        self._exchange.send_zero()
+                    self.leftovers += self._exchange.send_zero()
             finally:
                 bus, self._bus = self._bus, None
                 bus.close()

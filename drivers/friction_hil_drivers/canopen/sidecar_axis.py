@@ -71,6 +71,7 @@ class SidecarAxis:
         self._counts: int | None = None
         self._velocity = 0.0
         self._stale = 0  # cycles since the last position
+        self._nmt_state: int | None = None  # as the last heartbeat has it
         self._demand: int | None = None
         self._demand_object = demand_object(options)
         self.is_complete = False
@@ -108,6 +109,14 @@ class SidecarAxis:
     def copy(self) -> "SidecarAxis":
         """Return another axis for the same drive, as it was before its first cycle."""
         return SidecarAxis(*self._arguments)
+
+    def why_out_of_reach(self, most_missed: int) -> str:
+        """Return why the drive cannot be expected to take an RPDO now, "" if it can."""
+        if self._nmt_state not in (None, NmtState.OPERATIONAL):
+            return f"node {self.node} is not Operational"
+        if self._stale > most_missed:
+            return f"node {self.node} has not been heard for {self._stale} periods"
+        return ""
 
     def begin_cycle(self, *, has_early: bool = False) -> None:
         """Take the set-point heard so far as that of the cycle before, and wait for this cycle's TPDOs.
@@ -186,7 +195,8 @@ class SidecarAxis:
             self._error = profile.error_text(code)
 
     def _on_heartbeat(self, data: bytes) -> None:
-        if decode_heartbeat(data) == NmtState.BOOT_UP:
+        self._nmt_state = decode_heartbeat(data)
+        if self._nmt_state == NmtState.BOOT_UP:
             self._notices.append(f"node {self.node} restarted (boot-up message)")
 
     # Values

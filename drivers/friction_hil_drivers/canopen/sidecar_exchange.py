@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from friction_hil.drive import Clock, Command, Feedback
+from friction_hil.drive import Clock, Command, FaultCode, Feedback
 from friction_hil.drive.codes import coded
 from friction_hil.drive.phase_lock import PhaseLock
-from friction_hil.errors import DriveError
+from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
 from friction_hil_drivers.canopen.queue_full import QueueFullError
@@ -124,11 +124,23 @@ class SidecarExchange:
             self._bus.send(objects.HEARTBEAT_BASE + node, _OPERATIONAL)
             self._next_heartbeat_ns = now + round(period_s * 1e9)
 
-    def send_zero(self) -> None:
-        """Send a last torque offset of zero to each axis."""
-        if not self._dry_run:
-            for axis in self._axes:
+    def send_zero(self) -> list[str]:
+        """Send a last torque offset of zero to each axis; return which drives may not have taken it, and why.
+
+        Nothing is read back by SDO: another controller may be asking the same server. A drive whose TPDOs come is in
+        Operational, where it takes RPDOs.
+        """
+        left = []
+        for axis in () if self._dry_run else self._axes:
+            why = axis.why_out_of_reach(self._max_missed)
+            try:
                 self._bus.send(*axis.encode(0.0))
+            except BusError as error:
+                why = error.detail
+            if why:
+                text = f"{axis.facts.name}: {objects.TORQUE_OFFSET} may hold the last offset and not 0: {why}"
+                left.append(FaultCode.TORQUE_LEFT.append_to(text))
+        return left
 
     def warm_caches(self) -> None:
         """Decode and encode as in a cycle, on a copy of the first axis; nothing is sent."""

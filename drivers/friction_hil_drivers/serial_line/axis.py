@@ -2,7 +2,7 @@
 
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
@@ -22,6 +22,7 @@ _WANTED = {
     "velocity_command": operator.attrgetter("velocity"),
     "torque_command": operator.attrgetter("torque"),
 }
+ACTING = ("torque_command", "velocity_command")  # in force as soon as somebody enables the drive
 _STATUS_LOSS_S = 0.5  # longest time without a report of the state
 
 
@@ -79,6 +80,33 @@ def error_text(description: Description, number: float) -> str:
     if code in description.errors:
         return f"{code} ({code:X}h) {description.errors[code]}"
     return profile.error_text(code) if description.state_machine == "cia402" else f"error {code} ({code:X}h)"
+
+
+def not_zero(
+    description: Description,
+    names: Iterable[str],
+    read: Callable[[str], float | None],
+    write_zero: Callable[[str], None],
+) -> list[str]:
+    """Set commands that the drive lets be read to zero where they are not; return those that stay, in words.
+
+    Parameters
+    ----------
+    description : Description
+    names : iterable of str
+    read : callable
+        Returns the drive's number of a signal, None where it does not tell it: some registers can only be written.
+    write_zero : callable
+        Writes a signal.
+    """
+    left = []
+    for name in filter(description.can_be_read, names):
+        if held := read(name):
+            write_zero(name)
+            held = read(name)
+            if held is None or held:
+                left.append(f"{name} of the drive {'is not shown any more' if held is None else f'stays {held:g}'}")
+    return left
 
 
 class SerialAxis:
@@ -196,6 +224,15 @@ class SerialAxis:
             self._state_numbers, self.state = numbers, state_of(self._description, values)
             self._why = meaning_of(self._description, values) if self.state is DriveState.FAULT else ""
         return self.state
+
+    @property
+    def acting_commands(self) -> list[str]:
+        """Commands to this drive that act as soon as somebody enables it."""
+        return [name for name in self._commands if name in ACTING]
+
+    def not_zero(self, read: Callable[[str], float | None], write_zero: Callable[[str], None]) -> list[str]:
+        """Set to zero what the drive still holds of these commands; see `not_zero`."""
+        return not_zero(self._description, self.acting_commands, read, write_zero)
 
     def disable_writes(self) -> list[Mapping[str, float]]:
         """Return the values that disable the drive, in the order in which they are written."""

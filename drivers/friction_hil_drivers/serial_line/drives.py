@@ -13,10 +13,11 @@ import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback, Request
+from friction_hil.drive import AxisFacts, Clock, Command, DriveState, FaultCode, Feedback, Request
 from friction_hil.drive.codes import coded
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.drive.inventory import StopReport
@@ -150,6 +151,7 @@ class SerialDrives:
         self._time_s = 0.0  # time of its feedback
         self._timeouts = 0
         self._states: dict[str, DriveState] = {}  # read back after the stop
+        self.leftovers: list[str] = []  # after `close`: torque and velocity that a drive may still hold
 
     def connect(self) -> Sequence[AxisFacts]:
         """Open the lines and prepare every drive; nothing is enabled. See `friction_hil.drive.Drives.connect`."""
@@ -279,11 +281,22 @@ class SerialDrives:
             for write in axis.disable_writes():
                 axis.image.values.update(write)
                 self._try(bus, axis.name, bus.write_exchange(axis.name, write))
-        for exchange in (*bus.plan.poll, *bus.plan.push):
-            if exchange.writes:
-                self._try(bus, bus.axes[0].name, exchange)
+        zeroing = [exchange for exchange in (*bus.plan.poll, *bus.plan.push) if exchange.writes]
+        is_taken = all([self._try(bus, bus.axes[0].name, exchange) for exchange in zeroing])  # noqa: C419 - all of them
         for axis in bus.axes:
-            self._states[axis.name] = self._read_back(bus, axis)
+            state = self._states[axis.name] = self._read_back(bus, axis)
+            left = axis.not_zero(partial(self._read, bus, axis), partial(self._write_zero, bus, axis))
+            if axis.acting_commands and not left and not (is_taken and state is not DriveState.UNKNOWN):
+                left = [f"the drive may still hold its last {' and '.join(axis.acting_commands)}"]
+            self.leftovers += (FaultCode.TORQUE_LEFT.append_to(f"{axis.name}: {text}") for text in left)
+
+    def _read(self, bus: SerialBus, axis: SerialAxis, name: str) -> float | None:
+        """Return the number that a drive holds, None if it does not answer."""
+        return axis.image.values[name] if self._try(bus, axis.name, bus.read_exchange(axis.name, name)) else None
+
+    def _write_zero(self, bus: SerialBus, axis: SerialAxis, name: str) -> None:
+        axis.image.values[name] = 0.0
+        self._try(bus, axis.name, bus.write_exchange(axis.name, (name,)))
 
     def _read_back(self, bus: SerialBus, axis: SerialAxis) -> DriveState:
         """Return the state of a drive, once it has no power or its time is over; UNKNOWN if it does not answer."""

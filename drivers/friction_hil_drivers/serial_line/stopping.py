@@ -11,11 +11,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from friction_hil.drive import DriveState, Request
+from friction_hil.drive import DriveState, FaultCode, Request
 from friction_hil.drive.inventory import Stop, StopReport
 from friction_hil.errors import DriveError, FrictionHilError
 from friction_hil_drivers.cia402 import profile
-from friction_hil_drivers.serial_line.axis import error_text
+from friction_hil_drivers.serial_line.axis import ACTING, error_text, not_zero
 from friction_hil_drivers.serial_line.bus import SerialBus
 from friction_hil_drivers.serial_line.commissioning import (
     REPLY_LIMIT_S,
@@ -251,7 +251,21 @@ class ServicedDrive:
 
     def _result(self, before: DriveState, after: DriveState, result: str, detail: str = "", fault: str = "") -> Stop:
         detail = "" if result in ("stopped", "reset", "unpowered") else detail
-        return Stop(None, before, after, result, detail, self._name, self._address, fault)
+        left = "; ".join(self._not_zero()) if _has_no_power(after) else ""
+        left = FaultCode.TORQUE_LEFT.append_to(left) if left else ""
+        return Stop(None, before, after, result, detail, self._name, self._address, fault, left)
+
+    def _not_zero(self) -> list[str]:
+        """Set the torque and velocity that a run has left to zero, where they can be read; return those that stay."""
+        names = [name for name in ACTING if name in self._description.units()]
+
+        def read(name: str) -> float | None:
+            return self._values[name] if self._read(name) else None
+
+        def write_zero(name: str) -> None:
+            self._write({name: 0.0})
+
+        return not_zero(self._description, names, read, write_zero)
 
     def _leave_unwatched(self) -> None:
         """Switch a watchdog off that the reset has armed: with nobody to feed it, it would be the next fault."""
