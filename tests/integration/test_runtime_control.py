@@ -5,6 +5,7 @@ import io
 import json
 import os
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -18,6 +19,7 @@ import friction_hil as fh
 from friction_hil.cli import main
 from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.control.names import find
+from friction_hil.daemon.control.server import MOST_CLIENTS
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import FrictionHilError
 from friction_hil.live import Watch
@@ -104,7 +106,10 @@ def controlled(tmp_path_factory):
             until(lambda: children(daemon.pid, "friction_hil.daemon.control") not in ([], [control]))
             found["after death"] = until(lambda: answered("mill", {"do": "status"}))
             found["set"].append(command("set", "mill", "x.gain=0.8"))
-            found["stopped"] = command("stop", "mill")
+            with contextlib.ExitStack() as crowd:
+                for _ in range(2 * MOST_CLIENTS):
+                    crowd.enter_context(socket.socket(socket.AF_UNIX)).connect(str(find("mill")))
+                found["stopped"] = command("stop", "mill")
             found["at rest"] = ask(find("mill"), {"do": "status"})
             found["reset"] = command("reset", "mill")
             found["again"] = command("start", "mill")
@@ -143,6 +148,7 @@ def test_nothing_is_enabled_before_somebody_starts_it_and_again_after_a_stop(con
     run = ["enabling", "running", "stopping", "disabling"]
     assert states == ["waiting", *run, "waiting", *run, "done"]
     assert controlled["status"] == 0, controlled["stderr"]
+    assert "Traceback" not in controlled["stderr"]
 
 
 def test_who_looks_from_outside_sees_every_row_as_recorded_and_what_is_in_force(controlled):

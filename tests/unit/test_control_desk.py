@@ -94,6 +94,29 @@ def test_a_stop_waits_for_a_standing_loop_and_nothing_takes_its_place(loop, ask)
     assert loop.taken() is Action.STOP
 
 
+def test_a_stop_comes_before_all_that_waits_for_a_loop_that_stands_and_always_finds_a_place(loop, ask, monkeypatch):
+    monkeypatch.setattr(desk, "_ANSWER_S", 0.3)
+    refused, answers = threading.Event(), []
+
+    def tell():
+        answers.append(ask(do="tell", text="hello"))
+        if "requests are being answered already" in answers[-1].get("problems", [""])[0]:
+            refused.set()
+
+    others = [threading.Thread(target=tell) for _ in range(desk._MOST_OTHERS + 1)]
+    for each in others:
+        each.start()
+    assert refused.wait(10.0)  # all others wait for the loop, or for each other
+    assert "it stops as soon as it goes on" in ask(do="stop")["problems"][0]
+    assert loop.taken() is Action.STOP
+    assert ask(do="status")["ok"]
+    for each in others:
+        each.join()
+    problems = [answer["problems"][0] for answer in answers]
+    assert sum("withdrawn" in each for each in problems) == 1  # the one whose turn it was
+    assert sum("a stop waits for it" in each for each in problems) == desk._MOST_OTHERS - 1
+
+
 def test_nothing_is_known_of_drives_while_the_loop_stands(loop, ask):
     answer = ask(do="status")
     assert (answer["state"], answer["axes"]["x"]["drive_state"]) == ("unknown", "unknown")

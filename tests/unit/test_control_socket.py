@@ -1,5 +1,6 @@
 """The control socket: names, lock, permissions, protocol."""
 
+import contextlib
 import json
 import os
 import socket
@@ -9,11 +10,11 @@ import threading
 import pytest
 
 from friction_hil.daemon.control import lock
-from friction_hil.daemon.control.ask import ask
+from friction_hil.daemon.control.ask import Question, ask
 from friction_hil.daemon.control.desk import _request
 from friction_hil.daemon.control.lock import ControlSocket, control_socket
 from friction_hil.daemon.control.names import default_name, find, is_live, running, socket_path
-from friction_hil.daemon.control.server import LONGEST_LINE, ControlServer
+from friction_hil.daemon.control.server import LONGEST_LINE, MOST_CLIENTS, ControlServer
 from friction_hil.errors import FrictionHilError, UsageError
 
 
@@ -149,6 +150,134 @@ def test_a_line_is_answered_by_a_line_with_the_user_whom_the_kernel_names(daemon
         client.connect(str(daemon.path))
         client.sendall(b"one\ntwo\n")
         assert [json.loads(file.readline())["asked"] for _ in range(2)] == ["one\n", "two\n"]
+
+
+def idle(client):
+    """Sends nothing."""
+
+
+def half_a_request(client):
+    client.sendall(b'{"do": "sta')
+
+
+def asks_and_stays(client):
+    """Has had its answer."""
+    client.sendall(b'{"do": "observe"}\n')
+    assert client.recv(1 << 16)
+
+
+def never_reads(client):
+    """Asks until the server cannot send its answers any more."""
+    client.settimeout(0.05)
+    with contextlib.suppress(TimeoutError):
+        while client.send(b"x" * 60_000 + b"\n"):
+            pass
+
+
+@pytest.fixture
+def crowd(daemon):
+    """A function that lets more clients than there are places do something, and stay."""
+    clients = []
+
+    def come(do):
+        for _ in range(MOST_CLIENTS + 8):
+            clients.append(socket.socket(socket.AF_UNIX))
+            clients[-1].connect(str(daemon.path))
+            do(clients[-1])
+        return clients
+
+    yield come
+    for each in clients:
+        each.close()
+
+
+@pytest.mark.parametrize("do", [idle, half_a_request, asks_and_stays, never_reads])
+def test_clients_that_only_keep_their_places_shut_nobody_out(daemon, crowd, do):
+    crowd(do)
+    for request in ({"do": "stop"}, {"do": "status"}) * MOST_CLIENTS:
+        assert json.loads(ask(daemon.path, request)["asked"]) == request
+
+
+def test_clients_that_send_a_byte_now_and_then_shut_nobody_out(daemon, crowd):
+    """Each byte makes a client the last one that has sent something, but never one that has asked."""
+    clients = crowd(half_a_request)
+    for _ in range(3):
+        for each in clients:
+            with contextlib.suppress(BrokenPipeError):
+                each.send(b"t")
+        assert ask(daemon.path, {"do": "stop"})["ok"]
+
+
+def test_who_is_hung_up_is_told_why_and_it_is_who_was_silent_for_the_longest_time(daemon):
+    with contextlib.ExitStack() as stack:
+        clients = [stack.enter_context(socket.socket(socket.AF_UNIX)) for _ in range(MOST_CLIENTS + 1)]
+        files = [stack.enter_context(each.makefile("rb")) for each in clients]
+        for each in clients[:-1]:
+            each.connect(str(daemon.path))
+        for k in (*range(MOST_CLIENTS), 0, *range(2, MOST_CLIENTS)):
+            clients[k].sendall(b"here\n")
+            assert json.loads(files[k].readline())["ok"]
+        clients[-1].connect(str(daemon.path))
+        assert "this one was silent for the longest time" in json.loads(files[1].readline())["problems"][0]
+        assert files[1].readline() == b""
+        for k in (0, *range(2, MOST_CLIENTS + 1)):
+            clients[k].sendall(b"still here\n")
+            assert json.loads(files[k].readline())["asked"] == "still here\n"
+
+
+def test_who_comes_while_all_are_being_answered_waits_for_a_place(folder):
+    opened, begun, goes_on = ControlSocket("slow"), threading.Semaphore(0), threading.Event()
+
+    def answer(line, user):
+        begun.release()
+        if line != b"stop\n":
+            goes_on.wait()
+        return {"ok": True, "asked": line.decode()}
+
+    with contextlib.ExitStack() as stack:
+        server = stack.enter_context(ControlServer(opened.descriptor, answer))
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+        stack.callback(server.shutdown)
+        stack.callback(goes_on.set)
+        clients = [stack.enter_context(socket.socket(socket.AF_UNIX)) for _ in range(MOST_CLIENTS + 2)]
+        for each in clients[:MOST_CLIENTS]:
+            each.connect(str(opened.path))
+            each.sendall(b"slow\n")
+            begun.acquire()
+        for each in clients[MOST_CLIENTS:]:
+            each.connect(str(opened.path))
+            each.sendall(b"stop\n")
+        assert not begun.acquire(timeout=0.05)
+        goes_on.set()
+        for each in clients:
+            assert json.loads(stack.enter_context(each.makefile("rb")).readline())["ok"]
+    opened.close()
+
+
+def test_who_hangs_up_before_the_answer_leaves_nothing_on_the_terminal(daemon, crowd, capsys):
+    for do in (half_a_request, lambda client: client.sendall(b'{"do": "status"}\n' * 3)):
+        for each in crowd(do):
+            each.close()
+    assert ask(daemon.path, {"do": "status"})["ok"]
+    assert capsys.readouterr().err == ""
+
+
+def test_a_client_waits_where_more_ask_than_the_system_lets_wait(folder):
+    """Nobody accepts yet: the queue is full, and a stop must not fail for that."""
+    with socket.socket(socket.AF_UNIX) as listening, contextlib.ExitStack() as stack:
+        path = folder.parent / "full.sock"
+        listening.bind(str(path))
+        listening.listen(0)
+        first = stack.enter_context(socket.socket(socket.AF_UNIX))
+        first.connect(str(path))
+        with pytest.raises(FrictionHilError, match=r"no answer within 0\.05 s"):
+            Question(path, {"do": "stop"}, 0.05)
+        asking = threading.Thread(target=lambda: stack.enter_context(Question(path, {"do": "stop"}, 60.0)))
+        asking.start()
+        stack.enter_context(listening.accept()[0])
+        second = stack.enter_context(listening.accept()[0])
+        assert second.recv(100) == b'{"do": "stop"}\n'
+        asking.join()
 
 
 def test_a_line_without_an_end_is_refused(daemon):

@@ -61,7 +61,9 @@ def asked(port, path, method="GET", content=None, host="127.0.0.1"):
     connection = http.client.HTTPConnection(host, port, timeout=10)
     headers = {"Authorization": f"Bearer {TOKEN}", "Content-Type": "application/json"}
     try:
-        connection.request(method, path, content and json.dumps(content), headers if method == "POST" else {})
+        connection.request(
+            method, path, None if content is None else json.dumps(content), headers if method == "POST" else {}
+        )
         answer = connection.getresponse()
         return answer.status, answer.read().decode()
     except OSError:
@@ -95,6 +97,40 @@ def test_clients_that_ask_for_nothing_keep_nobody_out(folder, monkeypatch):  # n
                 with contextlib.suppress(ConnectionResetError):
                     assert each.recv(1) == b""
             assert asked(port, "/")[0] == 200
+
+    with beside(work, ending):
+        serve(Serving("mill", port, None, "127.0.0.1", (), TOKEN), ending, lambda line: None)
+
+
+HEAD = f"Host: localhost\r\nAuthorization: Bearer {TOKEN}\r\nContent-Type: application/json\r\n"
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        "",
+        "GET / HTTP/1.1\r\nHost: ",
+        "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n",  # and stays
+        f"POST /api/set HTTP/1.1\r\n{HEAD}Content-Length: 1000\r\n\r\n{{",  # and no more
+        "GET /uPlot.iife.min.js HTTP/1.1\r\nHost: localhost\r\n\r\n" * 400,  # and reads nothing
+    ],
+    ids=["nothing", "half a head", "one request", "half a body", "no answer read"],
+)
+def test_a_stop_has_a_place_whatever_others_do_with_theirs(folder, sent):  # noqa: F811
+    port, ending = free_port(), threading.Event()
+
+    def work():
+        until(lambda: asked(port, "/"))
+        with contextlib.ExitStack() as stack:
+            for _ in range(serving._MOST_CONNECTIONS + 8):
+                client = stack.enter_context(socket.socket())
+                client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+                client.connect(("127.0.0.1", port))
+                with contextlib.suppress(ConnectionError):
+                    client.sendall(sent.encode())
+            for _ in range(3):
+                status, text = asked(port, "/api/stop", "POST", {})
+                assert (status, "no daemon called 'mill' runs here" in text) == (409, True)
 
     with beside(work, ending):
         serve(Serving("mill", port, None, "127.0.0.1", (), TOKEN), ending, lambda line: None)

@@ -22,10 +22,10 @@ class _LazyDesk:
         self._lock = threading.Lock()
 
     def answer(self, line: bytes, user: int) -> dict[str, Any]:
-        with self._lock:
-            if self._desk is None:
-                self._desk = self._make()
         try:
+            with self._lock:
+                if self._desk is None:
+                    self._desk = self._make()
             answer: dict[str, Any] = self._desk.answer(line, user)
         except Exception as error:  # noqa: BLE001 - an error of this process must not keep others from stopping axes
             return {"ok": False, "problems": [f"an error in friction-hil: {type(error).__name__}: {error}"]}

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import socket
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -62,8 +63,13 @@ class Question:
         self._connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             with self._explained():
-                self._connection.settimeout(patience_s)
+                if patience_s:  # a time-out of Python's would not wait where many ask at the same time
+                    wait = struct.pack("ll", *divmod(int(1e6 * patience_s), 1_000_000))
+                    self._connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, wait)
+                else:
+                    self._connection.setblocking(False)
                 self._connection.connect(os.fspath(path))
+                self._connection.settimeout(patience_s)
                 self._connection.sendall(json.dumps(request).encode() + b"\n")
         except BaseException:
             self.close()
@@ -118,7 +124,7 @@ class Question:
                 f"{self._path}: this user may not use the control socket; who runs the daemon can admit a group with "
                 "run --group GROUP"
             ) from None
-        except TimeoutError:
-            raise FrictionHilError(f"{self._path}: no answer within {self._patience_s:g} s") from None
         except OSError as error:
+            if self._patience_s and isinstance(error, TimeoutError | BlockingIOError):
+                raise FrictionHilError(f"{self._path}: no answer within {self._patience_s:g} s") from None
             raise DaemonGoneError(f"{self._path}: {error.strerror}") from None

@@ -6,7 +6,8 @@ import os
 import pwd
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 from friction_hil import __version__
@@ -30,6 +31,8 @@ _RESET_S = 2.0
 LATEST_CYCLES = 500  # cycles over which another model finds the state in which it would be
 _KEYS = {"status": (), "observe": (), "set": ("values",), "tell": ("text",), "start": (), "stop": (), "reset": ()}
 _MAY_HAVE = {"set": ("reason",)}
+_NEVER_REFUSED = ("status", "stop")  # however many requests are being answered
+_MOST_OTHERS = 16  # at once: half of the places that the server has
 
 
 class RefusedError(FrictionHilError):
@@ -65,7 +68,8 @@ class Desk:
         self._read_only = [os.open(f"/proc/self/fd/{each}", os.O_RDONLY) for each in shown]
         self._state = DaemonState(ring_descriptor, self._names, job.columns, job.state_width)
         self._preparing = threading.Lock()  # one change of settings is prepared upon the other
-        self._sending = threading.Lock()  # a stop does not wait for what is being prepared
+        self._sending = _Turn()  # a stop does not wait for what is being prepared
+        self._others = threading.BoundedSemaphore(_MOST_OTHERS)
         self._looking = threading.Lock()
         self._waiting_stop = 0  # number of a stop that the loop has not answered
         self._do: dict[str, Callable[[Mapping[str, Any], str], dict[str, Any]]] = {
@@ -90,15 +94,26 @@ class Desk:
         """
         try:
             request = _request(line)
-            with self._looking:  # at each request: the ring holds the last events only
-                self._state.look()
-            return {"ok": True, **self._do[request["do"]](request, _who(user))}
+            with nullcontext() if request["do"] in _NEVER_REFUSED else self._one_of_the_others():
+                with self._looking:  # at each request: the ring holds the last events only
+                    self._state.look()
+                return {"ok": True, **self._do[request["do"]](request, _who(user))}
         except FrictionHilError as error:
             return {"ok": False, "problems": str(error).splitlines()}
 
+    @contextmanager
+    def _one_of_the_others(self) -> Iterator[None]:
+        """Refuse what would take the place of a stop."""
+        if not self._others.acquire(blocking=False):
+            raise RefusedError(f"{_MOST_OTHERS} requests are being answered already, only stop and status are besides")
+        try:
+            yield
+        finally:
+            self._others.release()
+
     def _status(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
+        self._state.await_row()
         with self._looking:
-            self._state.await_row()
             self._state.look()
             messages = self._state.messages
             faults, warnings, notices = (list(each) for each in (messages.faults, messages.warnings, messages.notices))
@@ -175,7 +190,7 @@ class Desk:
             text = request.get("reason", f"{who} set {shown}")
             if not isinstance(text, str):
                 raise RefusedError("reason must be a text")
-            with self._sending:
+            with self._sending.taken():
                 number = self._next_number()
                 entry = entry_of(number, prepared, models_of, text)
                 self._note({**entry, "files": prepared.models})
@@ -186,7 +201,7 @@ class Desk:
         """Put a notice into the record of the run."""
         if not isinstance(request["text"], str):
             raise RefusedError("text must be a text")
-        with self._sending:
+        with self._sending.taken():
             cycle = self._send(Change(self._next_number(), Action.NONE, [], request["text"]))
         return {"cycle": cycle}
 
@@ -201,19 +216,18 @@ class Desk:
 
     def _act(self, action: Action, who: str, timeout_s: float, is_done: Callable[[], bool]) -> dict[str, Any]:
         """Ask something of the run, and wait until it is done; what the drives reported last is in the answer."""
-        with self._sending:
+        with self._sending.taken(is_stop=action is Action.STOP):
             number = self._next_number()
             cycle = self._send(Change(number, action, [], f"{who}: {action.name.lower()}"))
-        with self._looking:
-            self._state.await_row()  # the loop goes on: it has answered
+        self._state.await_row()  # the loop goes on: it has answered
         end_s = time.monotonic() + timeout_s
         is_fulfilled = False
         while not (is_fulfilled := is_done()) and time.monotonic() < end_s and not self._state.has_ended:
             if action is Action.START and self._is_given_up(cycle):
                 break
             time.sleep(_LOOK_S)
+        self._state.await_row()
         with self._looking:
-            self._state.await_row()
             self._state.look()
             faults = list(self._state.messages.faults)
         drives = {name: state.words for name, state in self._state.drive_states().items()}
@@ -293,6 +307,30 @@ class Desk:
     def _present(self) -> tuple[dict[str, Any], dict[str, int], dict[str, str | None]]:
         """Return the present configuration, the number of the change that brought each model, and its file."""
         return journal.present(self._journal, self._job.configuration, self._job.files, self._state.last_change())
+
+
+class _Turn:
+    """Turn of one request at a time to hand something to the loop; a stop goes before all others that wait."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._is_taken = False
+        self._stops = 0  # that wait
+
+    @contextmanager
+    def taken(self, *, is_stop: bool = False) -> Iterator[None]:
+        with self._changed:
+            self._stops += is_stop
+            while self._is_taken or (self._stops and not is_stop):
+                self._changed.wait()
+            self._stops -= is_stop
+            self._is_taken = True
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._is_taken = False
+                self._changed.notify_all()
 
 
 def _request(line: bytes) -> dict[str, Any]:

@@ -1,5 +1,10 @@
-"""Server of the control socket: a thread for each connection, and the end of it all with the daemon."""
+"""Server of the control socket: a thread for each connection, and the end of it all with the daemon.
 
+Who only keeps a connection keeps nobody out: where all places are taken, the client for whom the server has waited
+longest is hung up, whether it sends nothing, half a request, or does not read its answers.
+"""
+
+import contextlib
 import json
 import os
 import select
@@ -12,7 +17,8 @@ from typing import Any
 from friction_hil.drive.socket_owner import peer
 
 LONGEST_LINE = 1 << 20  # bytes of a request
-_MOST_CLIENTS = 32
+MOST_CLIENTS = 32
+_HUNG_UP = f"hung up: {MOST_CLIENTS} clients are connected, and this one was silent for the longest time"
 
 
 class ControlServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
@@ -33,7 +39,71 @@ class ControlServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
         self.socket.close()
         self.socket = socket.socket(fileno=os.dup(descriptor))
         self.answer = answer
-        self.places = threading.BoundedSemaphore(_MOST_CLIENTS)
+        self.places = _Places()
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a connection in a thread; while all others are being answered, it waits as those behind it do."""
+        self.places.take(request)
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection, and give its place away."""
+        self.places.leave(request)
+        super().shutdown_request(request)
+
+
+class _Places:
+    """The connections, each with what the server does for it: it waits for the client, or answers."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._waiting: dict[socket.socket, None] = {}  # for the client; who waits longest is first
+        self._answered: set[socket.socket] = set()
+
+    def take(self, connection: socket.socket) -> None:
+        """Give a connection a place, if need be that of another one for whose client the server waits."""
+        with self._changed:
+            while len(self._waiting) + len(self._answered) >= MOST_CLIENTS:
+                if self._waiting:
+                    self._hang_up(self._longest_silent())
+                else:
+                    self._changed.wait()
+            self._waiting[connection] = None
+
+    def begin_answer(self, connection: socket.socket) -> bool:
+        """Note that a request has come whole; return False if the connection has lost its place."""
+        with self._changed:
+            if connection not in self._waiting:
+                return False
+            del self._waiting[connection]
+            self._answered.add(connection)
+            return True
+
+    def end_answer(self, connection: socket.socket) -> None:
+        """Note that the answer is known: it remains that the client reads it, and asks again."""
+        with self._changed:
+            self._answered.discard(connection)
+            self._waiting[connection] = None
+            self._changed.notify()
+
+    def leave(self, connection: socket.socket) -> None:
+        """Give the place of a connection away."""
+        with self._changed:
+            self._waiting.pop(connection, None)
+            self._answered.discard(connection)
+            self._changed.notify()
+
+    def _longest_silent(self) -> socket.socket:
+        """Return the first from whom nothing is there to be read: a request that has just come is not thrown away."""
+        readable, _, _ = select.select(self._waiting, [], [], 0.0)
+        return next((each for each in self._waiting if each not in readable), next(iter(self._waiting)))
+
+    def _hang_up(self, connection: socket.socket) -> None:
+        del self._waiting[connection]
+        with contextlib.suppress(OSError):  # it is gone, or reads nothing
+            connection.send(_line({"ok": False, "problems": [_HUNG_UP]}), socket.MSG_DONTWAIT)
+        with contextlib.suppress(OSError):
+            connection.shutdown(socket.SHUT_RDWR)  # the thread that waits for it wakes, and closes it
 
 
 class _Connection(socketserver.StreamRequestHandler):
@@ -42,32 +112,33 @@ class _Connection(socketserver.StreamRequestHandler):
     server: ControlServer
 
     def handle(self) -> None:
-        if not self.server.places.acquire(blocking=False):
-            self._say({"ok": False, "problems": [f"{_MOST_CLIENTS} clients are connected already"]})
-            return
-        try:
+        with contextlib.suppress(OSError):  # the client is gone
             self._serve()
-        except OSError:
-            pass  # the client is gone
-        finally:
-            self.server.places.release()
 
     def _serve(self) -> None:
         _, user, _ = peer(self.connection)
-        while line := self.rfile.readline(LONGEST_LINE):
-            if not line.endswith(b"\n"):
-                self._say({"ok": False, "problems": [f"a request ends with a line feed, within {LONGEST_LINE} bytes"]})
+        places = self.server.places
+        while (line := self.rfile.readline(LONGEST_LINE)) and places.begin_answer(self.connection):
+            is_whole = line.endswith(b"\n")
+            problem = f"a request ends with a line feed, within {LONGEST_LINE} bytes"
+            answer = self.server.answer(line, user) if is_whole else {"ok": False, "problems": [problem]}
+            places.end_answer(self.connection)
+            self._say(answer)
+            if not is_whole:
                 return
-            self._say(self.server.answer(line, user))
 
     def _say(self, answer: dict[str, Any]) -> None:
         """Send an answer, and with its first byte the file descriptors that it has; their number stands for them."""
         descriptors = answer.get("descriptors", ())
-        line = json.dumps({**answer, "descriptors": len(descriptors)} if descriptors else answer).encode() + b"\n"
+        line = _line({**answer, "descriptors": len(descriptors)} if descriptors else answer)
         if descriptors:
             sent = socket.send_fds(self.connection, [line], descriptors)
             line = line[sent:]
         self.wfile.write(line)
+
+
+def _line(answer: dict[str, Any]) -> bytes:
+    return json.dumps(answer).encode() + b"\n"
 
 
 def serve(descriptor: int, answer: Callable[[bytes, int], dict[str, Any]], control: int) -> None:

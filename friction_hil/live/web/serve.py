@@ -119,16 +119,28 @@ async def _serve_page(
     from friction_hil.live.web.hub import Hub
 
     class Connection(H11Protocol):
-        """Connection that is closed if there are too many, or if no request comes: uvicorn would keep it."""
+        """Connection that gives its place to another one while it waits for its client: uvicorn would keep it."""
 
         cycle: Any  # None before the first request
+        last_s = 0.0  # time of its begin, or of its last answer
+
+        def order(self) -> tuple[bool, float]:
+            """Return a key by which those come first that wait for their client, and among these the longest."""
+            cycle = self.cycle  # a request, a part of it, or that the client reads its answer may be waited for
+            waits = cycle is None or cycle.response_complete or cycle.more_body or self.flow.write_paused
+            return not waits, self.last_s if waits else -self.last_s  # pages and what takes long stay
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
+            self.last_s = self.loop.time()
             if len(self.connections) > _MOST_CONNECTIONS:
-                transport.abort()
-            else:
-                self.loop.call_later(_MOST_HEAD_S, self._expect_request)
+                others = [each for each in self.connections if isinstance(each, Connection) and each is not self]
+                min(others, key=Connection.order).transport.abort()
+            self.loop.call_later(_MOST_HEAD_S, self._expect_request)
+
+        def on_response_complete(self) -> None:
+            self.last_s = self.loop.time()
+            super().on_response_complete()
 
         def _expect_request(self) -> None:
             if self.cycle is None:
@@ -152,7 +164,6 @@ async def _serve_page(
         access_log=False,
         server_header=False,
         proxy_headers=False,
-        limit_concurrency=_MOST_CONNECTIONS,
         h11_max_incomplete_event_size=_MOST_HEAD,
         timeout_graceful_shutdown=_END_S,
     )
