@@ -31,8 +31,10 @@ READ_POSITION = "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"  # ROBOTIS e-Manual,
 class Bench:
     """Servos on a line; an axis is called by its ID."""
 
-    def __init__(self, *ids: int, is_fast: bool = False, pace: int | None = STEPS_PER_MS, **changes: Any) -> None:
-        loaded = load_description("xm430", None, DESCRIPTIONS, DynamixelDescription)
+    def __init__(
+        self, *ids: int, name: str = "xm430", is_fast: bool = False, pace: int | None = STEPS_PER_MS, **changes: Any
+    ) -> None:
+        loaded = load_description(name, None, DESCRIPTIONS, DynamixelDescription)
         description = loaded.model_copy(update={"fast_sync_read": is_fast, **changes})
         axes = [f"{n}" for n in ids]
         self.drives = {
@@ -272,6 +274,69 @@ def test_the_bus_watchdog_trips_without_requests_and_is_cleared() -> None:
     for step in drive.description.reset_fault:
         bench.write("1", **step.write)
     assert bench.state("1") is DriveState.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("name", ["xl330", "xm430", "xm540"])
+def test_a_goal_beyond_the_limit_is_refused_and_the_last_one_stays(name: str) -> None:
+    """As the descriptions say: a status with an error for a write, and nothing at all for a Sync Write."""
+    bench = Bench(1, name=name)
+    sdk, port = PacketHandler(2.0), _Port(bench)
+    limit = bench.drives["1"].description.signals["torque_command"].limit  # type: ignore[attr-defined]
+    bench.write("1", status=1)
+    assert sdk.write2ByteTxRx(port, 1, 102, 80) == (COMM_SUCCESS, 0)
+    for goal in (limit + 1, 0x10000 - limit - 1, 0x8000):
+        assert sdk.write2ByteTxRx(port, 1, 102, goal) == (COMM_SUCCESS, 6)
+        assert sdk.syncWriteTxOnly(port, 102, 2, [1, *goal.to_bytes(2, "little")], 3) == COMM_SUCCESS
+        assert sdk.read2ByteTxRx(port, 1, 102) == (80, COMM_SUCCESS, 0)
+    assert sdk.write2ByteTxRx(port, 1, 102, 0x10000 - limit) == (COMM_SUCCESS, 0)
+
+
+def test_no_goal_is_taken_while_the_bus_watchdog_has_tripped() -> None:
+    bench = Bench(1)
+    sdk, port = PacketHandler(2.0), _Port(bench)
+    bench.write("1", watchdog=5)
+    bench.write("1", status=1)
+    for _ in range(101):
+        bench.drives["1"].sample()
+    assert sdk.write2ByteTxRx(port, 1, 102, 50) == (COMM_SUCCESS, 4)
+    assert sdk.read2ByteTxRx(port, 1, 102)[0] == 0
+    assert sdk.write1ByteTxRx(port, 1, 98, 0) == (COMM_SUCCESS, 0)
+    assert sdk.write2ByteTxRx(port, 1, 102, 50) == (COMM_SUCCESS, 0)
+
+
+def test_what_lies_below_64_is_written_without_torque_alone() -> None:
+    bench = Bench(1)
+    sdk, port = PacketHandler(2.0), _Port(bench)
+    assert sdk.write1ByteTxRx(port, 1, 11, 0) == (COMM_SUCCESS, 0)
+    assert sdk.write1ByteTxRx(port, 1, 64, 1) == (COMM_SUCCESS, 0)
+    assert sdk.write1ByteTxRx(port, 1, 11, 0) == (COMM_SUCCESS, 7)
+
+
+def test_the_last_goal_acts_when_the_torque_is_enabled() -> None:
+    """For this the descriptions write a goal of zero before."""
+    moved = []
+    for goal in (60, 0):
+        bench = Bench(1)
+        sdk, port = PacketHandler(2.0), _Port(bench)
+        sdk.write2ByteTxRx(port, 1, 102, goal)
+        before = sdk.read4ByteTxRx(port, 1, 132)[0]
+        bench.write("1", status=1)
+        for _ in range(50):
+            after = sdk.read4ByteTxRx(port, 1, 132)[0]
+        moved.append(after - before)
+    assert moved[0] > 10
+    assert moved[1] == 0
+
+
+def test_after_a_reboot_the_position_lies_within_one_turn() -> None:
+    bench = Bench(1)
+    sdk, port = PacketHandler(2.0), _Port(bench)
+    bench.write("1", status=1)
+    bench.drives["1"].write("torque_command", 100.0)
+    while (position := sdk.read4ByteTxRx(port, 1, 132)[0]) < 5000:
+        pass
+    sdk.reboot(port, 1)
+    assert sdk.read4ByteTxRx(port, 1, 132)[0] in range(position % 4096, position % 4096 + 1000)
 
 
 def test_an_error_shows_as_an_alert() -> None:

@@ -4,9 +4,13 @@ import math
 from typing import Any
 
 import pytest
+from friction_hil_drivers.ascii import DESCRIPTIONS
+from friction_hil_drivers.ascii.description import AsciiDescription
 from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.serial_line.description import load_description
 from friction_hil_drivers.serial_line.sequences import Sequencer, state_of
 from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
+from friction_hil_drivers.serial_line.units import AxisUnits
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +18,7 @@ from friction_hil.drive import DriveState, Mode, Request
 from friction_hil.errors import UsageError
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
-from tests.serial_bench import CIA402, COUNTS, FRICTION, INERTIA, OWN, PLAIN, RATED, make_drive
+from tests.serial_bench import CIA402, COUNTS, FRICTION, INERTIA, OWN, PLAIN, RATED, STEPS_PER_MS, make_drive
 
 DISABLED, ENABLED = DriveState.SWITCH_ON_DISABLED, DriveState.OPERATION_ENABLED
 READY, ON = DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON
@@ -394,3 +398,27 @@ def test_the_statusword_of_each_state_is_the_profile_s() -> None:
         if state is not DriveState.UNKNOWN:
             drive.state = state
             assert profile.drive_state(int(drive.read("status"))) is state
+
+
+def odrive() -> SimulatedDrive:
+    description = load_description("odrive", None, DESCRIPTIONS, AsciiDescription)
+    servo = Servo(ServoConfig.model_validate(PLAIN))
+    return SimulatedDrive("x", description, servo, Mode.CST, AxisUnits(torque_constant=0.1), STEPS_PER_MS)
+
+
+@pytest.mark.parametrize("is_switched_on", [True, False])
+def test_a_watchdog_with_a_switch_works_only_when_it_is_on_and_then_in_idle_too(is_switched_on: bool) -> None:
+    """As the description of the ODrive says, which therefore switches it off where there is no power."""
+    drive = odrive()
+    drive.write("watchdog", 0.02)
+    drive.write("watchdog_enabled", float(is_switched_on))
+    sample(drive, 19)
+    assert shown_state(drive) is READY
+    sample(drive, 2)
+    assert shown_state(drive) is (FAULT if is_switched_on else READY)
+    drive = odrive()
+    for step in (*drive.description.enable, *drive.description.disable):
+        for name, number in {"watchdog": 0.02, **step.write}.items():
+            drive.write(name, number)
+    sample(drive, 100)
+    assert shown_state(drive) is READY

@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from friction_hil.drive import DriveState
 from friction_hil_drivers.dynamixel.codec import ALERT
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDescription
 from friction_hil_drivers.dynamixel.driver import DynamixelLine
@@ -24,17 +25,20 @@ from friction_hil_drivers.dynamixel.packets import (
     Packet,
     Packets,
 )
+from friction_hil_drivers.serial_line.protocol import COMMANDS
 from friction_hil_drivers.serial_line.simulated.drive import RefusedError, RequestError
 from friction_hil_drivers.serial_line.simulated.drives import SimulatedSerialDrives
 from friction_hil_drivers.serial_line.simulated.server import BOOT_S
 
 if TYPE_CHECKING:
+    from friction_hil_drivers.dynamixel.table import Item
     from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
 
-INSTRUCTION_ERROR, RANGE_ERROR, LENGTH_ERROR, ACCESS_ERROR = 2, 4, 5, 7
+INSTRUCTION_ERROR, RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = 2, 4, 5, 6, 7
 _LONGEST = 1017  # the vendor's SDK makes packets of at most 1024 bytes
 _UNKNOWN_IDENTITY = bytes(3)  # model number and firmware in the reply to a ping; no real servo has these
-_FIRST_IN_RAM = 64  # items at lower addresses keep their numbers without supply
+_FIRST_IN_RAM = 64  # items at lower addresses keep their numbers without supply, and are written without torque alone
+_ENABLED = DriveState.OPERATION_ENABLED
 
 
 class _Servo:
@@ -47,8 +51,13 @@ class _Servo:
         self._fixed = {
             name: float(signal.simulated) for name, signal in signals.items() if signal.simulated is not None
         }
+        self._goals = [name for name in signals if name in COMMANDS]
         self._kept = frozenset(item.name for item in self._items if item.address < _FIRST_IN_RAM)
         self._up_at_s = -math.inf  # end of a reboot
+        position = signals["position"]
+        self._turn = 1.0 / position.scale if position.unit == "turn" else 0.0  # numbers of the position
+        self._is_locked = False  # the bus watchdog was set, and locks the goals when it trips
+        self._forgotten = 0.0  # whole turns of the position before the last reboot
 
     @property
     def alert(self) -> int:
@@ -69,6 +78,8 @@ class _Servo:
         if not self._drive.is_on and self._drive.time_s >= self._up_at_s > -math.inf:
             self._drive.switch_on(self._kept)
             self._up_at_s = -math.inf
+            if self._turn:  # after power-on the position lies within one turn
+                self._forgotten = math.floor(self._drive.read("position") / self._turn) * self._turn
         return self._up_at_s == -math.inf
 
     def reboot(self) -> None:
@@ -101,7 +112,9 @@ class _Servo:
 
     def _number(self, name: str) -> float:
         fixed = self._fixed.get(name)
-        return self._drive.read(name) if fixed is None else fixed
+        if fixed is not None:
+            return fixed
+        return self._drive.read(name) - (self._forgotten if name == "position" else 0.0)
 
     def write(self, address: int, data: bytes) -> None:
         """Write bytes of the table.
@@ -117,12 +130,29 @@ class _Servo:
             raise RequestError(LENGTH_ERROR)
         if sum(item.size for item in items) != len(data) or not data:
             raise RequestError(ACCESS_ERROR)
+        numbers = {item.name: item.number(data[item.address - address : item.end - address]) for item in items}
+        for item in items:
+            self._check(item, numbers[item.name])
+        was = self._drive.state
         try:
-            for item in items:
-                number = item.number(data[item.address - address : item.end - address])
-                self._drive.write(item.name, number)
+            for name, number in numbers.items():
+                self._drive.write(name, number)
         except RefusedError:
             raise RequestError(RANGE_ERROR) from None
+        if self._drive.state is _ENABLED is not was:  # goals of the time without torque act now
+            for name in self._goals:
+                self._drive.write(name, self._drive.read(name))
+
+    def _check(self, item: "Item", number: float) -> None:
+        """Refuse a number that the servo keeps out, whatever its signal takes otherwise."""
+        if item.name in self._kept and self._drive.state is _ENABLED:
+            raise RequestError(ACCESS_ERROR)
+        if item.name == "watchdog":
+            self._is_locked = number != 0.0
+        elif item.name in self._goals and self._is_locked and self._drive.read("watchdog") < 0.0:
+            raise RequestError(RANGE_ERROR)  # after the bus watchdog has tripped, until it is switched off
+        if item.limit is not None and abs(number) > item.limit:
+            raise RequestError(LIMIT_ERROR)
 
 
 class DynamixelResponder:

@@ -87,6 +87,10 @@ class SimulatedDrive:
         self._watchdog_needs: dict[str, float] = {}
         for step in () if watchdog is None else watchdog.enable:
             self._watchdog_needs |= step.write
+        self._watchdog_switches = () if watchdog is None else watchdog.read_back
+        # where disabling switches it off, it would run out without power, too
+        disabling = {name for step in description.disable for name in step.write}
+        self._is_watched_idle = not disabling.isdisjoint(self._watchdog_switches)
 
         motor, inertia = servo.config.motor, servo.config.mechanics.total_inertia
         self._deceleration = 0.5 * motor.rated_torque / inertia
@@ -186,7 +190,7 @@ class SimulatedDrive:
         if name in COMMANDS:
             self.fed()
             self._command(name, number)
-        if name == self._watchdog or name in self._watchdog_needs:
+        if name == self._watchdog or name in self._watchdog_needs or name in self._watchdog_switches:
             self._set_watchdog()
         wanted = self._states.wanted(name, self._values, self.state)
         if wanted is not self.state:
@@ -223,7 +227,8 @@ class SimulatedDrive:
 
     @property
     def _is_watched(self) -> bool:
-        return self._watchdog_steps > 0 and self.state is _ENABLED
+        is_due = self.state is _ENABLED or (self._is_watched_idle and self.state is not self._states.fault)
+        return self._watchdog_steps > 0 and is_due
 
     @property
     def _has_stopped(self) -> bool:
@@ -233,7 +238,8 @@ class SimulatedDrive:
     def _set_watchdog(self) -> None:
         assert self._watchdog is not None
         time_s = self._values.get(self._watchdog, 0.0) * self._si[self._watchdog]
-        is_armed = time_s > 0.0 and matches(self._watchdog_needs, self._values)
+        is_on = all(self._values.get(name, 0.0) for name in self._watchdog_switches)
+        is_armed = time_s > 0.0 and is_on and matches(self._watchdog_needs, self._values)
         self._watchdog_steps = max(1, round(time_s * self._per_second)) if is_armed else 0
         self.fed()
 
