@@ -7,12 +7,21 @@ import click
 
 from friction_hil.cli.completion import complete_axis, complete_model
 from friction_hil.cli.options import option_json
-from friction_hil.export import FORMATS
+from friction_hil.export import FORMATS, INSTEAD
+
+
+class _Format(click.Choice[str]):
+    """Names of formats, and what to take in place of one that there is no more."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if value in INSTEAD:
+            self.fail(f"there is no format {value!r}; {INSTEAD[value]}", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 @click.command("export")
 @click.argument("model", metavar="MODEL", shell_complete=complete_model)
-@click.option("--to", type=click.Choice(list(FORMATS)), required=True, help="Language of the export.")
+@click.option("--to", type=_Format(list(FORMATS)), required=True, help="Language of the export.")
 @click.option(
     "--output",
     metavar="PATH",
@@ -53,8 +62,6 @@ def command(**options: Any) -> None:
     st: the same as function blocks in Structured Text (IEC 61131-3), for CODESYS, TwinCAT and other controllers.
 
     fmu: the same as functional mock-up units for co-simulation, FMI 2.0 and 3.0; it needs a C compiler.
-
-    modelica: the same as a package of blocks with a sampled step.
 
     urdf, mjcf, mjcf_lugre, bam, isaaclab, ax8000, csv: what a simulator, a drive or a table can hold of the friction,
     fitted so that the least torque is lost over the range of the identification (--speed, or the speeds of

@@ -26,7 +26,6 @@ LOSSLESS = {
     "c": "C99 source and header, for firmware",
     "st": "IEC 61131-3 Structured Text, for CODESYS, TwinCAT and others",
     "fmu": "functional mock-up units, FMI 2.0 and 3.0, for simulators",
-    "modelica": "Modelica package of blocks with a sampled step",
 }
 LOSSY = {
     "urdf": "joint of URDF: friction and damping",
@@ -38,6 +37,7 @@ LOSSY = {
     "csv": "table of torque over velocity and temperature",
 }
 FORMATS = {**LOSSLESS, **LOSSY}
+INSTEAD = {"modelica": "export with --to fmu: every Modelica tool imports a functional mock-up unit"}
 _LONGEST_NAME = 40
 # Formats whose files would have the name of another format's: by default theirs end in the name of the format.
 _SHARED_SUFFIX = ("mjcf", "mjcf_lugre", "bam", "isaaclab", "ax8000")
@@ -50,10 +50,9 @@ _C_HEADERS = frozenset(
 _TAKEN = {
     "c": _C_HEADERS,
     "fmu": _C_HEADERS | {"fmu", "fmi2", "fmi3"},
-    "modelica": frozenset(("boolean", "clock", "complex", "integer", "modelica", "real", "string")),
 }
 
-__all__ = ["FORMATS", "LOSSLESS", "LOSSY", "convert", "files", "identifier", "save", "write"]
+__all__ = ["FORMATS", "INSTEAD", "LOSSLESS", "LOSSY", "convert", "files", "identifier", "save", "write"]
 
 
 def files(
@@ -144,7 +143,7 @@ def _subject(model: "ModelFile | str | Path", to: str, name: str, compensator: "
     from friction_hil.models.files import model_from_argument
 
     if to not in FORMATS:
-        raise UsageError(f"there is no format {to!r}; {choices(to, FORMATS)}")
+        raise UsageError(f"there is no format {to!r}; {INSTEAD.get(to) or choices(to, FORMATS)}")
     file = model_from_argument(str(model)) if isinstance(model, str | Path) else model
     origin = str(model) if isinstance(model, str | Path) else file.source_path.name if file.source_path else ""
     if compensator is not None and not _is_of(compensator, file):
@@ -193,7 +192,7 @@ def identifier(text: str) -> str:
     >>> identifier("LeftArm 2.yaml")
     'left_arm_2_yaml'
     """
-    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", text)  # AxisX is axis_x, as which it is a package of Modelica again
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", text)
     name = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_")
     return (f"axis_{name}" if name[:1].isdigit() else name)[:_LONGEST_NAME].rstrip("_")
 

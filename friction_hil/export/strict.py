@@ -1,7 +1,7 @@
-"""A program for languages that know less than C: IEC 61131-3 Structured Text and Modelica.
+"""A program for a language that knows less than C: IEC 61131-3 Structured Text.
 
-They have no NaN, may stop at a division by zero or an overflow, evaluate both operands of ``and`` and ``or``, and have
-no conditional expression that every implementation understands. Here a number that may be unknown gets a flag beside
+It has no NaN, may stop at a division by zero or an overflow, evaluates both operands of ``and`` and ``or``, and has no
+conditional expression that every implementation understands. Here a number that may be unknown gets a flag beside
 it, which says whether it is known; infinity becomes `strict_library.UNLIMITED`; conditional expressions become
 branches. What an operation does with NaN in C, the flags do here: a comparison with an unknown number is false. Zero
 has no sign.

@@ -1,9 +1,8 @@
-"""Functions for languages whose arithmetic has no NaN and may stop the program at an overflow or a division by zero.
+"""Functions for a language whose arithmetic has no NaN and may stop the program at an overflow or a division by zero.
 
 Where C gives infinity or NaN they give a number of the size `UNLIMITED`, which counts as not finite.
 """
 
-import math
 from collections.abc import Callable
 
 from friction_hil.export import ir
@@ -213,8 +212,3 @@ def is_nonpositive(value: Expression) -> bool:
     if isinstance(value, Constant):
         return value.value <= 0.0
     return isinstance(value, Operation) and value.name == "neg" and is_nonnegative(value.operands[0])
-
-
-def is_within(value: float) -> bool:
-    """Return True for a number that these languages can write and that is not `UNLIMITED`."""
-    return math.isfinite(value) and abs(value) < UNLIMITED

@@ -7,7 +7,6 @@ import subprocess
 import xml.etree.ElementTree as ET
 
 import pytest
-import rumoca
 import yaml
 
 import friction_hil as fh
@@ -21,7 +20,7 @@ HOSTILE = [
     "ends with \\",
     "äöü 轴",
 ]
-LINE = {"c": " *", "st": "   ", "modelica": "  //", "csv": "#", "ax8000": "#"}
+LINE = {"c": " *", "st": "   ", "csv": "#", "ax8000": "#"}
 
 
 @pytest.fixture
@@ -56,7 +55,6 @@ def test_the_compilers_read_nothing_of_it(hostile, tmp_path):
     paths = fh.export.write(hostile, "c", tmp_path, name="x")
     flags = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fsyntax-only")
     assert subprocess.run(["gcc", *flags, *paths[1:]], capture_output=True, text=True).stderr == ""
-    assert rumoca.validate_source(fh.export.files(hostile, to="modelica")["Axis.mo"]) == []
     text = fh.export.files(hostile, to="st")["axis.st"]
     begin, *_ = re.split(r"\*\)", text, maxsplit=1)
     assert begin.count("(*") == 1

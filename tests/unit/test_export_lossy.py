@@ -280,6 +280,7 @@ def test_the_formats_share_no_file(tmp_path, capsys, monkeypatch):
         (["--to", "urdf", "--axis", "x"], "--axis belongs to --recording"),
         (["--to", "urdf", "--config", "a.yaml"], "does not hold"),
         (["--to", "c", "--speed", "1"], "loses none"),
+        (["--to", "modelica"], "there is no format 'modelica'; export with --to fmu"),
     ],
 )
 def test_mistakes_are_answered(words, message, capsys, tmp_path, tmp_path_factory, monkeypatch):
