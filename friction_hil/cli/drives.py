@@ -13,6 +13,12 @@ _option_bus = click.option(
     help="Bus, where no CONFIG names it: socketcan:can0, udp_multicast:239.74.163.2:43114, slcan:/dev/ttyACM0.",
 )
 _option_bitrate = click.option("--bitrate", type=int, metavar="N", help="Bit rate of --bus, for adapters that need it.")
+_option_may_disturb = click.option(
+    "--may-disturb",
+    is_flag=True,
+    help="Read nodes although another master was heard to use their SDO server: its transfers may fail meanwhile, "
+    "which can stop its machine.",
+)
 
 
 @click.group(cls=Group)
@@ -27,6 +33,7 @@ def command() -> None:
 @click.argument("config", required=False, metavar="[CONFIG]")
 @_option_bus
 @_option_bitrate
+@_option_may_disturb
 @option_json
 def scan(**options: Any) -> int:
     """Find the nodes on the bus.
@@ -43,6 +50,7 @@ def scan(**options: Any) -> int:
 @click.argument("words", nargs=-1, required=True, metavar="[CONFIG] NODE")
 @_option_bus
 @_option_bitrate
+@_option_may_disturb
 @option_json
 def show(**options: Any) -> int:
     """Show what the drive at NODE says of itself.

@@ -29,6 +29,8 @@ class DriveEntry:
         Mode of operation in force, "" where the device reports none.
     modes : tuple of str
         Modes that it supports.
+    problem : str
+        Why it must not be used as it is, "" for none: two nodes have this number.
     """
 
     node: int
@@ -43,6 +45,7 @@ class DriveEntry:
     state: DriveState | None = None
     mode: str = ""
     modes: tuple[str, ...] = ()
+    problem: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -247,14 +247,14 @@ class Driver(Protocol):
         Yields a `friction_hil.drive.Finding` for everything that its kind of drive needs of the machine, from the files
         below ``root`` (a Path; ``/`` of a real machine). Drivers that need the same yield equal findings.
     ``check_connection(configuration, axes)``
-        Yields a Finding for each part of the connection to the drives that can be checked without sending a byte. Not
+        Yields a Finding for each part of the connection to the drives that can be checked without writing to one. Not
         repeated is what ``check_files`` reports. Ports and buses opened for it are closed at once.
     ``try_watchdogs(configuration, axes, clock)``
         Sets each drive up, without torque and at standstill, lets each of its watchdogs lapse, and yields a Finding for
         each: what was seen to act, and what was not.
     ``open_inventory(bus)`` and ``inventory_node(axis)``
         Opens a bus (the section ``bus`` of a configuration) and returns a `friction_hil.drive.inventory.Inventory`, for
-        ``friction-hil drives``; and returns the number under which that finds the drive of an axis.
+        ``friction-hil drives`` (``may_disturb``: it may read nodes that another master reads); and returns the number under which that finds the drive of an axis.
     ``stop_axes(configuration, axes)`` and ``reset_axes(configuration, axes)``
         For ``friction-hil stop`` and ``reset``: takes the power of each drive, or resets its fault and leaves it
         without power; returns a `friction_hil.drive.inventory.StopReport` of what was read back. Neither enables a

@@ -5,6 +5,7 @@ import random
 
 import pytest
 from friction_hil_drivers.canopen.queue_full import QueueFullError
+from friction_hil_drivers.canopen.heard_pdos import HeardPdos
 from friction_hil_drivers.canopen.sidecar_axis import SidecarAxis
 from friction_hil_drivers.canopen.sidecar_exchange import SidecarExchange
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
@@ -13,6 +14,7 @@ from friction_hil_drivers.canopen.units import CanopenUnits
 from friction_hil.daemon.pacing import LockedPacer
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode
 from friction_hil.drive.phase_lock import PhaseLock
+from friction_hil.errors import DriveError
 
 T = 1_000_000
 ENABLED, DISABLED = 0x1237, 0x0250
@@ -286,3 +288,95 @@ def _quiet():
     world = World()
     master_and_drive(world, 60)
     return world
+
+
+def test_an_offset_of_somebody_else_is_a_fault_at_its_first_frame():
+    world = World()
+    master_and_drive(world, 400)
+    world.add(200.5 * T, 0x501, b"\x64\x00")
+    sidecar = Sidecar(world)
+    heard = sidecar.steps(300)
+    first = next(k for k, (_, _, message) in enumerate(heard) if message)
+    assert abs(first + 50 - 200) <= 2
+    assert heard[first][2] == "somebody else sends 501h, the torque offset of node 1 [FH-249]"
+
+
+def test_the_daemons_own_offsets_on_a_bus_that_echoes_them_are_none_of_somebody_else():
+    axis = Sidecar(filled(60)).axis
+    feedback = Feedback()
+    for _ in range(100):
+        axis.sent()
+        axis.handlers[0x501](b"\0\0")
+    axis.report(feedback)
+    assert feedback.message == ""
+    axis.handlers[0x501](b"\0\0")
+    axis.report(feedback)
+    assert "FH-249" in feedback.message
+
+
+@pytest.mark.parametrize("ratio", [1.25, 1.1, 1.5, 2.0, 0.8])
+def test_a_sync_whose_period_changes_in_mid_run_is_named(ratio):
+    world = World()
+    master_and_drive(world, 100)
+    for k in range(1500):
+        at = 100 * T + k * ratio * T
+        world.add(at, 0x080)
+        world.add(at + 150_000, 0x181, ENABLED.to_bytes(2, "little") + bytes(4))
+        world.add(at + 160_000, 0x281, b"\x07\x00\x08")
+    messages = [message for _, _, message in Sidecar(world).steps(1000) if message]
+    assert messages
+    assert "FH-248" in messages[0]
+    assert "(period_s)" in messages[0] or "more than once a period" in messages[0]
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_tpdos_that_come_twice_in_each_cycle_are_those_of_two_nodes(share):
+    world = World()
+    master_and_drive(world, 1000)
+    numbers = random.Random(2)
+    for time_ns, can_id, data in list(world.frames):
+        if can_id == 0x181 and time_ns > 300 * T and numbers.random() < share:
+            world.add(time_ns + 90_000, can_id, data)
+    messages = [message for _, _, message in Sidecar(world).steps(900) if message]
+    assert bool(messages) is (share == 1.0)
+    assert all("181h of node 1 comes twice in each cycle: two nodes have this number" in text for text in messages)
+
+
+def filled(cycles):
+    world = World()
+    master_and_drive(world, cycles)
+    return world
+
+
+def heard_rhythm(*, every=1, double=0.0, period=1.0, late_ns=0):
+    """What is heard of a TPDO that comes with every so many SYNCs, and a share of it twice."""
+    heard, numbers, frames = HeardPdos(0x080), random.Random(4), []
+    for k in range(250):
+        frames.append((k * T * period, 0x080))
+        if k % every == 0:
+            frames.append((k * T * period + 200_000, 0x181))
+            if numbers.random() < double:
+                frames.append((k * T * period + 200_000 + late_ns, 0x181))
+    for at, can_id in sorted(frames):
+        heard.take(can_id, 8, round(at))
+    return heard
+
+
+@pytest.mark.parametrize("late_ns", [0, 300_000, 900_000])
+def test_two_nodes_are_told_from_frames_that_a_bus_doubles(late_ns):
+    """The second node may be so slow that its TPDO comes after the next SYNC."""
+    heard_rhythm(double=0.0).require_one_sender(0x181, "x", 1)
+    heard_rhythm(double=0.4, late_ns=late_ns).require_one_sender(0x181, "x", 1)
+    with pytest.raises(DriveError, match=r"x: 181h comes twice with each SYNC: two nodes have the number 1, .*FH-264"):
+        heard_rhythm(double=1.0, late_ns=late_ns).require_one_sender(0x181, "x", 1)
+
+
+@pytest.mark.parametrize("every", [1, 2, 3])
+def test_a_tpdo_that_comes_with_every_so_many_syncs_is_known(every):
+    assert heard_rhythm(every=every).syncs_between(0x181) == every
+
+
+def test_the_period_of_sync_is_compared():
+    assert heard_rhythm(period=1.01).wrong_period(1e-3) == ""
+    assert heard_rhythm(period=1.25).wrong_period(1e-3) == "comes every 1.25 ms and not every 1 ms (period_s)"
+    assert HeardPdos(0x080).wrong_period(1e-3) == ""

@@ -26,6 +26,7 @@ from friction_hil_drivers.canopen.notices import Notices
 from friction_hil_drivers.canopen.sdo_stop import CyclicSdo
 from friction_hil_drivers.canopen.sync_answers import SyncAnswers
 from friction_hil_drivers.canopen.temperature import MappedTemperature, TemperatureRead
+from friction_hil_drivers.canopen.twins import TwinWatch
 from friction_hil_drivers.cia402 import profile
 
 Handler = Callable[[bytes], None]  # takes the data of a frame
@@ -99,6 +100,7 @@ class CanopenAxis:
         "_short",
         "_state",
         "_temperature",
+        "_twin",
         "_waits_for_older",
         "_why_no_sync",
         "controlword",
@@ -143,6 +145,7 @@ class CanopenAxis:
         self.is_complete = False
         self.is_reachable = True
         self.needs_other_frames = False
+        self._twin = TwinWatch(node)
         self._is_plain = False  # TPDOs of this cycle are not counted in `_answers`, as long as each comes once
         self._is_reported = False  # the feedback of this cycle is closed
         self._why_no_sync = ""
@@ -222,6 +225,8 @@ class CanopenAxis:
     def begin_cycle(self, now_ns: int, why_no_sync: str = "") -> None:
         """Forget the TPDOs that arrived before this cycle; ``why_no_sync`` is the reason for one without SYNC."""
         self._now_ns = now_ns
+        if self._twin.is_suspected and (fault := self._twin.judge()):
+            self._note_fault(fault)
         if self._is_plain and not self.is_complete:
             self._count_answers()
         self._arrived = 0
@@ -248,8 +253,9 @@ class CanopenAxis:
 
         def take(data: bytes) -> None:
             if self._is_plain and len(data) == size:
-                if self._arrived & bit:
-                    return  # it has answered the last SYNC already
+                if self._arrived & bit:  # it has answered the last SYNC already
+                    self._twin.take(f"TPDO {number + 1}")
+                    return
             elif not self._is_counted(number, size, data):
                 return
             self._comes_late = self._is_reported
@@ -265,7 +271,10 @@ class CanopenAxis:
         if self._is_plain:
             self._count_answers()
         is_too_short = len(data) != size and self._is_too_short(number, size, data)
-        return self._answers.take(number) and not is_too_short
+        if self._answers.take(number):
+            return not is_too_short
+        self._twin.take(f"TPDO {number + 1}")
+        return False
 
     def _is_too_short(self, number: int, size: int, data: bytes) -> bool:
         """Tell of a TPDO that has not the bytes of its mapping; return True if it has too few."""
@@ -286,6 +295,7 @@ class CanopenAxis:
         if state is not None and (fault := self._monitor.take(state, self._now_ns)):
             self._left_ns = self._now_ns
             if self._monitor.condition is NodeCondition.RESTARTED:
+                self._twin.booted(is_answering=not self._missed and self._measured.counts is not None)
                 self._measured = self._measured._replace(state=DriveState.UNKNOWN)
                 self._sdo.end_stop()  # what was read before the restart does not count
             self._note_fault(fault)
@@ -315,7 +325,12 @@ class CanopenAxis:
         monitor = self._monitor
         if fault := monitor.check(now_ns):
             self._note_fault(fault)
-        if is_fresh and monitor.condition is not _GOOD and self._left_ns < self._now_ns:
+        if not is_fresh:
+            self._twin.missed()
+        elif monitor.condition is not _GOOD and self._left_ns < self._now_ns:
+            if fault := self._twin.answered():
+                monitor.is_another()
+                self._note_fault(fault)
             monitor.answered()  # a node sends synchronous TPDOs in Operational only
         is_reachable = monitor.condition is _GOOD and (is_fresh or now_ns - self._heard_ns <= monitor.patience_ns)
         self.is_reachable = is_reachable
@@ -332,7 +347,8 @@ class CanopenAxis:
             self.needs_other_frames = self._sdo.is_active or not is_reachable or self._missed > _BLIND_CYCLES
         feedback.error = self._error
         feedback.message = self._message
-        if self._message and is_fresh and is_reachable and self._asked is Request.DISABLE and not state.is_powered:
+        is_over = is_fresh and is_reachable and self._asked is Request.DISABLE and not state.is_powered
+        if self._message and is_over and not self._twin.is_found:
             self._message = ""  # it was reported and is over: a daemon that waits may start the drive again
         feedback.is_reachable = is_reachable
         feedback.temperature = self._temperature.value

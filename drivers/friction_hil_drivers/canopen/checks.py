@@ -1,4 +1,4 @@
-"""Checks of a CAN bus and its drives that send nothing on the bus."""
+"""Checks of a CAN bus and its drives. All that is sent asks each node who it is, where no other master is at work."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -13,6 +13,7 @@ from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.mapping import MappedPdo, check_bus_load, expected_pdos
 from friction_hil_drivers.canopen.options import canopen_options
+from friction_hil_drivers.canopen.service import CanopenService
 from friction_hil_drivers.canopen.sidecar_options import mapped
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 
@@ -51,6 +52,8 @@ def check_connection(configuration: "Configuration", axes: "Mapping[str, AxisCon
     for name, axis in axes.items():
         yield _owner(config, name, axis)
         yield _units(name, axis)
+    if is_open and config.role == "master":
+        yield from _numbers(config, {name: canopen_options(axis).node for name, axis in axes.items()})
 
 
 def _opened(config: "BusConfig") -> Finding:
@@ -101,6 +104,19 @@ def _owner(config: "BusConfig", name: str, axis: "AxisConfig") -> Finding:
     except DriveError as error:
         return failure(check, error, "FH-441")
     return Finding(check, "pass", "no other daemon of this machine drives it")
+
+
+def _numbers(config: "BusConfig", nodes: Mapping[str, int]) -> Iterator[Finding]:
+    """Check that no two drives have one number; a drive that is off says nothing."""
+    inventory = CanopenService.open_inventory(config)
+    try:
+        met = inventory.meet(sorted(set(nodes.values())))
+    finally:
+        inventory.close()
+    for name, node in nodes.items():
+        if node in met:
+            check, refusal = f"{name}: number {node}", met[node]
+            yield Finding(check, "pass", "one drive has it") if refusal is None else failure(check, refusal)
 
 
 def _units(name: str, axis: "AxisConfig") -> Finding:

@@ -42,6 +42,8 @@ SYNC_UNUSABLE = "FH-247"
 SYNC_LOST = "FH-248"
 PDO_NOT_AS_STATED = "FH-249"
 NMT_STATE_UNKNOWN = "FH-268"
+TWO_NODES = "FH-264"
+WOULD_DISTURB = "FH-265"
 
 TITLES = {
     BUS_NOT_OPENED: "The CAN bus does not open",
@@ -86,6 +88,8 @@ TITLES = {
     SYNC_LOST: "A sidecar has lost SYNC, or hears two of them",
     PDO_NOT_AS_STATED: "A PDO is not as the configuration of a sidecar says",
     NMT_STATE_UNKNOWN: "It is not known in which NMT state a node was found",
+    TWO_NODES: "Two nodes on the bus have the same number",
+    WOULD_DISTURB: "Reading a node would disturb the SDO transfers of another master",
 }
 
 REMEDIES = {
@@ -129,6 +133,8 @@ REMEDIES = {
     NODE_TAKEN: "end the other one, or give the axis another `node` or the bus another channel",
     SYNC_UNUSABLE: "start the master first; `bus.sync_cob_id`; `period_s` as the master's",
     SYNC_LOST: "the offset was faded out; start again beside a running master",
-    PDO_NOT_AS_STATED: "an RPDO of its own; `entries` as in the master's project",
+    PDO_NOT_AS_STATED: "an RPDO of its own; `entries` as in the master's project; transmission type 1",
     NMT_STATE_UNKNOWN: "`NMT start` by its master, if that expects it Operational",
+    TWO_NODES: "a node number of its own for each drive, set with one of them on the bus at a time",
+    WOULD_DISTURB: "stop the other master, or its SDO; `bus.role: sidecar` needs none; `drives show --may-disturb`",
 }

@@ -60,6 +60,8 @@ class Conversation:
         Called before each wait; returns for how long it need not be called again, s.
     heard : callable, optional
         Called with each frame that was read.
+    asking : callable, optional
+        Called with identifier and data of each request before it is sent; what it raises ends the conversation.
     """
 
     def __init__(
@@ -70,10 +72,12 @@ class Conversation:
         attempts: int,
         meanwhile: Callable[[], float] | None = None,
         heard: "Callable[[Frame], None] | None" = None,
+        asking: Callable[[int, bytes], None] | None = None,
     ) -> None:
         self._bus = bus
-        self._meanwhile = meanwhile
         self._heard = heard
+        self._asking = asking
+        self._meanwhile = meanwhile
         self._silent: set[int] = set()  # nodes that have not answered the request before
         self._answer_s = answer_s
         self._attempts = attempts
@@ -124,6 +128,8 @@ class Conversation:
         now = time.monotonic()
         if self._waiting and now >= self._next_send:
             node, data = self._waiting.popleft()
+            if self._asking is not None:
+                self._asking(objects.SDO_REQUEST_BASE + node, data)
             # a request that the queue does not take is repeated as one that was lost on the bus
             with contextlib.suppress(QueueFullError):
                 self._bus.send(objects.SDO_REQUEST_BASE + node, data)

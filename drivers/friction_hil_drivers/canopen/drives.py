@@ -31,15 +31,18 @@ from friction_hil_drivers.canopen.listening import (
     count_sent,
     heard_by,
     look,
+    require_one_node,
+    would_disturb,
 )
 from friction_hil_drivers.canopen.mapping import check_bus_load
 from friction_hil_drivers.canopen.new_keys import new_keys
 from friction_hil_drivers.canopen.nmt_state import ask_nmt_state, kept_out_of_operational, unknown_nmt_state
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
-from friction_hil_drivers.canopen.passive import PassiveAxis, PassiveExchange
+from friction_hil_drivers.canopen.passive import PassiveExchange, nothing_to_hear, passive_exchange
 from friction_hil_drivers.canopen.service import CanopenService
 from friction_hil_drivers.canopen.sidecar import SidecarDrives
 from friction_hil_drivers.canopen.stopping import has_no_power
+from friction_hil_drivers.canopen.twins import IDENTITY, SETTLE_S
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 
@@ -58,7 +61,6 @@ _OF_MAPPING = (
     codes.NO_MAPPING,
     codes.UNKNOWN_ENTRY,
 )
-_HEAR_S = 1.0  # for every TPDO to come once, where another master decides when
 _PRE_OPERATIONAL = (objects.NmtState.BOOT_UP, objects.NmtState.PRE_OPERATIONAL)  # a node boots into the latter
 
 
@@ -169,6 +171,7 @@ class CanopenDrives(CanopenService):
         self._nmt_states: dict[int, int | None] = {}  # of nodes that were given another one: the state found
         self._states: dict[str, DriveState] = {}  # read back while leaving
         self._is_passive = False
+        self._is_reading = True  # nothing was written yet
         self.leftovers: list[str] = []
         self.remarks: list[str] = []
         self._others = OtherMasters((), 0)
@@ -203,10 +206,11 @@ class CanopenDrives(CanopenService):
             count_sent(self._bus, self._others)
         heard_by(self._bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)
         self._refuse_other_masters()
-        self._network = SdoNetwork(self._bus, self._others.take)
+        self._network = SdoNetwork(self._bus, self._others.take, self._before_request)
         with self._network.reading():
             for name, axis in self._configs.items():
                 self._clients[name] = self._client(self._network, name, canopen_options(axis).node)
+            self._meet(self._bus)
             self._look()
             for name, axis in self._configs.items():
                 self._axes.append(self._connect_axis(name, axis))
@@ -214,7 +218,7 @@ class CanopenDrives(CanopenService):
             pdos = [pdo for axis in self._axes for pdo in axis.pdos]
             pdos += watchdog_pdos(axis.watch.feed_cycles for axis in self._axes if axis.watch.rpdo_id)
             check_bus_load(config.bitrate, self._configuration.period_s, pdos)
-        self._exchange = self._make_passive_exchange(self._bus) if self._is_passive else self._make_exchange(self._bus)
+        self._exchange = self._make_exchange(self._bus)
         return [axis.facts for axis in self._axes]
 
     def _client(self, network: "SdoNetwork", name: str, node: int) -> "SdoClient":
@@ -226,6 +230,36 @@ class CanopenDrives(CanopenService):
             self._journals[node] = Journal(client, lambda identity: state_path(config, node, f"-{identity}.json"))
         client.journal = self._journals[node]
         return client
+
+    def _before_request(self, can_id: int, data: bytes) -> None:
+        """Let a node alone whose only SDO server another master uses, as long as nothing was written to any node."""
+        node = can_id - objects.SDO_REQUEST_BASE
+        if self._is_reading and self._others.uses_sdo_of(node):
+            self._refuse_other_masters()
+            assert self._configuration.bus is not None
+            bus = bus_name(self._configuration.bus)
+            raise would_disturb([node], bus, "or take bus.role: sidecar, which needs no SDO")
+        self._others.requested(can_id, data)
+
+    def _meet(self, bus: "FrameBus") -> None:
+        """Ask every node who it is, and refuse a number that two nodes have.
+
+        Raises
+        ------
+        DriveError
+            A node does not answer, or two do.
+        """
+        for client in self._clients.values():
+            for entry in IDENTITY:
+                client.peek(entry)
+        heard_by(bus, self._others, time.monotonic() + SETTLE_S, time.monotonic)
+        for name, client in self._clients.items():
+            self._refuse_twins(client, self._node_of(name))
+
+    def _refuse_twins(self, client: "SdoClient", node: int) -> None:
+        """Refuse a number that two nodes have; see `listening.require_one_node`."""
+        assert self._bus is not None and self._configuration.bus is not None  # noqa: PT018 - it is being connected
+        require_one_node(client, self._bus, self._others, node, bus_name(self._configuration.bus))
 
     def _look(self) -> None:
         """Read the state of every drive, before anything is written to any of them.
@@ -278,7 +312,7 @@ class CanopenDrives(CanopenService):
             )
         except DriveError as error:
             if self._is_passive and error.code in _OF_MAPPING:
-                raise self._nothing_to_hear(client, error) from error
+                raise nothing_to_hear(client, self._others, error.detail) from error
             raise
         notes = client.notes if client.journal is None else [*client.notes, *client.journal.notes]
         drive = with_notes(drive, [*notes, *self._passive_notes()])
@@ -287,7 +321,11 @@ class CanopenDrives(CanopenService):
     def _prepare_nmt(self, client: "SdoClient", node: int) -> None:
         """Find out the NMT state of a node, and take it out of Operational, in which it may refuse new mappings."""
         self._refuse_other_masters()
-        if self._is_passive or node in self._nmt_states:
+        self._refuse_twins(client, node)
+        if self._is_passive:
+            return
+        self._is_reading = False
+        if node in self._nmt_states:
             return
         if self._clock.is_real and self._others.state_of(node) is None:
             assert self._bus is not None
@@ -301,16 +339,6 @@ class CanopenDrives(CanopenService):
         heard = self._others.words or "its power is on"
         return [f"another master drives it ({heard}): this dry run only listens to its TPDOs, and reads by SDO"]
 
-    def _nothing_to_hear(self, client: "SdoClient", error: DriveError) -> DriveError:
-        """Return why a dry run that must not write gets no feedback."""
-        reason = error.detail.removeprefix(f"{client.axis}: ")
-        heard = self._others.words or "its power is on"
-        text = (
-            f"{client.axis}: {client.where} belongs to another master ({heard}), so nothing is written to it, and its "
-            f"TPDOs as they are do not give the feedback: {reason}"
-        )
-        return DriveError(text, code=codes.NOTHING_TO_HEAR)
-
     def _heartbeat_s(self, name: str, options: CanopenOptions) -> float:
         """Return the period of a drive's heartbeat, s: in a dry run its own."""
         own_ms = self._looks[name].heartbeat_ms if self._dry_run else 0
@@ -323,26 +351,10 @@ class CanopenDrives(CanopenService):
     def _times(self, options: CanopenOptions) -> WatchdogTimes:
         return options.times(self._configuration.period_s, self._configuration.realtime.max_missed)
 
-    def _make_passive_exchange(self, bus: "FrameBus") -> PassiveExchange:
-        """Return the exchange of a dry run beside another master.
-
-        Raises
-        ------
-        DriveError
-            A TPDO does not come.
-        """
-        wanted = {pdo.cob_id: axis for axis in self._axes for pdo in axis.tpdos}
-        end = time.monotonic() + _HEAR_S
-        while (silent := [c for c in wanted if not self._others.has_heard(c)]) and time.monotonic() < end:
-            heard_by(bus, self._others, min(end, time.monotonic() + 0.05), time.monotonic)
-        if silent:
-            axis, listed = wanted[silent[0]], ", ".join(f"{can_id:03X}h" for can_id in silent)
-            reason = f"no TPDO {listed} came within {_HEAR_S:g} s, as one that is sent only on a change may not"
-            raise self._nothing_to_hear(self._clients[axis.facts.name], DriveError(reason))
-        passive = [PassiveAxis(axis.drive, axis.node) for axis in self._axes]
-        return PassiveExchange(bus, passive, self._clock, period_s=self._configuration.period_s)
-
-    def _make_exchange(self, bus: "FrameBus") -> CyclicExchange:
+    def _make_exchange(self, bus: "FrameBus") -> CyclicExchange | PassiveExchange:
+        if self._is_passive:
+            period_s = self._configuration.period_s
+            return passive_exchange(bus, self._axes, self._clients, self._others, self._clock, period_s=period_s)
         options = [canopen_options(axis) for axis in self._configs.values()]
         return CyclicExchange(
             bus,

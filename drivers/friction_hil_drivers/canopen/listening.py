@@ -4,22 +4,26 @@ A frame of another master is told from the daemon's own, which some buses delive
 frame that the daemon sends comes back once, where frames come back at all.
 """
 
+import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import DriveState
 from friction_hil.drive.codes import coded
+from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.object_reader import ObjectReader
 from friction_hil_drivers.canopen.objects import DataType, Object
+from friction_hil_drivers.canopen.twins import SETTLE_S, SURE_REQUESTS, NodeAnswers
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.codec import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
+    from friction_hil_drivers.canopen.sdo import SdoClient
 
 # Two periods of a master that sends at least every 150 ms, as SYNC, PDOs and heartbeats usually are
 LISTEN_S = 0.3
@@ -46,9 +50,11 @@ class OtherMasters:
         self._heard: dict[str, int] = {}  # frames, by what they are
         self._states: dict[int, int] = {}  # last NMT state that a node reported
         self._identifiers: set[int] = set()
+        self._answers = {node: NodeAnswers() for node in nodes}
+        self._own_heartbeat = objects.HEARTBEAT_BASE + master_node
         self._watched: dict[int, str] = {
             objects.SYNC_ID: "SYNC (080h)",
-            objects.HEARTBEAT_BASE + master_node: f"heartbeat of node {master_node}, which is the daemon's own number",
+            self._own_heartbeat: f"heartbeat of node {master_node}, which is the daemon's own number",
         }
         for node in nodes:
             for number, base in enumerate(objects.RPDO_BASES, 1):
@@ -67,6 +73,12 @@ class OtherMasters:
         self._watched.setdefault(can_id, f"heartbeat of node {master}, which node {node} watches as its master's")
         if can_id in self._identifiers:
             self._count(self._watched[can_id])
+
+    def requested(self, can_id: int, data: bytes | bytearray) -> None:
+        """Note an SDO request of our own."""
+        answers = self._answers.get(can_id - objects.SDO_REQUEST_BASE)
+        if answers is not None:
+            answers.requested(data)
 
     def sent(self, can_id: int) -> None:
         """Note a frame of our own, which the bus will deliver."""
@@ -87,6 +99,9 @@ class OtherMasters:
             self._take_nmt(data)
         elif can_id in self._watched:
             self._count(self._watched[can_id])
+            self.requested(can_id, data)
+        elif can_id - objects.SDO_RESPONSE_BASE in self._answers:
+            self._answers[can_id - objects.SDO_RESPONSE_BASE].answered(data)
 
     def _take_nmt(self, data: bytes) -> None:
         if len(data) == 2 and (data[1] == _ALL_NODES or data[1] in self._nodes):
@@ -95,6 +110,14 @@ class OtherMasters:
 
     def _count(self, what: str) -> None:
         self._heard[what] = self._heard.get(what, 0) + 1
+
+    def answers_of(self, node: int) -> NodeAnswers:
+        """Return the count of the SDO answers of one of our nodes."""
+        return self._answers[node]
+
+    def uses_sdo_of(self, node: int) -> bool:
+        """Return True if SDO requests of another master to one of our nodes were heard."""
+        return objects.SDO_REQUEST_BASE + node in self._identifiers
 
     def state_of(self, node: int) -> int | None:
         """Return the NMT state in the last heartbeat of one of our nodes, None where none was heard."""
@@ -111,9 +134,9 @@ class OtherMasters:
 
     @property
     def commanding(self) -> set[int]:
-        """Identifiers of frames that act on our drives: SYNC, NMT, RPDOs."""
+        """Identifiers of frames that act on our drives: SYNC, NMT, RPDOs, and the heartbeat that they watch."""
         rpdos = {can_id for can_id in self._watched if can_id < objects.SDO_RESPONSE_BASE}
-        return {objects.NMT_ID, *rpdos}
+        return {objects.NMT_ID, self._own_heartbeat, *rpdos}
 
     @property
     def has_sync(self) -> bool:
@@ -157,6 +180,16 @@ class MasterAlarm:
                 self.message = coded(text, codes.MASTER_APPEARED)
 
 
+def would_disturb(nodes: Sequence[int], bus: str, otherwise: str) -> DriveError:
+    """Return why nodes are not read whose only SDO server another master uses; ``otherwise`` is a second remedy."""
+    listed = ", ".join(map(str, nodes))
+    text = (
+        f"another master reads or writes node {listed} on {bus} by SDO, and a node has one SDO server: requests from "
+        "here would make its transfers fail"
+    )
+    return DriveError(text, f"stop that master, or its SDO, {otherwise}", codes.WOULD_DISTURB)
+
+
 def count_sent(bus: "FrameBus", others: OtherMasters) -> None:
     """Let ``others`` know of each data frame that is sent on a bus which delivers it back."""
     send = bus.send
@@ -174,6 +207,25 @@ def heard_by(bus: "FrameBus", others: OtherMasters, end: float, now: Callable[[]
         frame = bus.receive(left)
         if frame is not None:
             others.take(frame)
+
+
+def require_one_node(client: "SdoClient", bus: "FrameBus", others: OtherMasters, node: int, bus_name: str) -> None:
+    """Refuse a number that two nodes have, as far as the answers since the last call show it.
+
+    Raises
+    ------
+    DriveError
+        Every answer comes twice.
+    """
+    answers = others.answers_of(node)
+    if answers.is_doubtful:
+        answers.begin()
+        for _ in range(SURE_REQUESTS):
+            client.peek(objects.VENDOR_ID)
+        heard_by(bus, others, time.monotonic() + SETTLE_S, time.monotonic)
+        if (refusal := answers.refusal(node, bus_name)) is not None:
+            raise refusal
+    answers.begin()
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,6 +62,10 @@ class NodeMonitor:
         name = _STATE_NAMES.get(state, state)
         return coded(f"node {self._node} left Operational: it is {name}", codes.NOT_OPERATIONAL)
 
+    def is_another(self) -> None:
+        """Note that the boot-up message was one of a second node with this number: this one has not restarted."""
+        self.condition = NodeCondition.GOOD
+
     def answered(self) -> None:
         """Note that the node has answered SYNC: it is in Operational."""
         if self.condition is not NodeCondition.RESTARTED:

@@ -1,6 +1,8 @@
 """Listening to drives that another master moves: its SYNC, their TPDOs as they are mapped; nothing is sent."""
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -9,13 +11,58 @@ from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.codec import FeedbackDecoder, Measurement, emergency_code, emergency_text
 from friction_hil_drivers.canopen.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
+from friction_hil_drivers.canopen.heard_pdos import HeardPdos
+from friction_hil_drivers.canopen.twins import TwinWatch
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.axis import CanopenAxis
     from friction_hil_drivers.canopen.configure import ConfiguredDrive
     from friction_hil_drivers.canopen.frames import FrameBus
+    from friction_hil_drivers.canopen.listening import OtherMasters
+    from friction_hil_drivers.canopen.mapping import MappedPdo
+    from friction_hil_drivers.canopen.sdo import SdoClient
 
+_HEAR_S = 1.0  # for every TPDO to come once, where another master decides when
+_STEP_S = 0.05
+_SYNCS = 50  # by which the rhythm is judged
 _RESERVE_FRACTION = 0.25  # of the period, kept for computing
+
+
+def _listen(bus: "FrameBus", others: "OtherMasters", identifiers: Collection[int], clock: Clock) -> HeardPdos:
+    """Listen until every TPDO came and, where there is SYNC, for some of its periods; at most `_HEAR_S`."""
+    heard = HeardPdos(objects.SYNC_ID)
+    end = time.monotonic() + _HEAR_S
+    while (left := end - time.monotonic()) > 0.0:
+        is_enough = len(heard.stamps) > _SYNCS or not (clock.is_real and others.has_sync)
+        if is_enough and all(others.has_heard(can_id) for can_id in identifiers):
+            break
+        if (frame := bus.receive(min(left, _STEP_S))) is not None:
+            others.take(frame)
+            heard.take(frame[0], len(frame[1]), clock.now_ns())
+    return heard
+
+
+def _rhythm_notes(heard: HeardPdos, name: str, node: int, tpdos: Sequence["MappedPdo"], period_s: float) -> list[str]:
+    """Return what is unusual in the rhythm of SYNC and of the TPDOs of an axis.
+
+    Raises
+    ------
+    DriveError
+        SYNC has another period than ``period_s``, or two nodes send a TPDO.
+    """
+    if problem := heard.wrong_period(period_s):
+        text = f"{name}: SYNC ({objects.SYNC_ID:03X}h) of the other master {problem}"
+        raise DriveError(text, "period_s must be the master's period", codes.SYNC_UNUSABLE)
+    notes = []
+    for pdo in tpdos:
+        if not pdo.is_synchronous:
+            continue
+        heard.require_one_sender(pdo.cob_id, name, node)
+        if (syncs := heard.syncs_between(pdo.cob_id)) > 1:
+            text = f"TPDO {pdo.number + 1} ({pdo.cob_id:03X}h) comes with every {syncs}. SYNC only"
+            notes.append(f"{text}: the cycles between have no fresh feedback")
+    return notes
 
 
 class PassiveAxis:
@@ -40,6 +87,9 @@ class PassiveAxis:
         self._measured = Measurement()
         self._cycles = 0  # since the last complete set
         self._notices: list[str] = []
+        self._twin = TwinWatch(node)
+        self._fault = ""
+        self._came = 0  # since the last SYNC: bit n for TPDO n
         self.handlers: dict[int, Callable[[bytes], None]] = {
             pdo.cob_id: partial(self._on_tpdo, slot) for slot, pdo in enumerate(drive.tpdos)
         }
@@ -52,10 +102,17 @@ class PassiveAxis:
 
     def on_sync(self) -> None:
         """Begin a new set; one that is complete waits until it is reported."""
+        if self._twin.is_suspected and (fault := self._twin.judge()):
+            self._fault = fault
+        self._came = 0
         if self._is_synchronous and not self.is_complete:
             self._frames = [b""] * len(self._tpdos)
 
     def _on_tpdo(self, slot: int, data: bytes) -> None:
+        if self._tpdos[slot].is_synchronous:
+            if self._came >> slot & 1:
+                self._twin.take(f"TPDO {self._tpdos[slot].number + 1}")
+            self._came |= 1 << slot
         if len(data) >= self._tpdos[slot].layout.size:
             self._frames[slot] = data
 
@@ -78,7 +135,7 @@ class PassiveAxis:
         else:
             late = [f"TPDO {pdo.number + 1}" for pdo, data in zip(self._tpdos, self._frames, strict=True) if not data]
             feedback.missing = f"{' and '.join(late)} of node {self._node} did not come: its master has stopped?"
-        feedback.error, feedback.message = self._error, ""
+        feedback.error, feedback.message = self._error, self._fault
         feedback.notices += self._notices
         self._notices.clear()
 
@@ -151,3 +208,41 @@ class PassiveExchange:
         if self._timeouts >= STEPPED_TIMEOUTS:
             text = f"not every drive has sent its TPDOs for {STEPPED_TIMEOUTS * STEPPED_TIMEOUT_S:g} s"
             raise DriveError(text, code=codes.NOTHING_TO_HEAR)
+
+
+def passive_exchange(
+    bus: "FrameBus",
+    axes: Sequence["CanopenAxis"],
+    clients: Mapping[str, "SdoClient"],
+    others: "OtherMasters",
+    clock: Clock,
+    *,
+    period_s: float,
+) -> PassiveExchange:
+    """Return the exchange of a dry run beside another master, and add notes on what it sends to the axes.
+
+    Raises
+    ------
+    DriveError
+        A TPDO does not come, two nodes send it, or SYNC has another period.
+    """
+    wanted = {pdo.cob_id: axis for axis in axes for pdo in axis.tpdos}
+    heard = _listen(bus, others, wanted, clock)
+    if silent := [can_id for can_id in wanted if not others.has_heard(can_id)]:
+        listed = ", ".join(f"{can_id:03X}h" for can_id in silent)
+        reason = f"no TPDO {listed} came within {_HEAR_S:g} s, as one that is sent only on a change may not"
+        raise nothing_to_hear(clients[wanted[silent[0]].facts.name], others, reason)
+    for axis in axes if clock.is_real else ():
+        notes = _rhythm_notes(heard, axis.facts.name, axis.node, axis.tpdos, period_s)
+        axis.facts = replace(axis.facts, notes=(*axis.facts.notes, *notes))
+    return PassiveExchange(bus, [PassiveAxis(axis.drive, axis.node) for axis in axes], clock, period_s=period_s)
+
+
+def nothing_to_hear(client: "SdoClient", others: "OtherMasters", reason: str) -> DriveError:
+    """Return why a dry run that must not write gets no feedback."""
+    heard = others.words or "its power is on"
+    text = (
+        f"{client.axis}: {client.where} belongs to another master ({heard}), so nothing is written to it, and its "
+        f"TPDOs as they are do not give the feedback: {reason.removeprefix(f'{client.axis}: ')}"
+    )
+    return DriveError(text, code=codes.NOTHING_TO_HEAR)

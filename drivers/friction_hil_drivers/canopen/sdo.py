@@ -359,14 +359,17 @@ class SdoClient(ObjectReader):
 class _Network(canopen.Network):
     """Network of the canopen library that sends on a frame bus."""
 
-    def __init__(self, bus: FrameBus) -> None:
+    def __init__(self, bus: FrameBus, asking: Callable[[int, bytes], None] | None) -> None:
         super().__init__(bus.bus)
         self._frames = bus
+        self._asking = asking
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Send a data frame; ``remote`` frames are not sent here."""
         if remote:
             raise ValueError("SDO has no remote frames")
+        if self._asking is not None:
+            self._asking(can_id, bytes(data))
         self._frames.send(can_id, bytes(data))
 
 
@@ -379,6 +382,8 @@ class SdoNetwork:
         Read while a request waits for its answer.
     heard : callable, optional
         Called with each frame that was read.
+    asking : callable, optional
+        Called with identifier and data of each request before it is sent; what it raises prevents that.
     now : callable, optional
         Clock, s.
 
@@ -392,12 +397,13 @@ class SdoNetwork:
         self,
         bus: "FrameBus | can.BusABC",
         heard: Callable[[Frame], None] | None = None,
+        asking: Callable[[int, bytes], None] | None = None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         self._bus = FrameBus(bus, "of the SDO client") if isinstance(bus, can.BusABC) else bus
         self._heard = heard
         self._now = now
-        self._network: Any = _Network(self._bus)
+        self._network: Any = _Network(self._bus, asking)
         self.meanwhile: Callable[[], float] | None = None
         self._channels: dict[int, MatchingSdo] = {}  # a node with several axes has one
 

@@ -51,6 +51,11 @@ class Request:
             return cls(transfer, _ANSWERS[specifier], command & _TOGGLE)
         return cls((index, subindex), _ANSWERS[specifier], None)
 
+    @staticmethod
+    def is_one(data: bytes | bytearray) -> bool:
+        """Return True for a request, False for an abort and for what is used here nowhere."""
+        return len(data) == _SIZE and data[0] >> 5 in _ANSWERS
+
     @property
     def key(self) -> Address:
         """Key under which answers to equal requests are counted: the object, `SEGMENT` for a segment."""

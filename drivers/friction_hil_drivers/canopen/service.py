@@ -20,12 +20,12 @@ class CanopenService:
     """Functions of the driver that need no cyclic phase."""
 
     @staticmethod
-    def open_inventory(config: "BusConfig") -> "CanopenInventory":
-        """Open a bus to find, show or stop its drives."""
+    def open_inventory(config: "BusConfig", *, may_disturb: bool = False) -> "CanopenInventory":
+        """Open a bus to find, show or stop its drives; see `CanopenInventory`."""
         from friction_hil_drivers.canopen.bus import open_frame_bus
         from friction_hil_drivers.canopen.inventory import CanopenInventory
 
-        return CanopenInventory(config, open_frame_bus(config))
+        return CanopenInventory(config, open_frame_bus(config), may_disturb=may_disturb)
 
     @staticmethod
     def inventory_node(axis: "AxisConfig") -> int:

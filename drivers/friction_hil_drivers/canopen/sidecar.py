@@ -5,7 +5,6 @@ NMT, no SYNC, no SDO. What the drive sends and how it is to be read is stated in
 """
 
 import time
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -16,6 +15,7 @@ from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.delays import SETPOINT_CYCLES
 from friction_hil_drivers.canopen.exclusive import AxisLock
+from friction_hil_drivers.canopen.heard_pdos import HeardPdos
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.mapping import check_bus_load
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
@@ -93,14 +93,16 @@ class SidecarDrives:
             self._locks.append(AxisLock(config, canopen_options(axis).node, name))
         self._bus = open_frame_bus(config, self._given_bus)
         self._axes = [self._make_axis(name, axis) for name, axis in self._configs.items()]
+        if self._bus.is_echoing:
+            _count_offsets(self._bus, {axis.offset_id: axis for axis in self._axes})
         if config.bitrate is not None:
             pdos = [pdo for axis in self._axes for pdo in axis.pdos]
             check_bus_load(config.bitrate, self._configuration.period_s, pdos)
         notes: dict[str, list[str]] = {name: [] for name in self._configs}
         if self._clock.is_real:
-            sizes = self._acquire(_SYNCS)
+            heard = self._acquire(_SYNCS)
             for listener in self._axes:
-                notes[listener.facts.name] += self._compare(listener, sizes)
+                notes[listener.facts.name] += self._compare(listener, heard)
         self._exchange = self._make_exchange(self._bus)
         return [replace(axis.facts, notes=(*axis.facts.notes, *notes[axis.facts.name])) for axis in self._axes]
 
@@ -199,8 +201,8 @@ class SidecarDrives:
             dry_run=self._dry_run,
         )
 
-    def _acquire(self, count: int) -> dict[int, Counter[int]]:
-        """Lock to SYNC; return how often frames of which lengths came, by identifier.
+    def _acquire(self, count: int) -> HeardPdos:
+        """Lock to SYNC; return what was heard meanwhile.
 
         Raises
         ------
@@ -210,57 +212,84 @@ class SidecarDrives:
         sync_id, name = self._bus_config.sync_cob_id, bus_name(self._bus_config)
         problem = ""
         for _ in range(_ATTEMPTS):
-            stamps, sizes = self._listen(count)
-            if not stamps:
+            heard = self._listen(count)
+            if not heard.stamps:
                 text = f"no SYNC ({sync_id:03X}h) within {_SYNC_TIMEOUT_S:g} s on {name}"
                 fix = "start the master of the bus first; bus.sync_cob_id must be its identifier (1005h)"
                 raise DriveError(text, fix, code=codes.SYNC_UNUSABLE)
-            problem = self.phase_lock.acquire(stamps)
+            problem = self.phase_lock.acquire(heard.stamps)
             if not problem:
-                return sizes
+                return heard
         text = f"the SYNC ({sync_id:03X}h) on {name} gives no time base: {problem}"
         raise DriveError(text, "period_s must be the master's period", code=codes.SYNC_UNUSABLE)
 
-    def _listen(self, count: int) -> tuple[list[int], dict[int, Counter[int]]]:
-        """Listen to ``count`` SYNCs, or as long as they should take; return their stamps, and the lengths of frames."""
+    def _listen(self, count: int) -> HeardPdos:
+        """Listen to ``count`` SYNCs, or as long as they should take."""
         assert self._bus is not None
-        stamps: list[int] = []
-        sizes: dict[int, Counter[int]] = {}
+        heard = HeardPdos(self._bus_config.sync_cob_id)
         end = time.monotonic() + _SYNC_TIMEOUT_S + count * self._configuration.period_s
-        while len(stamps) < count and (left := end - time.monotonic()) > 0.0:
+        while len(heard.stamps) < count and (left := end - time.monotonic()) > 0.0:
             frame = self._bus.receive(left)
-            if frame is None:
-                continue
-            sizes.setdefault(frame[0], Counter())[len(frame[1])] += 1
-            if frame[0] == self._bus_config.sync_cob_id:
-                stamps.append(self._clock.now_ns())
-        return stamps, sizes
+            if frame is not None:
+                heard.take(frame[0], len(frame[1]), self._clock.now_ns())
+        return heard
 
-    def _compare(self, axis: SidecarAxis, heard: Mapping[int, Counter[int]]) -> list[str]:
+    def _compare(self, axis: SidecarAxis, heard: HeardPdos) -> list[str]:
         """Compare what was heard with the configuration; return notes.
 
         Raises
         ------
         DriveError
-            A PDO has another length, or somebody sends the torque offset already.
+            A PDO has another length or another rhythm, two nodes send one, or somebody sends what the daemon sends.
         """
-        name = axis.facts.name
-        if axis.offset_id in heard:
-            text = f"{name}: somebody on {bus_name(self._bus_config)} sends {axis.offset_id:03X}h already"
-            fix = "the RPDO of the torque offset must be the sidecar's own"
-            raise DriveError(text, fix, code=codes.PDO_NOT_AS_STATED)
+        name, sizes = axis.facts.name, heard.sizes
+        for own in self._own_identifiers(name, axis):
+            if own in sizes:
+                text = f"{name}: somebody on {bus_name(self._bus_config)} sends {own:03X}h already"
+                fix = "the RPDO of the torque offset, and the number of the heartbeat, must be the sidecar's own"
+                raise DriveError(text, fix, code=codes.PDO_NOT_AS_STATED)
+        self._compare_rhythm(axis, heard)
         for can_id, size in axis.sizes.items():
-            wrong = [length for length in heard.get(can_id, ()) if length != size]
+            wrong = [length for length in sizes.get(can_id, ()) if length != size]
             if wrong:
                 text = f"{name}: {can_id:03X}h comes with {wrong[0]} bytes, but its entries have {size}"
                 fix = "write the entries as the master has mapped them"
                 raise DriveError(text, fix, code=codes.PDO_NOT_AS_STATED)
         lock = self.phase_lock
         notes = [f"locked to SYNC: {lock.deviation_ppm:+.0f} ppm, jitter {lock.jitter_ns * 1e-3:.0f} µs"]
-        if silent := sorted(axis.awaited - set(heard)):
+        if silent := sorted(axis.awaited - set(sizes)):
             listed = ", ".join(f"{can_id:03X}h" for can_id in silent)
             notes.append(f"{listed} has not come yet: the drive may be off, or not Operational")
         return notes
+
+    def _own_identifiers(self, name: str, axis: SidecarAxis) -> list[int]:
+        """Return the identifiers of what the daemon sends for an axis."""
+        options = canopen_options(self._configs[name])
+        has_heartbeat = options.sidecar is not None and options.sidecar.heartbeat_s is not None
+        return [axis.offset_id, *([objects.HEARTBEAT_BASE + options.master_node] if has_heartbeat else [])]
+
+    def _compare_rhythm(self, axis: SidecarAxis, heard: HeardPdos) -> None:
+        """Refuse a TPDO that should come once with every SYNC, and does not."""
+        name = axis.facts.name
+        for can_id in sorted(axis.awaited):
+            heard.require_one_sender(can_id, name, axis.node)
+            if (syncs := heard.syncs_between(can_id)) > 1:
+                text = f"{name}: {can_id:03X}h comes with every {syncs}. SYNC only, but is stated to come with each"
+                fix = "let the master set its type to 1 (1800h:02 for TPDO 1), or state is_synchronous: false for one "
+                fix += "without the position"
+                raise DriveError(text, fix, code=codes.PDO_NOT_AS_STATED)
+
+
+def _count_offsets(bus: "FrameBus", axes: Mapping[int, SidecarAxis]) -> None:
+    """Let each axis know of its offsets on a bus that delivers them back."""
+    send = bus.send
+
+    def counted(can_id: int, data: bytes | bytearray) -> None:
+        send(can_id, data)
+        if can_id in axes:
+            axes[can_id].sent()
+
+    bus.send = counted  # type: ignore[method-assign]
 
 
 def _units(options: CanopenOptions) -> CanopenUnits:

@@ -6,16 +6,19 @@ from functools import partial
 from typing import NamedTuple
 
 from friction_hil.drive import AxisFacts, DriveState, Feedback, Mode
+from friction_hil.drive.codes import coded
 from friction_hil.drive.encoder import unwrap
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.axis import Handler
 from friction_hil_drivers.canopen.codec import Frame, decode_heartbeat, emergency_code, emergency_text
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.objects import NmtState, Object
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions, mapped
+from friction_hil_drivers.canopen.twins import TwinWatch
 from friction_hil_drivers.canopen.units import COUNTER_BITS, CanopenUnits
 from friction_hil_drivers.cia402 import profile
 
+_MOST_ECHOES = 64  # under way; the others were lost
 _ENABLE_MASK = 0x0F  # of the controlword: all four bits are set while the master wants Operation enabled
 
 
@@ -68,6 +71,9 @@ class SidecarAxis:
         self._wrong = ""
         self._error = ""
         self._notices: list[str] = []
+        self._echoes = 0  # of offsets that were sent, which the bus will deliver
+        self._fault = ""
+        self._twin = TwinWatch(node)
         self._counts: int | None = None
         self._velocity = 0.0
         self._stale = 0  # cycles since the last position
@@ -81,6 +87,7 @@ class SidecarAxis:
         handlers: dict[int, Handler] = {
             objects.EMERGENCY_BASE + self.node: self._on_emergency,
             objects.HEARTBEAT_BASE + self.node: self._on_heartbeat,
+            self._offset.cob_id: self._on_offset,
         }
         handlers |= {one.pdo.cob_id: partial(self._on_tpdo, one) for one in self._tpdos}
         handlers |= {one.pdo.cob_id: partial(self._on_rpdo, one) for one in self._rpdos}
@@ -128,6 +135,8 @@ class SidecarAxis:
             several processes on udp_multicast may be heard in another order than they sent.
         """
         self._demand = self._values.get(objects.TARGET_POSITION)
+        if self._twin.is_suspected and (fault := self._twin.judge()):
+            self._fault = self._fault or fault
         self._missing = set(self._awaited - self._early if has_early else self._awaited)
         self._early.clear()
         self.is_complete = not self._missing
@@ -148,7 +157,7 @@ class SidecarAxis:
         statusword = values.get(objects.STATUSWORD)
         feedback.state = DriveState.UNKNOWN if statusword is None else profile.drive_state(statusword)
         feedback.is_fresh = is_fresh
-        feedback.error = self._error
+        feedback.error, feedback.message = self._error, self._fault
         feedback.missing = "" if is_fresh else self._reason()
         feedback.position_demand = self._position_demand()
         feedback.is_offset_wanted = self._is_offset_wanted()
@@ -166,7 +175,19 @@ class SidecarAxis:
         """
         return self._offset.cob_id, self._offset.layout.pack(self._units.torque_per_mille(torque))
 
+    def sent(self) -> None:
+        """Note that an offset was sent on a bus that will deliver it back."""
+        self._echoes = min(self._echoes + 1, _MOST_ECHOES)
+
     # Frames
+
+    def _on_offset(self, _: bytes) -> None:
+        """Take a torque offset: the daemon's own, or a fault."""
+        if self._echoes:
+            self._echoes -= 1
+        elif not self._fault:
+            text = f"somebody else sends {self._offset.cob_id:03X}h, the torque offset of node {self.node}"
+            self._fault = coded(text, codes.PDO_NOT_AS_STATED)
 
     def _on_rpdo(self, heard: _Heard, data: bytes) -> None:
         self._take_values(heard, data)
@@ -186,6 +207,8 @@ class SidecarAxis:
             if cob_id in self._missing:
                 self._missing.discard(cob_id)
             else:
+                if heard.is_awaited:
+                    self._twin.take(f"{cob_id:03X}h")
                 self._early.add(cob_id)
             self.is_complete = not self._missing
 

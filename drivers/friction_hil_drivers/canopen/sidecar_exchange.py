@@ -9,6 +9,7 @@ from friction_hil.drive.phase_lock import PhaseLock
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
+from friction_hil_drivers.canopen.heard_pdos import wrong_period
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.sidecar_axis import SidecarAxis
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 _WINDOW = 0.5  # of the period: SYNC is waited for until this long after it is expected
 _TPDO_FRACTION = 0.25  # of the period, kept for computing and sending
 _LATE_TO_CAPTURE = 3  # SYNCs outside of the window in a row
+_INTERVALS = 50  # between SYNCs by whose median the period is judged
 _EXTRA_WEIGHT, _EXTRA_LIMIT = 20, 200  # a SYNC too many weighs 20 cycles: 10 of them in quick succession are a fault
 _OPERATIONAL = bytes([objects.NmtState.OPERATIONAL])
 
@@ -70,6 +72,8 @@ class SidecarExchange:
         self._missed = 0  # SYNCs in a row
         self._late = 0  # cycles in a row in which SYNC came outside of its window
         self._heard, self._elapsed = 0, 1  # SYNCs heard in this cycle, periods since the one before
+        self._stamp: int | None = None  # of the SYNC before, where its time is known
+        self._intervals: list[int] = []  # between successive SYNCs
         self._extra = 0  # SYNCs too many, weighted; falls by one in each cycle
         self._message = ""  # the first fault of SYNC
         self._timeouts = 0
@@ -100,7 +104,7 @@ class SidecarExchange:
             self._step()
         for axis, target in zip(self._axes, feedback, strict=True):
             axis.report(target)
-            target.message = self._message
+            target.message = target.message or self._message
             target.is_setpoint_lost = self._unsent > 0
 
     def send(self, commands: Sequence[Command]) -> None:
@@ -199,6 +203,7 @@ class SidecarExchange:
         while (frame := self._bus.receive(0.0)) is not None:
             if frame[0] == self._sync_id:
                 count += 1
+                self._stamp = None  # when it came is not known
                 self._begin_cycle()
             else:
                 self._take(*frame)
@@ -213,6 +218,9 @@ class SidecarExchange:
                 continue
             if frame[0] == self._sync_id:
                 stamp = clock.now_ns()
+                if self._stamp is not None:
+                    self._intervals.append(stamp - self._stamp)
+                self._stamp = stamp
                 self._heard += 1
                 self._begin_cycle()
                 return stamp
@@ -239,6 +247,10 @@ class SidecarExchange:
         elif self._extra >= _EXTRA_LIMIT:
             text = f"SYNC ({self._sync_id:03X}h) comes more than once a period: two controllers send it"
             self._message = coded(text, codes.SYNC_LOST)
+        elif len(self._intervals) >= _INTERVALS:
+            if problem := wrong_period(self._intervals, 1e-9 * self._period_ns):
+                self._message = coded(f"SYNC ({self._sync_id:03X}h) {problem}", codes.SYNC_LOST)
+            self._intervals.clear()
 
     def _collect(self, deadline_ns: int) -> None:
         """Take frames until every axis is complete."""

@@ -18,26 +18,26 @@ from friction_hil.errors import UsageError
 _WHERE = "give a configuration with a bus, or --bus interface:channel[:port], e.g. --bus socketcan:can0"
 
 
-def scan_bus(*, config: str | None, bus: str | None, bitrate: int | None, as_json: bool) -> int:
-    """Print the nodes on a bus; return 1 if there is none."""
-    with _inventory(config, bus, bitrate) as (inventory, _):
+def scan_bus(*, config: str | None, bus: str | None, bitrate: int | None, may_disturb: bool, as_json: bool) -> int:
+    """Print the nodes on a bus; return 1 if there is none, or something is wrong with one."""
+    with _inventory(config, bus, bitrate, may_disturb=may_disturb) as (inventory, _):
         found = inventory.scan()
     if as_json:
         print_json({"drives": [_entry_json(each) for each in found.drives], "notes": found.notes})
     else:
         _print_scan(found.drives)
         _print_notes(found.notes)
-    return 0 if found.drives else 1
+    return 0 if found.drives and not any(each.problem for each in found.drives) else 1
 
 
-def show_drive(*, words: Sequence[str], bus: str | None, bitrate: int | None, as_json: bool) -> int:
+def show_drive(*, words: Sequence[str], bus: str | None, bitrate: int | None, may_disturb: bool, as_json: bool) -> int:
     """Print what one drive says of itself."""
     config, nodes = _sort(words)
     if len(nodes) != 1:
         raise UsageError(
             "drives show needs the number of one node, e.g. friction-hil drives show --bus socketcan:can0 1"
         )
-    with _inventory(config, bus, bitrate) as (inventory, _):
+    with _inventory(config, bus, bitrate, may_disturb=may_disturb) as (inventory, _):
         shown = inventory.show(nodes[0])
         notes = inventory.notes
     if as_json:
@@ -76,7 +76,9 @@ def _sort(words: Sequence[str]) -> tuple[str | None, list[int]]:
 
 
 @contextlib.contextmanager
-def _inventory(config: str | None, bus: str | None, bitrate: int | None) -> Iterator[tuple[Inventory, list[int]]]:
+def _inventory(
+    config: str | None, bus: str | None, bitrate: int | None, *, may_disturb: bool = False
+) -> Iterator[tuple[Inventory, list[int]]]:
     """Open a bus; also return the nodes of the axes in the configuration."""
     nodes: list[int] = []
     if config is not None and bus is None:
@@ -89,7 +91,7 @@ def _inventory(config: str | None, bus: str | None, bitrate: int | None) -> Iter
         driver, section = _driver_for_buses(), _parse(bus, bitrate)
     else:
         raise UsageError(_WHERE if bus is None else f"either a configuration or --bus, not both: {_WHERE}")
-    inventory: Inventory = driver.open_inventory(section)
+    inventory: Inventory = driver.open_inventory(section, may_disturb=may_disturb)
     try:
         yield inventory, nodes
     finally:
@@ -166,6 +168,9 @@ def _print_scan(entries: Sequence[DriveEntry]) -> None:
             *(each.nmt or "-", state, each.mode or "-", " ".join(each.modes) or "-"),
         )
     print_table(table)
+    for each in entries:
+        if each.problem:
+            say(f"error: {each.problem}", stderr=False)
 
 
 def _print_notes(notes: Sequence[str]) -> None:

@@ -1,0 +1,258 @@
+"""Two drives with one number, on a bus that hands every frame to both."""
+
+import random
+
+import can
+import pytest
+from friction_hil_drivers.canopen.drives import CanopenDrives
+from friction_hil_drivers.canopen.frames import FrameBus
+from friction_hil_drivers.canopen.inventory import CanopenInventory
+
+from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.drive import Command, Feedback, Request
+from friction_hil.errors import DriveError
+from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.servo_drives import axis_dict, configuration
+
+UPLOAD, BOOT_UP = 0x40, (0x700 + NODE, b"\x00")
+POLL = bytes.fromhex("4041600000000000")
+
+
+class TwinBus(BenchBus):
+    """A bus with two drives; the answers of the second come after ``late`` further frames of the first."""
+
+    def __init__(self, second=None, *, late=0):
+        super().__init__(Bench())
+        self.second = second
+        self.late, self.waiting = late, []
+
+    def send(self, msg, timeout=None):
+        super().send(msg, timeout)
+        if self.second is None:
+            return
+        self.waiting.append(self.second.send(msg.arbitration_id, bytes(msg.data)))
+        while len(self.waiting) > self.late:
+            for can_id, data in self.waiting.pop(0):
+                self.answers.put(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+
+def opened(bus, *, dry_run=False):
+    config = configuration(x=axis_dict(node=NODE))
+    return CanopenDrives(config, config.axes, SteppedClock(), dry_run=dry_run, bus=bus)
+
+
+class DoublingBus(BenchBus):
+    """A bus, or a gateway, that delivers a share of all frames of the drive twice."""
+
+    def __init__(self, share):
+        super().__init__(Bench())
+        numbers = random.Random(3)
+        put = self.answers.put
+
+        def doubled(message):
+            put(message)
+            if numbers.random() < share:
+                put(message)
+
+        self.answers.put = doubled
+
+
+class PolledBus(BenchBus):
+    """A bus on which a PLC reads by SDO: ``first`` of its requests wait already, and one comes after each of ours."""
+
+    def __init__(self, first=0, *, later=0):
+        super().__init__(Bench())
+        self.later = later
+        for _ in range(first):
+            self.poll()
+
+    def poll(self):
+        self.answers.put(can.Message(arbitration_id=0x600 + NODE, data=POLL, is_extended_id=False))
+
+    def send(self, msg, timeout=None):
+        super().send(msg, timeout)
+        if self.later and len(self.sent) >= self.later:
+            self.poll()
+
+
+def inventory(bus, **options):
+    config = configuration(x=axis_dict(node=NODE))
+    return CanopenInventory(config.bus, FrameBus(bus, "bench"), **options)
+
+
+def cycle(drives, request=Request.LISTEN):
+    """One cycle; return its feedback."""
+    feedback = Feedback()
+    drives._clock.sleep_until(drives._clock.now_ns() + 1_000_000)
+    drives.receive([feedback], 0)
+    drives.send([Command(request)])
+    return feedback
+
+
+def is_reading(can_id, data):
+    """An upload, the next segment of one, or an abort."""
+    return can_id == 0x600 + NODE and data[0] & 0xE0 in (UPLOAD, 0x60, 0x80)
+
+
+@pytest.mark.parametrize("dry_run", [False, True])
+@pytest.mark.parametrize("late", [0, 1, 3])
+def test_two_equal_drives_are_refused_before_anything_is_written(dry_run, late):
+    bus = TwinBus(Bench(), late=late)
+    drives = opened(bus, dry_run=dry_run)
+    with pytest.raises(
+        DriveError, match=r"two nodes answer as node 5 .*, or an adapter or gateway repeats .* \[FH-264\]"
+    ):
+        drives.connect()
+    drives.close()
+    bus.shutdown()
+    assert all(is_reading(*frame) for frame in bus.sent)
+
+
+@pytest.mark.parametrize(
+    ("second", "difference"),
+    [
+        ({"missing": [0x1018]}, r"1018h:01 vendor ID is 0x\w+ and refused \(06020000h\)"),
+        ({"serial": 77}, r"1018h:04 serial number is 0x\w+ and 0x4d"),
+    ],
+)
+def test_drives_that_differ_are_called_two(second, difference):
+    serial = second.pop("serial", None)
+    bus = TwinBus(Bench(**second))
+    if serial is not None:
+        bus.second.node._dictionary.change(0x1018, 4, serial)
+    drives = opened(bus)
+    with pytest.raises(DriveError, match=rf"two nodes answer as node 5 on .*: {difference}; .*FH-264"):
+        drives.connect()
+    drives.close()
+    bus.shutdown()
+    assert all(is_reading(*frame) for frame in bus.sent)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.4])
+def test_a_bus_that_doubles_some_frames_is_none_with_two_drives(share):
+    bus = DoublingBus(share)
+    drives = opened(bus)
+    drives.connect()
+    drives.start()
+    for _ in range(200):
+        assert cycle(drives).message == ""
+    drives.close()
+    bus.shutdown()
+
+
+def test_a_gateway_that_doubles_every_frame_is_refused_and_named():
+    bus = DoublingBus(1.0)
+    drives = opened(bus)
+    with pytest.raises(DriveError, match=r"or an adapter or gateway repeats its frames"):
+        drives.connect()
+    drives.close()
+    bus.shutdown()
+
+
+def test_a_second_drive_that_is_plugged_in_in_mid_run_is_a_fault():
+    """It is set up as the first, from the run before, and was switched on elsewhere: no boot-up message is heard."""
+    bus = TwinBus()
+    drives = opened(bus)
+    drives.connect()
+    drives.start()
+    for _ in range(20):
+        assert cycle(drives, Request.ENABLE).message == ""
+    second = Bench()
+    for frame in bus.sent:
+        second.send(*frame)
+    bus.second = second
+    messages = [cycle(drives, Request.ENABLE).message for _ in range(25)]
+    assert messages[0] == ""
+    assert "of node 5 comes twice in each cycle: two nodes have this number" in messages[-1]
+    bus.second = None
+    drives.close()
+    bus.shutdown()
+
+
+def test_a_second_drive_that_is_switched_on_in_mid_run_ends_it_and_the_first_is_stopped_by_its_rpdos():
+    bus = TwinBus()
+    drives = opened(bus)
+    drives.connect()
+    drives.start()
+    for _ in range(20):
+        cycle(drives, Request.ENABLE)
+    bus.second = Bench()
+    bus.answers.put(can.Message(arbitration_id=BOOT_UP[0], data=BOOT_UP[1], is_extended_id=False))
+    feedback = cycle(drives, Request.ENABLE)
+    assert feedback.message == "node 5 restarted (boot-up message) [FH-231]"
+    assert any("a second node with this number was switched on [FH-264]" in text for text in feedback.notices)
+    assert feedback.is_reachable
+    assert feedback.state.is_powered
+    for _ in range(300):
+        feedback = cycle(drives, Request.DISABLE)
+    assert not feedback.state.is_powered
+    drives.close()
+    bus.shutdown()
+
+
+def test_scan_and_show_name_two_drives_and_a_stop_proves_nothing():
+    bus = TwinBus(Bench())
+    found = inventory(bus)
+    [entry] = found.scan().drives
+    assert (entry.node, entry.answers) == (NODE, True)
+    assert "two nodes answer as node 5" in entry.problem
+    with pytest.raises(DriveError, match=r"two nodes answer as node 5 .*FH-264"):
+        found.show(NODE)
+    assert all(data[0] & 0xE0 in (UPLOAD, 0x60, 0x80) for _, data in bus.sent)
+    with pytest.raises(DriveError, match=r"two nodes answer as node 5 .*FH-264"):
+        found.reset_axes({"x": (NODE, 0)})
+    assert isinstance(found.meet([NODE])[NODE], DriveError)
+    [stop] = found.stop([NODE])
+    found.close()
+    assert not stop.is_proved
+    assert "two nodes answer as node 5" in stop.detail
+
+
+def test_one_drive_is_one():
+    bus = BenchBus(Bench())
+    found = inventory(bus)
+    [entry] = found.scan().drives
+    assert (entry.node, entry.problem) == (NODE, "")
+    assert found.meet([NODE, NODE + 1]) == {NODE: None}
+    [stop] = found.stop([NODE])
+    found.close()
+    assert stop.is_proved
+
+
+def test_a_node_whose_sdo_another_master_uses_is_not_read_without_the_users_word():
+    bus = PolledBus(2)
+    found = inventory(bus)
+    for read in (found.scan, lambda: found.show(NODE)):
+        with pytest.raises(DriveError, match=r"reads or writes node 5 .*--may-disturb \[FH-265\]"):
+            read()
+    assert found.meet([NODE]) == {}
+    assert bus.sent == []
+    assert any("may fail while nodes are asked here" in note for note in found.notes)
+    [stop] = found.stop([NODE])  # a stop comes first
+    found.close()
+    assert stop.is_proved
+    bus = PolledBus(2)
+    found = inventory(bus, may_disturb=True)
+    assert found.show(NODE)["node"] == NODE
+    found.close()
+
+
+def test_reading_ends_with_the_first_request_of_another_master():
+    bus = PolledBus(later=3)
+    found = inventory(bus)
+    with pytest.raises(DriveError, match=r"reads or writes node 5 .*FH-265"):
+        found.show(NODE)
+    found.close()
+    assert len(bus.sent) <= 4
+
+
+@pytest.mark.parametrize("polled", [{"first": 2}, {"later": 3}])
+def test_a_dry_run_does_not_read_what_another_master_reads(polled):
+    bus = PolledBus(**polled)
+    drives = opened(bus, dry_run=True)
+    with pytest.raises(DriveError, match=r"reads or writes node 5 .* bus.role: sidecar, which needs no SDO \[FH-265\]"):
+        drives.connect()
+    drives.close()
+    bus.shutdown()
+    assert len(bus.sent) <= 4
+    assert all(is_reading(*frame) for frame in bus.sent)
