@@ -254,7 +254,8 @@ class Driver(Protocol):
         each: what was seen to act, and what was not.
     ``open_inventory(bus)`` and ``inventory_node(axis)``
         Opens a bus (the section ``bus`` of a configuration) and returns a `friction_hil.drive.inventory.Inventory`, for
-        ``friction-hil drives`` (``may_disturb``: it may read nodes that another master reads); and returns the number under which that finds the drive of an axis.
+        ``friction-hil drives`` (``may_disturb``: it may read nodes that another master reads); and returns the number
+        under which that finds the drive of an axis.
     ``stop_axes(configuration, axes)`` and ``reset_axes(configuration, axes)``
         For ``friction-hil stop`` and ``reset``: takes the power of each drive, or resets its fault and leaves it
         without power; returns a `friction_hil.drive.inventory.StopReport` of what was read back. Neither enables a

@@ -4,8 +4,8 @@ import itertools
 import random
 
 import pytest
-from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.heard_pdos import HeardPdos
+from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.sidecar_axis import SidecarAxis
 from friction_hil_drivers.canopen.sidecar_exchange import SidecarExchange
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
