@@ -65,7 +65,7 @@ class RunStateMachine:
         Time at which this state began.
     """
 
-    __slots__ = ("_enable_timeout_s", "_is_listening", "_moved_s", "_timeout", "since_s", "state")
+    __slots__ = ("_changed_s", "_enable_timeout_s", "_is_listening", "_moved_s", "_timeout", "since_s", "state")
 
     def __init__(self, *, is_listening: bool, enable_timeout_s: float = ENABLE_TIMEOUT_S) -> None:
         self._is_listening = is_listening
@@ -74,6 +74,7 @@ class RunStateMachine:
         self.since_s = 0.0
         self._timeout: Timeout | None = None
         self._moved_s = 0.0
+        self._changed_s = 0.0  # time in this state after which neither set-point nor compensation changes any more
 
     def advance(self, time_s: float, inputs: RunInputs) -> bool:
         """Take one cycle's inputs; return True if the state changed."""
@@ -83,7 +84,7 @@ class RunStateMachine:
         after = self._next(time_s - self.since_s, inputs, has_stood)
         if after is self.state:
             return False
-        self.state, self.since_s = after, time_s
+        self.state, self.since_s, self._changed_s = after, time_s, 0.0
         return True
 
     def take_timeout(self) -> Timeout | None:
@@ -133,9 +134,11 @@ class RunStateMachine:
 
     def _stopping(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
         if not (inputs.is_setpoint_standing and (inputs.is_faded_out or elapsed_s > FADE_TIMEOUT_S)):
+            self._changed_s = elapsed_s
             return self.state  # both end with their ramps, which began with this state
         # after the timeout the axis may still move although the set-point rests: it hunts or is moved by hand
-        return LoopState.DISABLING if has_stood or elapsed_s > STANDSTILL_TIMEOUT_S else self.state
+        is_over = elapsed_s - self._changed_s > STANDSTILL_TIMEOUT_S
+        return LoopState.DISABLING if has_stood or is_over else self.state
 
     def _fault_stopping(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
         if has_stood or not (inputs.is_powered or inputs.is_lost_powered or inputs.is_lost_unknown):

@@ -231,6 +231,27 @@ def test_every_run_ends_in_bounded_time(events, last, why):
         assert time_s < bound
 
 
+@settings(max_examples=60, deadline=None)
+@given(ramp=st.integers(0, 500), fade=st.integers(0, 500), moves=st.integers(0, 800))
+def test_a_stop_waits_for_standstill_from_the_rest_of_set_point_and_compensation_on(ramp, fade, moves):
+    """Cycles after the request: the axis follows its ramp, and may go on moving after that, as one that hunts does."""
+    run = Run().reach(LoopState.STOPPING)
+    rest, waits, stands = max(ramp, fade), round(STANDSTILL_TIMEOUT_S / DT), round(STANDSTILL_S / DT)
+    cycle = 0
+    while run.machine.state is LoopState.STOPPING:
+        cycle += 1
+        run.pass_time(
+            is_powered=True,
+            is_setpoint_standing=cycle > ramp,
+            is_faded_out=cycle > fade,
+            is_standing=cycle > moves,
+        )
+    assert run.machine.state is LoopState.DISABLING
+    assert cycle > rest
+    assert cycle >= min(moves + stands, rest + waits), "it still moves, and has not had its time"
+    assert cycle <= max(rest, min(moves + stands, rest + waits)) + 3
+
+
 def test_a_pause_disables_and_waits_and_a_start_enables_again():
     run = Run().reach(LoopState.RUNNING)
     assert run.pass_time(is_pause_requested=True, is_powered=True, is_enabled=True) is LoopState.STOPPING
