@@ -179,6 +179,57 @@ def test_a_drive_that_does_not_obey_the_quick_stop_is_disabled():
     assert words[-1] == DISABLE_BY_SDO
 
 
+def quick_stopping(velocity_of, ms):
+    """A drive in quick stop that tells velocities by SDO; the commands written until it is over, with their times."""
+    bench, commands, reads = Stopped(PRE_OPERATIONAL), [], 0
+    bench.cycle()
+    frames = bench.ask()
+    while bench.now_ns < ms * MS:
+        asked = next((frame for frame in frames if frame[0] == 0x605), None)
+        if asked is None or asked in (QUICK_STOP_BY_SDO, DISABLE_BY_SDO):
+            if asked is not None:
+                commands.append((bench.now_ns // MS, asked))
+            answer = WRITTEN
+        elif asked == READ_STATE:
+            answer = statusword(0x0217)
+        else:
+            answer, reads = velocity(velocity_of(reads)), reads + 1
+        bench.heartbeat(PRE_OPERATIONAL)
+        frames = bench.answer(answer, after_ms=2)[1]
+    return commands
+
+
+@pytest.mark.parametrize("speed", [400, -400])
+def test_a_quick_stop_that_does_not_end_is_followed_by_disable(speed):
+    commands = quick_stopping(lambda reads: speed, 2200)
+    words = [word for _, word in commands]
+    assert words[0] == QUICK_STOP_BY_SDO
+    assert words[-1] == DISABLE_BY_SDO
+    assert all(1990 <= at for at, word in commands if word == DISABLE_BY_SDO), "it is braking until then"
+
+
+@pytest.mark.parametrize("speed", [400, -400])
+def test_an_axis_that_brakes_in_either_direction_does_not_stand(speed):
+    commands = quick_stopping(lambda reads: speed if reads < 100 else 0, 1000)
+    assert DISABLE_BY_SDO in [word for _, word in commands]
+    assert next(at for at, word in commands if word == DISABLE_BY_SDO) > 400
+
+
+def test_a_drive_that_stops_answering_is_not_called_unpowered_any_more():
+    bench = Stopped(PRE_OPERATIONAL)
+    bench.cycle()
+    bench.ask()
+    bench.answer(WRITTEN)
+    assert bench.answer(statusword(0x0250))[0].state is DriveState.SWITCH_ON_DISABLED
+    assert bench.axis.is_proved_unpowered
+    for _ in range(300):
+        bench.heartbeat(PRE_OPERATIONAL)
+        feedback = bench.cycle()
+        bench.ask()
+    assert feedback.state is DriveState.UNKNOWN
+    assert not bench.axis.is_proved_unpowered
+
+
 def test_an_answer_to_another_request_is_not_taken():
     bench = Stopped(PRE_OPERATIONAL)
     bench.cycle()

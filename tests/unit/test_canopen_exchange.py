@@ -4,6 +4,7 @@ Time is what the tests say; the exchange takes it for real.
 """
 
 import errno
+import itertools
 import sys
 from collections import Counter
 from pathlib import Path
@@ -230,6 +231,34 @@ def test_the_heartbeat_ends_when_a_drive_that_may_have_power_answers_nothing(dri
     counts.append(len(driven.sent(heartbeat)))
     driven.cycles(500, Request.DISABLE)
     assert len(driven.sent(heartbeat)) == counts[1], counts
+
+
+def test_the_heartbeat_ends_3_s_after_a_drive_that_answers_has_not_given_up_its_power(driven):
+    """It says by SDO that it has power, and takes no controlword: only its watchdog is left."""
+    driven.bench.write(0x6007, 0, "h", 0)  # nothing but the heartbeat stops it
+    driven.bus.loses = lambda can_id, data: can_id in (0, RPDO1)
+    send = driven.bus.send
+
+    def send_without_effect(msg, timeout=None):
+        if (msg.arbitration_id, bytes(msg.data[1:3])) == (0x605, b"\x40\x60"):
+            driven.bus.answers.put(message(0x585, bytes.fromhex("6040600000000000")))
+        else:
+            send(msg, timeout)
+
+    driven.bus.send = send_without_effect
+    heartbeat = objects.HEARTBEAT_BASE + 126
+    for can_id, data in [*driven.bench.nmt(0x80), (objects.HEARTBEAT_BASE + NODE, b"\x7f")]:
+        driven.bus.answers.put(message(can_id, data))
+    counts = []
+    for _ in range(45):
+        driven.bus.answers.put(message(objects.HEARTBEAT_BASE + NODE, b"\x7f"))
+        driven.cycles(100, Request.DISABLE)
+        counts.append(len(driven.sent(heartbeat)))
+    assert not driven.feedback.is_reachable
+    assert driven.feedback.state is DriveState.OPERATION_ENABLED
+    beats = [after - before for before, after in itertools.pairwise(counts)]
+    assert min(beats[1:26]) > 0, "until then the others and its own quick stop have time"
+    assert max(beats[32:]) == 0
 
 
 def test_a_node_that_another_master_took_out_of_operational_is_brought_back_and_stopped(driven):

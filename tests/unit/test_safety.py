@@ -43,6 +43,14 @@ def test_only_fresh_finite_feedback_is_used_and_remembered(position, velocity, t
     assert one.position == position if is_good else math.isnan(one.position)
 
 
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["position", "velocity", "torque"])
+def test_feedback_with_one_number_that_is_not_finite_is_not_used(name, number):
+    one = supervisor()
+    assert not one.take(heard(**{name: number}))
+    assert (one.position, one.is_current) == (0.0, False)
+
+
 @given(st.floats(-1e3, 1e3), st.integers(0, 20))
 def test_a_position_may_jump_as_far_as_twice_the_velocity_limit_reaches_since_the_last_one(jump, missed):
     one = supervisor()

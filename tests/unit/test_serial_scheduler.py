@@ -344,3 +344,24 @@ def test_a_line_that_is_gone_is_said_and_used_again_when_it_is_back():
             break
     assert bench.image.fresh == {"position"}
     assert len(bench.line.sent) == asked + 1, "what was to be asked meanwhile is not asked later"
+
+
+def test_a_command_that_waited_when_the_line_went_away_is_not_sent_when_it_is_back():
+    """Whoever opens the line again, as the end of a run does, must not move the axis by what was wanted before."""
+    bench = Bench(**{"position?": b"12;"})
+    assert bench.cycle() == 12.0
+    bench.go(SILENCE_MS)
+    bench.line.pull_out()
+    bench.line.write = bench.line.read  # a line may be lost while it is written to
+    bench.line.read = lambda **_: b""
+    bench.ask("position")
+    bench.ask("velocity")
+    bench.scheduler.poll()
+    assert not bench.line.is_open
+    del bench.line.write
+    bench.line.is_back = True
+    assert bench.line.reopen()
+    sent = len(bench.line.sent)
+    bench.go(200.0)
+    assert bench.line.sent[sent:] == []
+    assert bench.scheduler.is_finished
