@@ -68,8 +68,8 @@ class FaultCode(Enum):
         114,
         "drive not enabled in time",
         (
-            "the message names the state of the drive; see its manual for that state. A drive that needs longer: "
-            "`enable_timeout_s`"
+            "the message names the state of the drive, and its statusword 6041h with what it says: no voltage, not in "
+            "remote control; see its manual. A drive that needs longer: `enable_timeout_s`"
         ),
     )
     NO_STANDSTILL = 115, "no standstill after quick stop", "raise the drive's quick stop deceleration; check the brake"

@@ -86,6 +86,7 @@ class Feedback:
     is_offset_wanted: bool = True  # mode and controlword are such that a torque offset compensates friction
     temperature: float = math.nan  # deg C, the last one read; NaN where none is measured
     load_position: float = math.nan  # by an encoder at the load, rad or m of the axis; NaN where there is none
+    status: str = ""  # statusword of a drive that is not enabled, with what it says beside the state, in words
 
 
 @dataclass(slots=True)

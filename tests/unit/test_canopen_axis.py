@@ -418,3 +418,17 @@ def test_a_drive_without_a_torque_offset_gets_its_target_alone():
     rpdos = [MappedPdo(RPDO1, (objects.CONTROLWORD, objects.TARGET_VELOCITY), struct.Struct("<Hi"))]
     [frame] = CommandEncoder(rpdos, Mode.CSV, UNITS).encode(0x0F, Command(Request.ENABLE, 0.0, 2.0, 0.1))
     assert frame == (RPDO1, struct.pack("<Hi", 0x0F, 1000))
+
+
+@pytest.mark.parametrize(
+    ("statusword", "words"),
+    [
+        (0x0250, "6041h = 0250h"),
+        (0x0240, "6041h = 0240h: no voltage"),
+        (0x0080 | 0x0231, "6041h = 02B1h: a warning"),
+        (0x0040, "6041h = 0040h: no voltage, not in remote control, so that it takes no controlword"),
+        (0x0637, ""),  # enabled
+    ],
+)
+def test_the_statusword_of_a_drive_that_is_not_enabled_is_told_in_words(statusword, words):
+    assert Bench().heard(state=statusword).status == words

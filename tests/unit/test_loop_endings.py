@@ -322,6 +322,15 @@ def test_a_drive_that_is_never_enabled_is_given_up_by_its_name_and_state():
     run.assert_left_disabled()
 
 
+def test_what_the_statusword_says_of_a_drive_that_is_never_enabled_is_told():
+    def refuse(cycle, feedback):
+        feedback[0].state, feedback[0].status = DriveState.SWITCH_ON_DISABLED, "6041h = 0240h: no voltage"
+        feedback[0].error = "DC link under-voltage"
+
+    expected = "the drive is in switch on disabled (6041h = 0240h: no voltage; DC link under-voltage) [FH-114]"
+    assert Run(disturb=refuse).result.faults == [f"x: not enabled within 5 s: {expected}"]
+
+
 def test_a_drive_that_stays_powered_is_told_of():
     def stays(cycle, feedback):
         feedback[0].state = DriveState.OPERATION_ENABLED

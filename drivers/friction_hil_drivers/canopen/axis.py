@@ -99,6 +99,7 @@ class CanopenAxis:
         "_sdo",
         "_short",
         "_state",
+        "_status",
         "_temperature",
         "_twin",
         "_waits_for_older",
@@ -156,6 +157,7 @@ class CanopenAxis:
         self._measured = Measurement()  # of the last complete cycle
         self._error = drive.error
         self._message = ""
+        self._status = ""  # statusword of a drive that is not enabled, in words
         self.controlword = profile.DISABLE_VOLTAGE
         # the controlword follows from these alone, as long as the request is not to reset a fault
         self._state: DriveState | None = None
@@ -345,7 +347,7 @@ class CanopenAxis:
         else:
             feedback.state, feedback.missing = self.state, "" if is_fresh else self._missing()
             self.needs_other_frames = self._sdo.is_active or not is_reachable or self._missed > _BLIND_CYCLES
-        feedback.error = self._error
+        feedback.error, feedback.status = self._error, self._status
         feedback.message = self._message
         is_over = is_fresh and is_reachable and self._asked is Request.DISABLE and not state.is_powered
         if self._message and is_over and not self._twin.is_found:
@@ -389,7 +391,9 @@ class CanopenAxis:
         """React to a statusword that has changed."""
         if measured.state is not before.state:
             self._change_state(measured.state)
-        self._notices.take_statusword(measured.statusword, is_enabled=measured.state is _OPERATION_ENABLED)
+        is_enabled = measured.state is _OPERATION_ENABLED
+        self._status = "" if is_enabled else profile.status_words(measured.statusword)
+        self._notices.take_statusword(measured.statusword, is_enabled=is_enabled)
 
     def _change_state(self, state: DriveState) -> None:
         """React to a new state: the reason of a fault is read, and forgotten once the drive is enabled."""

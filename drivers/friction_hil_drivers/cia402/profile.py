@@ -55,6 +55,24 @@ def drive_state(statusword: int) -> DriveState:
     return _STATES[statusword & 0x6F]
 
 
+_SAID_WHILE_DISABLED = (  # (bit, value that is told, text)
+    (VOLTAGE_ENABLED, False, "no voltage"),
+    (WARNING, True, "a warning"),
+    (REMOTE, False, "not in remote control, so that it takes no controlword"),
+    (INTERNAL_LIMIT, True, "an internal limit is active"),
+)
+
+
+def status_words(statusword: int) -> str:
+    """Return a statusword with what it says beside the state of a drive that is not enabled.
+
+    >>> status_words(0x0240)
+    '6041h = 0240h: no voltage'
+    """
+    said = [text for bit, value, text in _SAID_WHILE_DISABLED if bool(statusword & bit) is value]
+    return f"6041h = {statusword & 0xFFFF:04X}h{': ' if said else ''}{', '.join(said)}"
+
+
 _TO_DISABLE = {
     DriveState.OPERATION_ENABLED: SWITCH_ON,
     DriveState.SWITCHED_ON: SHUTDOWN,

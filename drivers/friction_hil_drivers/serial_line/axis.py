@@ -165,6 +165,7 @@ class SerialAxis:
         self._state_s = self._filled_s = math.nan
         self._state_numbers: list[float | None] = []  # that the state was derived from
         self._why = ""  # meaning of the number that shows a fault
+        self._status = ""  # statusword of a drive that is not enabled, in words
         self.state_signals = state_signals(description)
 
     def fill(self, feedback: Feedback, time_s: float, last_error: str) -> None:
@@ -203,7 +204,7 @@ class SerialAxis:
         feedback.velocity = self._velocity
         feedback.torque = values.get("torque", 0.0) * self._torque_scale
         feedback.temperature = values.get(TEMPERATURE, math.nan) * self._temperature_scale
-        feedback.state = self.state
+        feedback.state, feedback.status = self.state, self._status
         feedback.is_fresh = is_fresh
         number = values.get("error", 0.0)
         feedback.error = self._why
@@ -223,6 +224,8 @@ class SerialAxis:
         if numbers != self._state_numbers:
             self._state_numbers, self.state = numbers, state_of(self._description, values)
             self._why = meaning_of(self._description, values) if self.state is DriveState.FAULT else ""
+            has_word = self._description.state_machine == "cia402" and self.state is not DriveState.OPERATION_ENABLED
+            self._status = profile.status_words(int(values["status"])) if has_word and "status" in values else ""
         return self.state
 
     @property
