@@ -20,10 +20,12 @@ from friction_hil.cli.recording_options import recording_options
 def command(**options: Any) -> None:
     """Convert the recording IN to OUT; the suffixes give the formats.
 
-    Reads .mcap, .csv, .txt, .tsv and .dat (columns of numbers, with or without names), .parquet, .mf4 and .mdf, .h5
-    and .hdf5, .mat (MATLAB 4 to 7.3), .npz, .npy, .json (a list of rows), and logs of raw CAN frames (candump .log,
-    .asc, .blf; --config describes them). Writes .mcap, .csv, .parquet, .mf4, .h5, .hdf5, .mat (MATLAB 5), .npz and
-    .json. Parquet, MDF and HDF5 need: pip install "friction-hil[formats]".
+    Reads .mcap, .csv, .txt, .tsv, .dat and .lvm (columns of numbers, with or without names), .parquet, .mf4 and .mdf,
+    .h5 and .hdf5, .mat (MATLAB 4 to 7.3), .npz, .npy, .json (a list of rows), and logs of raw CAN frames (candump
+    .log, .asc, .blf, .trc; --config describes them). Writes .mcap, .csv, .parquet, .mf4, .h5, .hdf5, .mat (MATLAB 5),
+    .npz and .json. Parquet, MDF and HDF5 need: pip install "friction-hil[formats]".
+
+    --info shows what a file of another program holds, what is suspicious in it, and the command that would read it.
 
     A table without time stamps takes its sampling rate: --rate 1000. Columns without names are column1, column2, ...,
     those of a matrix q[:,0], q[:,1], ... Files side by side are joined: position.csv --column torque=torque.csv:tau,

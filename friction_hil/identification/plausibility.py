@@ -5,6 +5,7 @@ the motion of others. The checks compare the result with what little every axis 
 friction are not negative, and a model predicts the torque better than its mean does.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,7 @@ from friction_hil.identification.identify import Identification
 from friction_hil.identification.plain_axis import PlainAxis
 from friction_hil.motion.experiment import is_fast
 from friction_hil.recordings import Recording
+from friction_hil.recordings.contradictions import contradictions, unsigned_register
 from friction_hil.recordings.mapping import parse_source
 
 _NOTHING = 0.95  # of the error of a constant torque: a model with a larger error explains nothing
@@ -25,8 +27,6 @@ _POOR = 0.5  # of the same: a model with a larger error explains less than three
 _GOOD = 0.1  # relative error below which no cause is looked for
 _CLEARLY = 0.8  # ratio of two errors below which the smaller one is no coincidence
 _NO_FRICTION = 1e-3  # of the measured torque
-_REGISTERS = (8, 16, 32)  # bits
-_RARELY = 0.02  # of the rows
 _SPEEDS = 50  # at which a model is looked at for friction
 
 
@@ -55,6 +55,7 @@ def check_result(result: Identification, recordings: Sequence[Recording]) -> lis
     swinging = ["gravity.sine", "gravity.cosine"] if is_rotary else []
     found = _register(recordings) or _sign(result, PlainAxis(data, swinging, has_spring=True), recordings)
     is_turned = bool(found)
+    found += _of_motion(result, recordings)
     found += [] if is_turned else _without_friction(result.best)
     error, constant = result.best.held_out.relative_error, _error_of_constant(result)
     causes = []
@@ -105,25 +106,16 @@ def _error_of_constant(result: Identification) -> float:
 
 
 def _register(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report a torque that is a signed register, read as an unsigned one: its negative values are near the top."""
-    first = recordings[0]
-    source, factor = parse_source(first.sources.get("torque", "torque"))
-    raw = np.concatenate([each["torque"] for each in recordings]) / factor
-    raw = np.round(raw[np.isfinite(raw)], 6)
-    if not len(raw) or np.any(raw < 0.0) or np.any(raw != np.floor(raw)):
-        return []
-    for bits in _REGISTERS:
-        share = raw / 2.0**bits
-        if np.any(share > 0.75) and np.all(share < 1.0) and np.mean((share > 0.25) & (share < 0.75)) < _RARELY:
-            text = f"{source}:int{bits}" + ("" if factor == 1.0 else f"*{factor:.10g}")
-            return [
-                Finding(
-                    f"the torque is whole numbers from {np.min(raw):.0f} to {np.max(raw):.0f} and hardly any between: "
-                    f"a signed register of {bits} bits, logged as an unsigned one; give --column torque='{text}'",
-                    is_fatal=True,
-                )
-            ]
-    return []
+    """Report a torque that is a signed register, read as an unsigned one."""
+    text = unsigned_register(recordings)
+    return [Finding(text, is_fatal=True)] if text else []
+
+
+def _of_motion(result: Identification, recordings: Sequence[Recording]) -> list[Finding]:
+    """Report recordings whose velocity contradicts their position, where the velocity counts."""
+    if all(record.lowpass_hz is not None for record in result.records):
+        return []  # the velocity is derived
+    return [Finding(each, is_fatal=True) for each in dict.fromkeys(itertools.chain(*map(contradictions, recordings)))]
 
 
 def _sign(result: Identification, plain: PlainAxis, recordings: Sequence[Recording]) -> list[Finding]:

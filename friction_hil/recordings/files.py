@@ -1,6 +1,7 @@
 """Reading and writing of recordings; the suffix of the file selects the format."""
 
 import importlib
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ _MODULES = {
     ".txt": "csv_file",
     ".tsv": "csv_file",
     ".dat": "csv_file",
+    ".lvm": "csv_file",
     ".parquet": "parquet_file",
     ".mf4": "mdf_file",
     ".mdf": "mdf_file",
@@ -38,10 +40,16 @@ _MODULES = {
     ".log": "can_log",
     ".asc": "can_log",
     ".blf": "can_log",
+    ".trc": "can_log",
 }
-_READ_ONLY = (".txt", ".tsv", ".dat", ".npy", ".mdf", ".log", ".asc", ".blf")
+_READ_ONLY = (".txt", ".tsv", ".dat", ".lvm", ".npy", ".mdf", ".log", ".asc", ".blf", ".trc")
 _WRITERS = {suffix: name for suffix, name in _MODULES.items() if suffix not in _READ_ONLY} | {".mcap": "mcap_writer"}
 """Module by suffix, with `read(source)`, which returns recordings, and `write(path, recording, overwrite=)`."""
+
+_HEAD = 4000  # bytes that show whether a log holds frames, as candump writes or prints them
+_FRAME = (
+    rb"^\s*(?:\x1b\[[0-9;]*m)*(?:\([^()]*\)\s+)?[A-Za-z]\S*\s+(?:[RT]X\s+\S\s+\S\s+)?[0-9A-Fa-f]{3,8}(?:#|\s+\[\d+\])"
+)
 
 
 def formats(*, to_write: bool = False) -> tuple[str, ...]:
@@ -121,11 +129,15 @@ def read_all(
     only: Collection[str] | None = None,
     configuration: "Configuration | None" = None,
     is_alone: bool = False,
+    is_preview: bool = False,
 ) -> dict[str, Recording]:
-    """Read all axes of a recording; return them by name. Parameters are as of `read`."""
+    """Read all axes of a recording; return them by name.
+
+    Parameters are as of `read`; with ``is_preview`` time stamps may be missing.
+    """
     mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {}, rate_hz)
     source = Source(Path(path), None, _wanted(only, mapped, where), configuration=configuration)
-    return _read(source, mapped, where, only, is_alone=is_alone)
+    return _read(source, mapped, where, only, is_alone=is_alone, is_preview=is_preview)
 
 
 def write(path: str | Path, recording: Recording, *, overwrite: bool = False) -> None:
@@ -167,7 +179,13 @@ def _wanted(only: Collection[str] | None, mapped: Mapped, where: str | None) -> 
 
 
 def _read(
-    source: Source, mapped: Mapped, where: str | None, only: Collection[str] | None, *, is_alone: bool
+    source: Source,
+    mapped: Mapped,
+    where: str | None,
+    only: Collection[str] | None,
+    *,
+    is_alone: bool,
+    is_preview: bool = False,
 ) -> dict[str, Recording]:
     recordings = _read_as_it_is(source) if is_alone else _read_parts(source)
     for recording in recordings:
@@ -188,7 +206,8 @@ def _read(
             recording.others += tuple(name for name in recording.columns if name not in only)
             recording.columns = {name: values for name, values in recording.columns.items() if name in only}
             recording.units = {name: unit for name, unit in recording.units.items() if name in only}
-        check(recording)
+        if TIME in recording.columns or not is_preview:
+            check(recording)
         if where is not None:
             count_where(recording, where, there)
     return {recording.axis: recording for recording in recordings}
@@ -217,7 +236,7 @@ def _read_parts(source: Source) -> list[Recording]:
 
 def _read_as_it_is(source: Source) -> list[Recording]:
     """Read the axes of a file with the names of the file."""
-    module = _module(source.path, _MODULES)
+    module = _module(source.path, _MODULES | _by_content(source))
     try:
         found: list[Recording] = module.read(source)
     except OSError as error:
@@ -225,6 +244,19 @@ def _read_as_it_is(source: Source) -> list[Recording]:
     except MemoryError:
         raise RecordingError(f"{source.path} does not fit into the memory: split it into shorter files") from None
     return found
+
+
+def _by_content(source: Source) -> dict[str, str]:
+    """Return the module of a suffix that logs of frames and tables share; a log of frames needs a configuration."""
+    suffix = source.path.suffix.lower()
+    try:
+        with source.path.open("rb") as file:
+            has_frames = re.search(_FRAME, file.read(_HEAD), re.MULTILINE) is not None
+    except OSError:
+        return {}  # the reader says what is wrong
+    if suffix == ".log" and not has_frames and source.configuration is None:
+        return {suffix: "csv_file"}
+    return {suffix: "can_log"} if suffix == ".txt" and has_frames else {}
 
 
 def _module(path: Path, known: Mapping[str, str]) -> Any:

@@ -17,9 +17,11 @@ from friction_hil.errors import UsageError, choices
 Array = NDArray[np.float64]
 
 NUMBER = r"(?:pi|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
+_LARGEST_ROUNDING = 0.25  # of a step, of a register that was multiplied and rounded before it was logged
 _REGISTERS = ("int8", "int16", "int32", "uint8", "uint16", "uint32")
 _FACTOR = re.compile(rf"([*/])\s*(-?)({NUMBER})")
 _NUMBERS = re.compile(rf"-?{NUMBER}(?:\s*/\s*-?{NUMBER})*")
+_SCALED = re.compile(rf"\s*/\s*({NUMBER})\s*$")
 _TERM = re.compile(
     rf"(?P<column>.*?)\s*(?::\s*(?P<register>{'|'.join(_REGISTERS)}))?\s*(?P<factors>(?:/\s*-?{NUMBER}\s*)*)", re.DOTALL
 )
@@ -27,10 +29,14 @@ _TERM = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A column of the file, and the type of ``register`` as which it is reinterpreted; empty: unchanged."""
+    """A column of the file, and the type of ``register`` as which it is reinterpreted; empty: unchanged.
+
+    ``divisor`` is what the register had been multiplied by before it was logged.
+    """
 
     column: str
     register: str = ""
+    divisor: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +109,7 @@ def product_of(source: str, there: Collection[str]) -> Product:
     begin = 0
     while begin < len(pieces):
         spans = {end: "*".join(pieces[begin:end]).strip() for end in range(len(pieces), begin, -1)}
-        known = (end for end, text in spans.items() if text in there or _split(text)[0].column in there)
+        known = (end for end, text in spans.items() if text in there or _split(text, there)[0].column in there)
         end = next(known, begin + 1)
         text, begin = spans[end], end
         if not text:
@@ -111,7 +117,7 @@ def product_of(source: str, there: Collection[str]) -> Product:
         if _NUMBERS.fullmatch(text):
             factor *= factor_of(f"*{text}", source)
             continue
-        term, factors = (Term(text), "") if text in there else _split(text)
+        term, factors = (Term(text), "") if text in there else _split(text, there)
         terms.append(term)
         factor *= factor_of(factors, source)
     return Product(tuple(terms), factor) if terms else Product((Term(source),))
@@ -122,7 +128,8 @@ def possible_columns(source: str) -> set[str]:
     pieces = source.split("*")
     ends = range(1, len(pieces) + 1)
     texts = {"*".join(pieces[begin:end]).strip() for end in ends for begin in range(end)}
-    return {source, *texts, *(_split(text)[0].column for text in texts)}
+    columns = {_split(text)[0].column for text in texts}
+    return {source, *texts, *columns, *(_SCALED.sub("", column) for column in columns)}
 
 
 def columns_of(source: str) -> list[str]:
@@ -159,11 +166,15 @@ def factor_of(factors: str, text: str) -> float:
     return factor
 
 
-def _split(text: str) -> tuple[Term, str]:
-    """Split ``load:int16/885`` into the column with its register and the factors."""
+def _split(text: str, there: Collection[str] | None = None) -> tuple[Term, str]:
+    """Split ``load:int16/885`` into the column with its register and the factors; ``load/2.69:int16`` as well."""
     found = _TERM.fullmatch(text)
     assert found is not None  # any text is a name
-    return Term(found["column"].strip(), found["register"] or ""), found["factors"]
+    column, register = found["column"].strip(), found["register"] or ""
+    scaled = _SCALED.search(column) if register else None
+    if scaled is None or (there is not None and (column in there or column[: scaled.start()].strip() not in there)):
+        return Term(column, register), found["factors"]
+    return Term(column[: scaled.start()].strip(), register, factor_of(f"*{scaled[1]}", text)), found["factors"]
 
 
 def _reinterpreted(values: Array, term: Term) -> Array:
@@ -172,6 +183,12 @@ def _reinterpreted(values: Array, term: Term) -> Array:
         return values
     kind, bits = term.register.split("int")
     top = 2.0 ** int(bits)
+    if term.divisor != 1.0:
+        scaled = values / term.divisor
+        values = np.round(scaled)
+        off = scaled[np.abs(scaled - values) > _LARGEST_ROUNDING]
+        if off.size:
+            raise UsageError(f"{term.column}/{term.divisor:g} is no register: it holds {off[0]:.10g}")
     known = values[~np.isnan(values)]
     wrong = known[(known < -top / 2.0) | (known >= top) | (known != np.floor(known))]
     if wrong.size:

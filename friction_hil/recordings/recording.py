@@ -1,5 +1,6 @@
 """Recording of one axis in memory, and the checks that apply to every format."""
 
+import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError, UsageError, choices
-from friction_hil.recordings.columns import CYCLE, SPARSE, TIME, AxisKind
+from friction_hil.recordings.columns import CYCLE, NAMES, SPARSE, TIME, AxisKind, unit
 from friction_hil.recordings.product import absent, product_of
 from friction_hil.recordings.quality import LARGEST, all_finite, is_ordinary, rows_text, too_large, without_overflow
-from friction_hil.recordings.units import unit_problem
+from friction_hil.recordings.units import conversion, unit_in, unit_problem
 
 Array = NDArray[np.float64]
 
@@ -54,6 +55,12 @@ class Recording:
         Columns of the file that were not requested.
     sources : dict of str
         What mapped and scaled columns were made of, as on the command line: ``{"torque": "vir*35.15"}``.
+    texts : dict of str
+        Columns of text, which are left out, each with an example of its content.
+    labels : dict of str
+        What the file says of its columns besides their names.
+    rate_hz : float or None
+        Sampling rate that the file states beside its rows.
     """
 
     path: str
@@ -66,6 +73,9 @@ class Recording:
     units: dict[str, str] = field(default_factory=dict)
     others: tuple[str, ...] = ()
     sources: dict[str, str] = field(default_factory=dict)
+    texts: dict[str, str] = field(default_factory=dict)
+    labels: dict[str, str] = field(default_factory=dict)
+    rate_hz: float | None = None
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0
@@ -109,9 +119,13 @@ class Recording:
         more = f" and {len(known) - _MOST_NAMED} more" if len(known) > _MOST_NAMED else ""
         there = ", ".join(known[:_MOST_NAMED]) or "none"
         rate = "; a recording without time stamps takes --rate HZ" if TIME in missing else ""
+        from friction_hil.recordings.suggestion import suggest  # imported here: it needs this module
+
+        options = shlex.join(suggest(self).options)
         raise RecordingError(
             f"{self.path}: no column {', '.join(missing)}. There are: {there}{more}. "
             f"A column of another name is mapped with {' '.join(f'--column {name}=NAME' for name in missing)}{rate}"
+            + (f". By the names, try {options}; convert --info shows more" if options else "")
         )
 
 
@@ -138,6 +152,22 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
         elif name not in recording.others and name not in columns:
             there = {*recording.columns, *recording.others}
             raise UsageError(f"{recording.path}: --scale {name}: {choices(name, there)}")
+    _convert_units(recording, scale)
+
+
+def _convert_units(recording: Recording, scale: Mapping[str, float]) -> None:
+    """Convert what the file has in other units, as it says itself; what was given a factor is SI already."""
+    for name in [each for each in recording.columns if each in NAMES and each not in scale]:
+        given = recording.units.get(name, "")
+        found = conversion(name, given) if given else None
+        if found is None:
+            continue
+        if found.value != 1.0:
+            source = recording.sources.get(name, name)
+            _scale_column(recording, name, found.value)
+            recording.sources[name] = f"{source}*{found.value:.10g}"
+            recording.problems.append(f"{name} is in {given} in the file: multiplied by {found.factor}")
+            recording.units[name] = found.to
 
 
 def _map_columns(recording: Recording, columns: Mapping[str, str]) -> None:
@@ -150,6 +180,8 @@ def _map_columns(recording: Recording, columns: Mapping[str, str]) -> None:
         try:
             product = product_of(source, names)
             missing = product.missing(names)
+            if missing in recording.texts:
+                raise UsageError(f"column {missing!r} holds text ({recording.texts[missing]!r}), no numbers")
             if missing:
                 raise UsageError(("" if missing == source else f"no column {missing!r}; ") + absent(missing, names))
             if not product.is_plain:
@@ -158,14 +190,29 @@ def _map_columns(recording: Recording, columns: Mapping[str, str]) -> None:
         except UsageError as error:
             raise UsageError(f"{recording.path}: --column {name}={source}: {error}") from None
         column = product.terms[0].column
+        _refuse_other_quantity(recording, name, column)
         renamed.add(column)
         if column in there:
             taken[name] = there[column]
-        if column in recording.units:
-            units[name] = recording.units[column]
+        given = recording.units.get(column, "") or ("" if column in NAMES else unit_in(column))
+        if given and (name == TIME or conversion(TIME, given) is None):  # speed_ms is hardly in milliseconds
+            units[name] = given
     kept = [name for name in there if name not in renamed and name not in columns]
     recording.columns = taken | {name: there[name] for name in kept}
     recording.units = units | {name: recording.units[name] for name in kept if name in recording.units}
+
+
+def _refuse_other_quantity(recording: Recording, name: str, column: str) -> None:
+    """Refuse one of friction_hil's columns in place of another quantity."""
+    own, other = unit(name), unit(column)
+    if not own or not other or own == other:
+        return
+    hint = (
+        "; a recording without position needs none: it is integrated from the velocity"
+        if name == "position" and column == "velocity"
+        else ""
+    )
+    raise UsageError(f"{recording.path}: --column {name}={column}: {column} is in {other}, {name} in {own}{hint}")
 
 
 def _scale_column(recording: Recording, name: str, factor: float) -> None:
@@ -265,8 +312,8 @@ def check(recording: Recording) -> None:
             recording.problems.append(
                 f"{name} is beyond {LARGEST:g} in {rows_text(large, len(values))}: not used in computations"
             )
-    for name, unit in recording.units.items():
-        problem = unit_problem(name, unit)
+    for name, given in recording.units.items():
+        problem = unit_problem(name, given, recording.sources.get(name, name))
         if problem:
             recording.problems.append(problem)
     if CYCLE in recording:

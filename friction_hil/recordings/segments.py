@@ -12,6 +12,7 @@ import numpy as np
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
+from friction_hil.recordings.contradictions import contradictions, unsigned_register
 from friction_hil.recordings.edges import between_counts
 from friction_hil.recordings.even import EvenGrid, even_grid
 from friction_hil.recordings.quality import is_coarse, resolution, without_overflow
@@ -178,6 +179,10 @@ def even_signals(
     has_velocity = lowpass_hz is None and not why_derived
     grid = even_grid(recording, ["position", "torque", *(["velocity"] if has_velocity else [])], held)
     problems = list(grid.problems)
+    if has_velocity:
+        problems += contradictions(recording)
+    if text := unsigned_register([recording]):
+        problems.append(text)
     if is_torque_delay_removed and (delay_s := stated_torque_delay_s(recording)):
         problems.append(f"the drive's torque was read {1e3 * delay_s:.3g} ms late: moved back by as much")
         _move_torque_back(grid, delay_s)

@@ -58,8 +58,6 @@ def test_csv_of_other_programs(tmp_path: Path, text: str) -> None:
         ("time_s,position\n", "no rows"),
         ("0,1\n1,2\n", "no column time_s. There are: column1, column2. .*--column time_s=NAME"),
         ("0,1\n1,2,3\n", "bench.csv:2: 3 fields, but the first row has 2"),
-        ("time_s,position,position\n0,1,2\n", "bench.csv:1: column 'position' is there 2 times"),
-        ("time_s,,torque\n0,1,2\n", "bench.csv:1: column 2 has no name"),
         ("time_s,position\n0,1\n1,fast\n", "bench.csv:3: position: 'fast' is not a number"),
         ('time_s,position\n0,1\n1,"0,5"\n', "bench.csv:3: position: '0,5' is not a number; decimal commas need semi"),
         ("time_s;position\n0;1,5\n1;0.5\n", "bench.csv:3: has a decimal point; lines before, a comma"),

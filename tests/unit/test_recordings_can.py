@@ -1,5 +1,6 @@
 """Logs of raw CAN frames: written by python-can, from frames of the driver's own encoder, and read back."""
 
+import json
 import struct
 import zlib
 from collections.abc import Iterator
@@ -236,3 +237,126 @@ def test_a_log_needs_a_configuration(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert f"{CYCLES} rows of" in capsys.readouterr().out
     assert main(["replay", str(path), "--config", str(config)]) == 0
     assert "lugre (as recorded)" in capsys.readouterr().out
+
+
+def printed(frames: list[can.Message], time: str) -> str:
+    """What ``candump -t`` prints of frames; ``time`` is its letter, empty without the option."""
+    lines, before = [], frames[0].timestamp
+    for frame in frames:
+        at = frame.timestamp - (0.0 if time == "a" else before)
+        date = str(np.datetime64(round(frame.timestamp * 1e6), "us")).replace("T", " ")
+        stamp = {"": "", "A": f" ({date})"}.get(time, f" ({at:010.6f})")
+        before = frame.timestamp if time == "d" else before
+        data = " ".join(f"{byte:02X}" for byte in frame.data)
+        lines.append(f"{stamp}  can0  {frame.arbitration_id:03X}   [{frame.dlc}]  {data}\n")
+    return "".join(lines)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".txt"])
+@pytest.mark.parametrize("time", ["a", "A", "z", "d", ""])
+def test_what_candump_prints_is_read_where_it_has_times(tmp_path: Path, time: str, suffix: str) -> None:
+    configuration = load(machine(tmp_path, Mode.CSP))
+    frames, truth = session(Mode.CSP)
+    path = tmp_path / f"x{suffix}"
+    path.write_text(printed(frames, time))
+    if not time:
+        with pytest.raises(RecordingError, match=r"without their times.* candump -l, or candump -t a"):
+            fh.recordings.read(path, configuration=configuration)
+        return
+    read = fh.recordings.read(path, configuration=configuration)
+    np.testing.assert_allclose(read["time_s"], np.arange(CYCLES) * PERIOD, atol=CYCLES * 3e-6)
+    np.testing.assert_allclose(read["position"], [feedback.position for feedback, _ in truth], rtol=1e-12)
+
+
+def test_a_trace_of_peak_is_read(tmp_path: Path) -> None:
+    frames, truth = session(Mode.CSP)
+    with can.TRCWriter(str(tmp_path / "x.trc")) as writer:
+        for frame in frames:
+            frame.channel = 1
+            writer.on_message_received(frame)
+    read = fh.recordings.read(tmp_path / "x.trc", configuration=load(machine(tmp_path, Mode.CSP)))
+    np.testing.assert_allclose(read["torque"], [feedback.torque for feedback, _ in truth], rtol=1e-12)
+
+
+def moving(*pdos: tuple[int, tuple[Object, ...]], told: bool = False) -> list[can.Message]:
+    """Frames of a drive that moves, in a mapping of another master; ``told``: it reads the mapping first."""
+    time = np.arange(400) * 5e-3
+    counts = (40_000.0 * np.sin(3.0 * time)).round().astype(int)
+    values: dict[Object, np.ndarray] = {
+        objects.STATUSWORD: np.full(400, 0x1237),
+        objects.POSITION_ACTUAL: counts,
+        objects.VELOCITY_ACTUAL: (120_000.0 * np.cos(3.0 * time)).astype(int),
+        objects.TORQUE_ACTUAL: (300.0 * np.cos(3.0 * time)).astype(int),
+        objects.MODE_DISPLAY: np.full(400, 8),
+    }
+    frames = [reported(0x608F, 1, 65536), reported(0x608F, 2, 1), reported(0x6076, 0, 500)]
+    for cob_id, entries in pdos if told else ():
+        place = cob_id // 0x100 - 1
+        frames += [reported(0x1800 + place, 1, cob_id), reported(0x1A00 + place, 0, len(entries))]
+        frames += [reported(0x1A00 + place, k, entry.mapping) for k, entry in enumerate(entries, 1)]
+    for row, at in enumerate(time):
+        frames.append(message(0x080, b"", 1.0 + at))
+        for cob_id, entries in pdos:
+            data = b"".join(struct.pack(f"<{entry.type.code}", int(values[entry][row])) for entry in entries)
+            frames.append(message(cob_id, data, 1.0 + at + 1e-4))
+    return frames
+
+
+STATUS, ACTUAL, SPEED, TORQUE = (
+    objects.STATUSWORD,
+    objects.POSITION_ACTUAL,
+    objects.VELOCITY_ACTUAL,
+    objects.TORQUE_ACTUAL,
+)
+OF_OTHERS = {
+    "profile": ((0x181, (STATUS,)), (0x381, (STATUS, ACTUAL)), (0x481, (STATUS, SPEED))),
+    "position first": ((0x181, (ACTUAL, STATUS, TORQUE)), (0x281, (SPEED, objects.MODE_DISPLAY))),
+    "position last": ((0x181, (STATUS, TORQUE, ACTUAL)), (0x281, (SPEED, objects.MODE_DISPLAY))),
+    "torque first": ((0x181, (TORQUE, STATUS, ACTUAL)),),
+    "no status": ((0x181, (ACTUAL, SPEED)), (0x281, (TORQUE,))),
+}
+
+
+@pytest.mark.parametrize("name", OF_OTHERS)
+def test_the_mapping_of_another_master_is_used_where_stated_and_never_guessed(tmp_path: Path, name: str) -> None:
+    pdos = OF_OTHERS[name]
+    plain = load(machine(tmp_path, Mode.CSP))
+    with pytest.raises(RecordingError, match=r"x: .*(carries|statuswords|jumps|velocity).*sidecar\.tpdos"):
+        fh.recordings.read(write(tmp_path / "x.log", moving(*pdos)), configuration=plain)
+    truth = 40_000.0 * np.sin(3.0 * np.arange(400) * 5e-3) / UNITS.counts_per_unit
+    told = fh.recordings.read(write(tmp_path / "told.log", moving(*pdos, told=True)), configuration=plain)
+    np.testing.assert_allclose(told["position"], truth, atol=1.0 / UNITS.counts_per_unit)
+    assert any("SDO transfers of the log" in problem for problem in told.problems)
+    if name == "no status":
+        return  # which a sidecar needs
+    path = tmp_path / "sidecar.yaml"
+    tpdos = [{"cob_id": cob_id, "entries": [entry.index for entry in entries]} for cob_id, entries in pdos]
+    path.write_text(SIDECAR.format(tpdos=json.dumps(tpdos)))
+    read = fh.recordings.read(tmp_path / "x.log", configuration=load(path))
+    np.testing.assert_allclose(read["position"], truth, atol=1.0 / UNITS.counts_per_unit)
+    tpdos[0]["entries"] = [0x6041, 0x6064, 0x6061]  # seven bytes, which no frame has
+    path.write_text(SIDECAR.format(tpdos=json.dumps(tpdos[:1])))
+    with pytest.raises(
+        RecordingError, match=r"181h carries \d bytes, and not the 7 of 6041h .* \(the mapping of sidecar in"
+    ):
+        fh.recordings.read(tmp_path / "x.log", configuration=load(path))
+
+
+SIDECAR = """
+version: 1
+period_s: 0.005
+bus: {{interface: virtual, channel: x, role: sidecar}}
+axes:
+  x:
+    driver: canopen
+    node: 1
+    mode: csp
+    counts_per_unit: 10430.378350470453
+    rated_torque: 0.5
+    limits: {{torque: 0.1, velocity: 50.0}}
+    model: {{axis: rotary, friction: {{model: coulomb, parameters: {{coulomb: 0.05}}}}}}
+    trajectory: {{kind: master}}
+    sidecar:
+      tpdos: {tpdos}
+      offset: {{cob_id: 0x501, entries: [0x60B2]}}
+"""

@@ -23,14 +23,18 @@ from tests.contract.recording_formats import read_or_reason, sample
 BAM = Path(__file__).parents[3] / "shared" / "data" / "bam_xl330"
 
 
-def test_a_unit_that_is_not_ours_is_reported(tmp_path: Path) -> None:
+def test_a_unit_that_is_not_ours_is_converted_and_said_unless_a_factor_is_given(tmp_path: Path) -> None:
     wrong = sample()
     wrong.units = {"position": "deg", "torque": "N·m", "gear_2": "deg"}
     fh.recordings.write(tmp_path / "x.parquet", wrong)
-    problems = [problem for problem in fh.recordings.read(tmp_path / "x.parquet").problems if "deg" in problem]
-    assert problems == ["position is in deg in the file and is taken for rad or m: --column position=position*pi/180"]
-    mended = fh.recordings.read(tmp_path / "x.parquet", scale={"position": np.pi / 180.0})
-    assert not any("deg" in problem for problem in mended.problems)
+    read = fh.recordings.read(tmp_path / "x.parquet")
+    assert [each for each in read.problems if "deg" in each] == ["position is in deg in the file: multiplied by pi/180"]
+    np.testing.assert_allclose(read["position"], np.radians(wrong["position"]))
+    assert read.units["position"] == "rad"
+    for factor in (1.0, np.pi / 180.0):
+        given = fh.recordings.read(tmp_path / "x.parquet", scale={"position": factor})
+        np.testing.assert_allclose(given["position"], factor * wrong["position"])
+        assert not any("deg" in problem for problem in given.problems)
 
 
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)

@@ -1,6 +1,6 @@
-"""Recordings from logs of raw CAN frames, decoded with the PDOs that the driver maps."""
+"""Recordings from logs of raw CAN frames, decoded with the PDOs of each axis (`log_mapping`)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from friction_hil.drive import Mode
 from friction_hil.errors import DriveError, RecordingError
 from friction_hil.recordings import Recording
+from friction_hil.recordings.contradictions import contradictions
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.frame_log import FrameLog
-from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, PdoRecord, pdo_layout
+from friction_hil_drivers.canopen.log_mapping import OWN, LoggedPdo, LogMapping, mappings
+from friction_hil_drivers.canopen.mapping import PdoRecord
 from friction_hil_drivers.canopen.object_reader import ObjectReader
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
@@ -22,6 +24,8 @@ from friction_hil_drivers.canopen.units import COUNTER_BITS, PER_MILLE, CanopenU
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
+    from canopen import ObjectDictionary
+
     from friction_hil.config import AxisConfig
 
 Array = NDArray[np.float64]
@@ -50,6 +54,11 @@ class LoggedObjects(ObjectReader):
     def width(self, entry: Object) -> int:
         """Return the width of an object in bits: from the log, else from the EDS, else from the standard."""
         return super().width(entry) or self._width_in_eds(entry) or entry.type.bits
+
+    @property
+    def dictionary(self) -> "ObjectDictionary | None":
+        """Content of the EDS; None if the configuration names none."""
+        return self._dictionary
 
     def _width_in_eds(self, entry: Object) -> int | None:
         if self._dictionary is None:
@@ -89,69 +98,133 @@ def read_bus_log(path: Path, axes: "Mapping[str, AxisConfig]") -> list[Recording
         The log cannot be opened.
     """
     log = FrameLog(path)
+    found = {name: _mapping_of(log, name, axis, path) for name, axis in axes.items()}
     recordings = [
-        _read_axis(log, name, axis, path) for name, axis in axes.items() if log.rows_of(_first_tpdo(axis)).size
+        _read_axis(log, name, axes[name], path, access, mapping)
+        for name, (access, mapping) in found.items()
+        if mapping is not None
     ]
     if not recordings:
-        wanted = ", ".join(f"{_first_tpdo(axis):03X}h ({name})" for name, axis in axes.items())
-        found = ", ".join(f"{identifier:03X}h" for identifier in sorted(log.rows)) or "none"
+        wanted = ", ".join(f"{identifier:03X}h ({name})" for name, axis in axes.items() for identifier in _wanted(axis))
         reasons = "".join(f"; {problem}" for problem in log.problems)
-        raise RecordingError(f"{path}: no frame of an axis is in it. Wanted: {wanted}; there are: {found}{reasons}")
+        raise RecordingError(
+            f"{path}: no frame of an axis is in it. Wanted: {wanted}; there are: {_identifiers(log)}{reasons}"
+        )
     missing = [name for name in axes if name not in {recording.axis for recording in recordings}]
     for recording in recordings:
         recording.problems += [f"there are no frames of axis {name}" for name in missing]
     return recordings
 
 
-def _first_tpdo(axis: "AxisConfig") -> int:
-    return PdoRecord(False, 0, canopen_options(axis).node).identifier
+def _wanted(axis: "AxisConfig") -> list[int]:
+    """Return the identifiers of which one shows that an axis is in the log."""
+    options = canopen_options(axis)
+    if options.sidecar is not None:
+        return [pdo.cob_id for pdo in options.sidecar.tpdos]
+    return [PdoRecord(False, 0, options.node).identifier]
 
 
-def _read_axis(log: FrameLog, name: str, axis: "AxisConfig", path: Path) -> Recording:
+def _identifiers(log: FrameLog) -> str:
+    return ", ".join(f"{identifier:03X}h" for identifier in sorted(log.rows)) or "none"
+
+
+def _mapping_of(log: FrameLog, name: str, axis: "AxisConfig", path: Path) -> "tuple[LoggedObjects, LogMapping | None]":
+    """Return the objects of an axis and the mapping that its frames have; None if it has no frames.
+
+    Raises
+    ------
+    RecordingError
+        The frames contradict each mapping that is stated, or assumed.
+    """
     options = canopen_options(axis)
     access = LoggedObjects(log, name, options, path)
+    reasons = []
+    for mapping in mappings(log, options, Mode[axis.mode.upper()], access, access.dictionary):
+        if not any(pdo.frames(log).size for pdo in mapping.feedback):
+            continue
+        reason = mapping.contradiction(log)
+        if not reason:
+            return access, mapping
+        reasons.append(f"{reason} (the mapping {mapping.origin})")
+    if not reasons:
+        return access, None
+    node = options.node
+    there = ", ".join(
+        f"{base + node:03X}h ({'/'.join(map(str, np.unique(log.lengths[rows])))} bytes)"
+        for base in objects.TPDO_BASES
+        if (rows := log.rows_of(base + node)).size
+    )
+    raise RecordingError(
+        f"{path}: {name}: {'; '.join(reasons)}. Of node {node} there are {there or 'no default PDOs'}: state what they "
+        f"carry under axes.{name}.sidecar.tpdos with bus.role: sidecar, or name the drive's EDS under axes.{name}.eds"
+    )
+
+
+def _read_axis(
+    log: FrameLog, name: str, axis: "AxisConfig", path: Path, access: LoggedObjects, mapping: LogMapping
+) -> Recording:
+    options = canopen_options(axis)
     try:
         units = read_units(access, options, axis.model.axis)
     except DriveError as error:
         raise RecordingError(str(error)) from None
     mode = Mode[axis.mode.upper()]
     recording = Recording(str(path), name, {}, problems=list(log.problems))
+    if mapping.origin != OWN:
+        recording.problems.append(f"the PDOs are decoded by the mapping {mapping.origin}")
+    base = _base(log, mapping)
     syncs = log.rows_of(objects.SYNC_ID)
-    starts = np.sort(syncs) if syncs.size else np.sort(log.rows_of(_first_tpdo(axis)))
-    pdos = [
-        *((PdoRecord(False, number, options.node), entries) for number, entries in enumerate(FEEDBACK)),
-        (PdoRecord(True, 0, options.node), COMMANDS[mode]),
-    ]
+    starts = np.sort(syncs) if syncs.size else np.sort(base.frames(log))
     values: dict[Object, Array] = {}
-    for record, entries in pdos:
-        values |= _decode_pdo(log, record, entries, access, starts, recording.problems)
-    cycles = np.flatnonzero(np.isfinite(values[objects.STATUSWORD]))  # those with a first TPDO
+    arrived: dict[str, NDArray[np.bool_]] = {}
+    for pdo in (base, *(each for each in mapping.pdos if each is not base)):
+        decoded, arrived[pdo.name] = _decode_pdo(log, pdo, starts, recording.problems)
+        values = decoded | values  # the base's own, where several carry an object
+    cycles = np.flatnonzero(arrived[base.name])
+    if not cycles.size:
+        raise RecordingError(f"{path}: {name}: no frame of {base.name} ({base.cob_id:03X}h) belongs to a cycle")
     time = log.times[starts[cycles]]
     recording.columns = {"time_s": time - time[0]}
     if syncs.size:
         recording.columns["cycle"] = cycles.astype(np.float64)
     for column, (entry, scale) in _columns(units, mode).items():
-        raw = values[entry][cycles]
-        recording.columns[column] = (_unwrapped(raw) if "position" in column else raw) * scale
-    recording.columns["drive_state"] = _drive_states(values[objects.STATUSWORD][cycles])
+        if entry in values and column not in recording.columns:
+            raw = values[entry][cycles]
+            recording.columns[column] = (_unwrapped(raw) if "position" in column else raw) * scale
+    if objects.STATUSWORD in values:
+        recording.columns["drive_state"] = _drive_states(_held(values[objects.STATUSWORD])[cycles])
+    if mapping.is_assumed and (against := contradictions(recording)):
+        raise RecordingError(
+            f"{path}: {name}: decoded by the mapping {mapping.origin}, which the log does not state, {against[0]}: "
+            f"state what the PDOs carry under axes.{name}.sidecar.tpdos with bus.role: sidecar, or name the drive's EDS"
+        )
     return recording
 
 
+def _base(log: FrameLog, mapping: LogMapping) -> LoggedPdo:
+    """Return the PDO whose frames make a row: that of the position, if there is one."""
+    there = [pdo for pdo in mapping.feedback if pdo.frames(log).size]
+    for wanted in (objects.POSITION_ACTUAL, objects.VELOCITY_ACTUAL, objects.STATUSWORD):
+        for pdo in there:
+            if any(entry == wanted for entry, _ in pdo.entries):
+                return pdo
+    return there[0]
+
+
 def _decode_pdo(
-    log: FrameLog,
-    record: PdoRecord,
-    entries: Sequence[Object],
-    access: LoggedObjects,
-    starts: NDArray[np.intp],
-    problems: list[str],
-) -> dict[Object, Array]:
-    """Return the raw values of each object of a PDO, one for each cycle that begins at ``starts``; NaN for none."""
-    layout = pdo_layout(entries, [access.width(entry) for entry in entries])
-    rows = log.rows_of(record.identifier)
-    fits = log.lengths[rows] >= layout.size
+    log: FrameLog, pdo: LoggedPdo, starts: NDArray[np.intp], problems: list[str]
+) -> tuple[dict[Object, Array], NDArray[np.bool_]]:
+    """Return the raw values of each object of a PDO, one for each cycle that begins at ``starts``; NaN for none.
+
+    Also in which cycles it came.
+    """
+    rows = pdo.frames(log)
+    fits = log.lengths[rows] == pdo.size
     if not fits.all():
+        few = bool((log.lengths[rows[~fits]] < pdo.size).all())
+        what = "have fewer bytes than its objects" if few else "have another number of bytes than its objects"
         problems.append(
-            f"{np.sum(~fits)} of {len(rows)} frames of {record.name} have fewer bytes than its objects, {layout.size}: "
+            f"{np.sum(~fits)} of {len(rows)} frames of {pdo.name} {what}, {pdo.size}: "
             f"left out (the first at {log.since_start_s(rows[~fits][0]):.6f} s)"
         )
         rows = rows[fits]
@@ -160,13 +233,20 @@ def _decode_pdo(
     rows, cycles = rows[firsts], cycles[firsts]
     rows, cycles = rows[cycles >= 0], cycles[cycles >= 0]
     values: dict[Object, Array] = {}
-    offset = 0
-    for entry, code in zip(entries, layout.format[1:], strict=True):
-        kind = np.dtype(f"<{code}")
+    for entry, raw in pdo.values(log, rows).items():
         values[entry] = np.full(len(starts), np.nan)
-        values[entry][cycles] = log.data[rows, offset : offset + kind.itemsize].copy().view(kind).ravel()
-        offset += kind.itemsize
-    return values
+        values[entry][cycles] = raw
+    arrived = np.zeros(len(starts), np.bool_)
+    arrived[cycles] = True
+    return values, arrived
+
+
+def _held(values: Array) -> Array:
+    """Return the last known value for each cycle: of a drive that sends its statusword only when it changes."""
+    known = np.flatnonzero(np.isfinite(values))
+    if not known.size:
+        return values
+    return values[known[np.maximum(np.searchsorted(known, np.arange(len(values)), "right") - 1, 0)]]
 
 
 def _columns(units: CanopenUnits, mode: Mode) -> dict[str, tuple[Object, float]]:
@@ -182,6 +262,7 @@ def _columns(units: CanopenUnits, mode: Mode) -> dict[str, tuple[Object, float]]
         columns["position_demand"] = objects.TARGET_POSITION, 1.0 / units.counts_per_unit
     if mode is Mode.CSV:
         columns["velocity_demand"] = objects.TARGET_VELOCITY, 1.0 / units.velocity_per_unit
+    columns["torque_demand"] = objects.TORQUE_DEMAND, torque
     return columns
 
 

@@ -1,10 +1,12 @@
-"""Data frames of a log of raw CAN frames: candump .log, Vector .asc and .blf."""
+"""Data frames of a log of raw CAN frames: candump .log and what it prints, Vector .asc and .blf, PEAK .trc."""
 
 import contextlib
 import io
+import re
 import struct
 import zlib
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
@@ -20,6 +22,15 @@ _ANY_FILE = 10**8  # bytes that even the smallest one may hold
 _CONTAINER = struct.Struct("<4sHHIIH14x")  # signature, header size and version, size, kind; compression and its header
 _LOG_CONTAINER, _DEFLATED = 10, 2
 _SMALLEST_OBJECT = 16  # bytes
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+_PRINTED = re.compile(  # a line that candump prints, without colours
+    r"\s*(?:\((?P<time>[^()]*)\)\s+)?[A-Za-z]\S*\s+(?:[RT]X\s+\S\s+\S\s+)?(?P<id>[0-9A-Fa-f]{3,8})\s+"
+    r"\[(?P<size>\d+)\](?P<data>(?:\s+[0-9A-Fa-f]{2}(?![0-9A-Fa-f]))*)\s*(?:'.*'|remote request)?\s*$"
+)
+_HEAD = 4000  # characters that show what kind of log it is
+_STANDARD_DIGITS = 3
+_BACKWARD = 0.05  # of the frames: more are earlier than the one before where times count from that
+_LONGEST_STEP_S = 1000.0
 _LONGEST_LIST = 5  # of line numbers in a message
 
 
@@ -77,7 +88,7 @@ def _rows_by_identifier(identifiers: NDArray[np.int64]) -> dict[int, NDArray[np.
 
 def _messages(path: Path, problems: list[str]) -> Iterator[can.Message]:
     """Yield every frame that can be read; where the log ends too early, add that to ``problems``."""
-    if path.suffix.lower() == ".log":
+    if path.suffix.lower() in (".log", ".txt"):
         yield from _candump(path, problems)
     else:
         yield from _vector(path, problems)
@@ -90,7 +101,9 @@ def _vector(path: Path, problems: list[str]) -> Iterator[can.Message]:
             is_binary = path.suffix.lower() == ".blf"
             if is_binary:
                 _check_expansion(path, file)
-            reader = can.BLFReader(file) if is_binary else can.ASCReader(_whole_lines(path, problems))
+            text = io.StringIO() if is_binary else _whole_lines(path, problems)
+            is_trace = path.suffix.lower() == ".trc"
+            reader = can.BLFReader(file) if is_binary else can.TRCReader(text) if is_trace else can.ASCReader(text)
             for message in reader:
                 count, last = count + 1, message.timestamp
                 yield message
@@ -143,7 +156,7 @@ def _check_expansion(path: Path, file: BinaryIO) -> None:
 
 
 def _whole_lines(path: Path, problems: list[str]) -> io.StringIO:
-    """Return the text of an .asc file up to its last complete line."""
+    """Return the text of an .asc or .trc file up to its last complete line."""
     text = path.read_bytes().decode("utf-8", "replace")
     whole, newline, rest = text.rpartition("\n")
     lines = whole.count("\n") + 1
@@ -161,6 +174,9 @@ def _candump(path: Path, problems: list[str]) -> Iterator[can.Message]:
     text = (whole + newline).decode("utf-8", "replace")
     if rest.strip(b"\0 \r"):
         problems.append(f"the file was cut off in line {text.count(chr(10)) + 1}: that line is lost")
+    if any(map(_PRINTED.match, _COLOUR.sub("", text[:_HEAD]).splitlines())):
+        yield from _printed(path, _COLOUR.sub("", text), problems)
+        return
     lines = io.StringIO(text)
     wrong = []
     line, counted = 0, 0  # number of the line that begins at the offset up to which line ends were counted
@@ -174,6 +190,64 @@ def _candump(path: Path, problems: list[str]) -> Iterator[can.Message]:
                 break
             line, counted = line + text.count("\n", counted, lines.tell()), lines.tell()
             wrong.append(line)
+    _note_wrong(wrong, problems)
+
+
+def _note_wrong(wrong: list[int], problems: list[str]) -> None:
     if wrong:
         listed = ", ".join(map(str, wrong[:_LONGEST_LIST])) + (", ..." if len(wrong) > _LONGEST_LIST else "")
         problems.append(f"{len(wrong)} lines are no frames (line {listed}): left out")
+
+
+def _printed(path: Path, text: str, problems: list[str]) -> Iterator[can.Message]:
+    """Yield the frames of what candump prints on a terminal; its option -t gives the time, as any of a, A, z and d.
+
+    Raises
+    ------
+    RecordingError
+        It was printed without times.
+    """
+    found: list[tuple[float, int, bytes]] = []
+    wrong, without_time = [], 0
+    for number, line in enumerate(text.splitlines(), 1):
+        parts = _PRINTED.match(line)
+        if parts is None or len(data := bytes.fromhex(parts["data"])) != int(parts["size"]):
+            if line.strip() and not (parts and "remote request" in line):
+                wrong.append(number)
+            continue
+        time = _time_of(parts["time"])
+        if time is None:
+            without_time += 1
+        elif len(parts["id"]) == _STANDARD_DIGITS:
+            found.append((time, int(parts["id"], 16), data))
+    if without_time and not found:
+        raise RecordingError(
+            f"{path}: candump printed these {without_time} frames without their times, and without those there is no "
+            "motion: record with candump -l, or candump -t a"
+        )
+    if without_time:
+        problems.append(f"{without_time} frames have no time: left out")
+    _note_wrong(wrong, problems)
+    times = np.array([time for time, _, _ in found])
+    if (
+        len(times) > 1
+        and np.count_nonzero(np.diff(times) < 0.0) > _BACKWARD * len(times)
+        and times.max() < _LONGEST_STEP_S
+    ):
+        problems.append("the times are those since the frame before (candump -t d): added up")
+        times = np.cumsum(times)
+    for time, (_, identifier, data) in zip(times.tolist(), found, strict=True):
+        yield can.Message(timestamp=time, arbitration_id=identifier, data=data, is_extended_id=False)
+
+
+def _time_of(text: str | None) -> float | None:
+    if not text:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    try:
+        return datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
+    except ValueError:
+        return None

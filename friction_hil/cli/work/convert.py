@@ -1,5 +1,7 @@
 """The work of ``friction-hil convert``."""
 
+import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,16 +12,19 @@ from friction_hil import models, recordings
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.tables import new_table, number, print_table, say
 from friction_hil.config import load
-from friction_hil.errors import RecordingError, UsageError
+from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.models import onnx_file
 from friction_hil.numerics.readable import brief
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import TIME, unit
+from friction_hil.recordings.contradictions import contradictions, unsigned_register
 from friction_hil.recordings.even import what_to_repair
+from friction_hil.recordings.mapping import parse_source
 from friction_hil.recordings.parts import only_recording
 from friction_hil.recordings.quality import resolution, time_facts, without_overflow
-from friction_hil.recordings.recording import CHANGE
+from friction_hil.recordings.recording import CHANGE, Array, rename
 from friction_hil.recordings.source import new_file
+from friction_hil.recordings.suggestion import Suggestion, suggest, unit_of
 
 if TYPE_CHECKING:
     from friction_hil.recordings.columns import AxisKind
@@ -46,10 +51,11 @@ def convert(
         return
     source = only_recording(source)
     options["configuration"] = None if config is None else load(config)
-    found = recordings.read_all(source, **options) if axis is None else {axis: recordings.read(source, axis, **options)}
     if target is None:
-        _print_info(source, found, as_json)
+        found = recordings.read_all(source, is_preview=True, **options)
+        _print_info(source, found if axis is None else {axis: _chosen(source, found, axis)}, options, as_json)
         return
+    found = recordings.read_all(source, **options) if axis is None else {axis: recordings.read(source, axis, **options)}
     files = _targets(source, target, list(found), force)
     _write(found, files, force)
     for name, recording in found.items():
@@ -107,8 +113,15 @@ def _write_onnx(source: Path, target: Path, force: bool) -> None:
         onnx_file.write(model, part)
 
 
-def _print_info(source: Path, found: dict[str, Recording], as_json: bool) -> None:
-    axes = {name: _facts(recording) for name, recording in found.items()}
+def _chosen(source: Path, found: dict[str, Recording], axis: str) -> Recording:
+    """Return one axis; the only one of a table has any name that it is given."""
+    if axis not in found and len(found) > 1:
+        raise UsageError(f"{source} has no axis {axis!r}; {choices(axis, found)}")
+    return found.get(axis) or next(iter(found.values()))
+
+
+def _print_info(source: Path, found: dict[str, Recording], options: dict[str, Any], as_json: bool) -> None:
+    axes = {name: _facts(source, recording, options, len(found) > 1) for name, recording in found.items()}
     if as_json:
         print_json({"path": str(source), "axes": axes})
         return
@@ -116,13 +129,21 @@ def _print_info(source: Path, found: dict[str, Recording], as_json: bool) -> Non
         _print(name, facts)
         for problem in facts["problems"]:
             say(f"{source}: {name}: {problem}")
+        for note in facts["suggestion"]["notes"]:
+            say(note)
+        if facts["suggestion"]["command"]:
+            say(f"next: {facts['suggestion']['command']}", stderr=False)
 
 
-def _facts(recording: Recording) -> dict[str, Any]:
-    times = time_facts(recording.columns[TIME])
+def _facts(source: Path, recording: Recording, options: dict[str, Any], is_one_of_several: bool) -> dict[str, Any]:
+    found = suggest(recording)
+    clock = _clock(recording, found)
+    times = time_facts(clock)
+    suspicious = [*what_to_repair(recording), *contradictions(recording)] if TIME in recording.columns else []
+    registers = [unsigned_register([recording], name) for name in ("torque", "velocity") if name in recording]
     return {
         "rows": len(recording),
-        "duration_s": recording.duration_s,
+        "duration_s": float(clock[-1] - clock[0]) if len(clock) else None,
         "rate_hz": 1.0 / times.period_s if times.period_s > 0.0 else None,
         "jitter_s": times.jitter_s,
         "gaps": len(times.gaps),
@@ -131,8 +152,45 @@ def _facts(recording: Recording) -> dict[str, Any]:
         "events": [{"cycle": event.cycle, "name": event.name, "text": event.text} for event in recording.events],
         "restart_points": len(recording.restarts),
         "metadata": sorted(recording.metadata),
-        "problems": [*recording.problems, *what_to_repair(recording)],
+        "problems": [*recording.problems, *suspicious, *filter(None, registers)],
+        "suggestion": {
+            "columns": found.columns,
+            "notes": found.notes,
+            "command": _command(source, recording, found, options, is_one_of_several),
+        },
     }
+
+
+def _clock(recording: Recording, found: Suggestion) -> Array:
+    """Return the time stamps, or what would be them by the suggestion, s; empty if nothing is known of them."""
+    if TIME in recording.columns:
+        return recording.columns[TIME]
+    given = {name: source for name, source in found.columns.items() if name == TIME}
+    if given:
+        looked_at = replace(recording, columns=dict(recording.columns), units=dict(recording.units), problems=[])
+        source, factor = parse_source(given[TIME])
+        rename(looked_at, {TIME: source}, {} if factor == 1.0 else {TIME: factor})
+        values = looked_at.columns[TIME]
+        return values[np.isfinite(values)]
+    return np.arange(len(recording)) / found.rate_hz if found.rate_hz else np.empty(0)
+
+
+def _command(
+    source: Path, recording: Recording, found: Suggestion, options: dict[str, Any], is_one_of_several: bool
+) -> str:
+    """Return the command that would read the file; empty for a recording of the daemon."""
+    if "configuration" in recording.metadata or options.get("configuration") is not None:
+        return ""
+    words = ["friction-hil", "identify", str(source), *(["--axis", recording.axis] if is_one_of_several else [])]
+    for name, given in (options.get("columns") or {}).items():
+        factor = (options.get("scale") or {}).get(name)
+        words += ["--column", f"{name}={given}" + ("" if factor is None else f"*{factor:.10g}")]
+    for name, factor in (options.get("scale") or {}).items():
+        if name not in (options.get("columns") or {}):
+            words += ["--scale", f"{name}={factor:.10g}"]
+    if options.get("rate_hz") is not None:
+        words += ["--rate", f"{options['rate_hz']:.10g}"]
+    return shlex.join([*words, *found.options])
 
 
 def _column_facts(recording: Recording) -> dict[str, dict[str, Any]]:
@@ -143,12 +201,14 @@ def _column_facts(recording: Recording) -> dict[str, dict[str, Any]]:
         finite = values[np.isfinite(values)]
         expected = " or ".join(dict.fromkeys(filter(None, (unit(name, kind) for kind in kinds))))
         facts[name] = {
-            "unit": recording.units.get(name, expected),
+            "unit": unit_of(recording, name) or expected,
             "values": int(finite.size),
             "min": float(finite.min()) if finite.size else None,
             "max": float(finite.max()) if finite.size else None,
             "step": resolution(values),
         }
+        if name in recording.labels:
+            facts[name]["label"] = recording.labels[name]
     return facts
 
 
@@ -160,14 +220,18 @@ def _kinds(recording: Recording) -> "tuple[AxisKind, ...]":
 
 def _print(name: str, facts: dict[str, Any]) -> None:
     rate = f" at {facts['rate_hz']:.6g} Hz" if facts["rate_hz"] else ""
-    click.echo(f"{name}: {facts['rows']} rows, {facts['duration_s']:.6g} s{rate}")
+    duration = "no time stamps" if facts["duration_s"] is None else f"{facts['duration_s']:.6g} s"
+    click.echo(f"{name}: {facts['rows']} rows, {duration}{rate}")
     gaps = f", {facts['gaps']} gaps up to {facts['longest_gap_s']:.6g} s" if facts["gaps"] else ""
     if facts["jitter_s"] > 0.0 or gaps:
         click.echo(f"time stamps deviate by up to {facts['jitter_s']:.3g} s{gaps}")
-    table = new_table("column", "unit", *map(number, ("values", "min", "max", "step")))
+    has_labels = any("label" in fact for fact in facts["columns"].values())
+    label = ["in the file"] if has_labels else []
+    table = new_table("column", *label, "unit", *map(number, ("values", "min", "max", "step")))
     for column, fact in facts["columns"].items():
         low, high, step = ("" if fact[key] is None else brief(fact[key], 4) for key in ("min", "max", "step"))
-        table.add_row(column, _SHOWN.get(fact["unit"], fact["unit"]), str(fact["values"]), low, high, step)
+        said = [fact.get("label", "")] if has_labels else []
+        table.add_row(column, *said, _SHOWN.get(fact["unit"], fact["unit"]), str(fact["values"]), low, high, step)
     print_table(table)
     if facts["metadata"]:
         click.echo(f"{facts['restart_points']} restart points; metadata: {', '.join(facts['metadata'])}")

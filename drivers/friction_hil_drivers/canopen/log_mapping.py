@@ -1,0 +1,235 @@
+"""Which objects the PDOs in a log of CAN frames carry: by the configuration, the log, the EDS, or this driver."""
+
+import struct
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from friction_hil.drive import DriveState, Mode
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.frame_log import FrameLog
+from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, PdoRecord, field_format
+from friction_hil_drivers.canopen.objects import Object
+from friction_hil_drivers.canopen.options import CanopenOptions
+from friction_hil_drivers.canopen.sidecar_options import SidecarPdo, mapping_words
+from friction_hil_drivers.cia402 import profile
+
+if TYPE_CHECKING:
+    from canopen import ObjectDictionary
+
+    from friction_hil_drivers.canopen.object_reader import ObjectReader
+
+OWN = "that this driver sets up"
+_DOWNLOADS = {0x2F: 1, 0x2B: 2, 0x27: 3, 0x23: 4}  # expedited, by the bytes of the value
+_UPLOADS = {0x4F: 1, 0x4B: 2, 0x47: 3, 0x43: 4}
+_PDOS = 4  # of each direction
+_MOST_OBJECTS = 8
+_MOST_WORDS = 32  # different statuswords in a log
+_MOST_MODES = 4
+_KNOWN = 0.95  # of the statuswords
+_ROUGH = 1.2  # change of the change of a position, relative to its change: a motion is smooth
+_MOVING = 16.0  # counts a cycle
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedPdo:
+    """A PDO in the log: its identifier, and the objects in the order of their bytes, each with its width in bits.
+
+    Attributes
+    ----------
+    first, end : int
+        Places in the log between which this mapping was in force.
+    """
+
+    name: str
+    cob_id: int
+    entries: tuple[tuple[Object | None, int], ...]
+    first: int = 0
+    end: int = sys.maxsize
+
+    @property
+    def size(self) -> int:
+        """Number of bytes."""
+        return sum(bits for _, bits in self.entries) // 8
+
+    def fields(self) -> Iterator[tuple[Object, int, np.dtype[np.generic]]]:
+        """Yield each object that is known with its offset in bytes and its type."""
+        offset = 0
+        for entry, bits in self.entries:
+            if entry is not None and bits in (8, 16, 32):
+                yield entry, offset, np.dtype(f"<{field_format(entry, bits)}")
+            offset += bits // 8
+
+    def frames(self, log: FrameLog) -> NDArray[np.intp]:
+        """Return the places of its frames in the log."""
+        rows = log.rows_of(self.cob_id)
+        return rows[(rows >= self.first) & (rows < self.end)]
+
+    def values(self, log: FrameLog, rows: NDArray[np.intp]) -> dict[Object, NDArray[np.generic]]:
+        """Return the values of its objects in some frames."""
+        return {
+            entry: log.data[rows, offset : offset + kind.itemsize].copy().view(kind).ravel()
+            for entry, offset, kind in self.fields()
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class LogMapping:
+    """The PDOs of one axis, and where that stands; ``is_assumed`` if nothing says that it was in force."""
+
+    pdos: tuple[LoggedPdo, ...]
+    origin: str
+    is_assumed: bool = False
+
+    @property
+    def feedback(self) -> tuple[LoggedPdo, ...]:
+        """Those that the drive sends."""
+        return tuple(pdo for pdo in self.pdos if pdo.name.startswith("TPDO"))
+
+    def contradiction(self, log: FrameLog) -> str:
+        """Return why the frames are not of this mapping; empty if nothing speaks against it."""
+        for pdo in self.pdos:
+            rows = pdo.frames(log)
+            lengths = log.lengths[rows]
+            if rows.size and 2 * np.count_nonzero(lengths == pdo.size) <= rows.size:
+                common = int(np.bincount(lengths).argmax())
+                carried = " + ".join(str(entry) if entry else f"{bits} bits" for entry, bits in pdo.entries)
+                return f"{pdo.cob_id:03X}h carries {common} bytes, and not the {pdo.size} of {carried}"
+        return _implausible(self, log) if self.is_assumed else ""
+
+
+def mappings(
+    log: FrameLog, options: CanopenOptions, mode: Mode, access: "ObjectReader", dictionary: "ObjectDictionary | None"
+) -> list[LogMapping]:
+    """Return the mappings that may be in force, the most certain first; what is stated excludes what is assumed."""
+    if options.sidecar is not None:
+        given: list[tuple[str, SidecarPdo]] = [(f"TPDO {n}", pdo) for n, pdo in enumerate(options.sidecar.tpdos, 1)]
+        given += [(f"RPDO {n}", pdo) for n, pdo in enumerate((*options.sidecar.rpdos, options.sidecar.offset), 1)]
+        return [LogMapping(tuple(_stated(name, pdo) for name, pdo in given), "of sidecar in the configuration")]
+    found = []
+    logged = tuple(_logged(log, options.node))
+    if any(pdo.name.startswith("TPDO") for pdo in logged):
+        return [LogMapping(logged, "in the SDO transfers of the log")]
+    pairs = [
+        *((PdoRecord(False, number, options.node), entries) for number, entries in enumerate(FEEDBACK)),
+        (PdoRecord(True, 0, options.node), COMMANDS[mode]),
+    ]
+    own = tuple(
+        LoggedPdo(record.name, record.identifier, tuple((entry, access.width(entry) or 0) for entry in entries))
+        for record, entries in pairs
+    )
+    found.append(LogMapping(own, OWN, is_assumed=True))
+    if dictionary is not None and (of_eds := tuple(_of_eds(dictionary, options.node))):
+        found.append(LogMapping(of_eds, f"of the EDS {options.eds}", is_assumed=True))
+    return found
+
+
+def _stated(name: str, pdo: SidecarPdo) -> LoggedPdo:
+    return LoggedPdo(name, pdo.cob_id, _entries(mapping_words(pdo)))
+
+
+def _entries(words: Iterable[int]) -> tuple[tuple[Object | None, int], ...]:
+    return tuple((objects.TABLE.get((word >> 16, word >> 8 & 0xFF)), word & 0xFF) for word in words)
+
+
+def _logged(log: FrameLog, node: int) -> Iterator[LoggedPdo]:
+    """Yield the PDOs whose mapping was read or written while the log was made, each as it was for the most frames."""
+    transfers = _transfers(log, node)
+    for is_receive in (False, True):
+        for number in range(_PDOS):
+            record = PdoRecord(is_receive, number, node)
+            own = [each for each in transfers if each[1] in (record.mapping(0).index, record.cob_id.index)]
+            candidates = [pdo for pdo in _in_force(record, own, len(log.times)) if pdo.frames(log).size]
+            if candidates:
+                yield max(candidates, key=lambda pdo: pdo.frames(log).size)
+
+
+def _transfers(log: FrameLog, node: int) -> list[tuple[int, int, int, int]]:
+    """Return row, index, sub-index and value of each object that was written to a node, or read from it."""
+    found = []
+    for base, kinds in (objects.SDO_REQUEST_BASE, _DOWNLOADS), (objects.SDO_RESPONSE_BASE, _UPLOADS):
+        for row in log.rows_of(base + node).tolist():
+            data = log.data[row].tobytes()
+            size = kinds.get(data[0])
+            if size is not None and log.lengths[row] == len(data):
+                _, index, subindex, value = struct.unpack("<BHBI", data)
+                found.append((row, index, subindex, value & (1 << 8 * size) - 1))
+    return sorted(found)
+
+
+def _in_force(record: PdoRecord, transfers: Sequence[tuple[int, int, int, int]], end: int) -> Iterator[LoggedPdo]:
+    """Yield each mapping of a PDO that was complete for a while."""
+    words: dict[int, int] = {}
+    cob_id = record.identifier
+    began, current = 0, tuple[int, ...]()
+    for row, index, subindex, value in [*transfers, (end, 0, 0, 0)]:
+        before = (cob_id, current)
+        if index == record.cob_id.index and subindex == record.cob_id.subindex and not value & objects.PDO_INVALID:
+            cob_id = value & 0x7FF
+        elif index == record.mapping(0).index:
+            words[subindex] = value
+            count = words.get(0, 0)
+            is_complete = 0 < count <= _MOST_OBJECTS and all(place in words for place in range(1, count + 1))
+            current = tuple(words[place] for place in range(1, count + 1)) if is_complete else ()
+        if (cob_id, current) != before or index == 0:
+            if before[1]:
+                yield LoggedPdo(record.name, before[0], _entries(before[1]), began, row)
+            began = row
+
+
+def _of_eds(dictionary: "ObjectDictionary", node: int) -> Iterator[LoggedPdo]:
+    """Yield the PDOs that an EDS or DCF maps."""
+    for is_receive in (False, True):
+        for number in range(_PDOS):
+            record = PdoRecord(is_receive, number, node)
+            count = _value_in(dictionary, record.mapping(0)) or 0
+            if not 0 < count <= _MOST_OBJECTS:
+                continue
+            words = [_value_in(dictionary, record.mapping(place)) or 0 for place in range(1, count + 1)]
+            given = _value_in(dictionary, record.cob_id)
+            if all(words) and not (given or 0) & objects.PDO_INVALID:
+                yield LoggedPdo(record.name, (given or record.identifier) & 0x7FF, _entries(words))
+
+
+def _value_in(dictionary: "ObjectDictionary", entry: Object) -> int | None:
+    try:
+        variable = dictionary.get_variable(entry.index, entry.subindex)
+    except KeyError:
+        return None
+    value = None if variable is None else variable.default if variable.value is None else variable.value
+    return value if isinstance(value, int) else None
+
+
+def _implausible(mapping: LogMapping, log: FrameLog) -> str:
+    """Return what shows that the objects are others than assumed; empty if they may be these."""
+    for pdo in mapping.feedback:
+        rows = pdo.frames(log)
+        values = pdo.values(log, rows[log.lengths[rows] == pdo.size])
+        where = f"as {' + '.join(str(entry) for entry, _ in pdo.entries)}, {pdo.cob_id:03X}h has"
+        words = np.unique(values.get(objects.STATUSWORD, np.empty(0, np.uint16)))
+        if words.size > _MOST_WORDS:
+            return f"{where} {words.size} different statuswords"
+        if words.size and _known_share(values[objects.STATUSWORD]) < _KNOWN:
+            return f"{where} statuswords that no drive has"
+        if np.unique(values.get(objects.MODE_DISPLAY, np.empty(0))).size > _MOST_MODES:
+            return f"{where} more modes than a drive changes to"
+        counts = values.get(objects.POSITION_ACTUAL)
+        if counts is not None and len(counts) > 2 and _is_rough(counts):
+            return f"{where} a position that jumps from cycle to cycle"
+    return ""
+
+
+def _known_share(statuswords: NDArray[np.generic]) -> float:
+    words, counts = np.unique(statuswords, return_counts=True)
+    known = [profile.drive_state(int(word)) is not DriveState.UNKNOWN for word in words]
+    return float(counts[known].sum() / counts.sum())
+
+
+def _is_rough(counts: NDArray[np.generic]) -> bool:
+    steps = np.diff(np.unwrap(counts.astype(np.float64), period=2.0**32))
+    size = float(np.sqrt(np.mean(steps**2)))
+    return size > _MOVING and float(np.sqrt(np.mean(np.diff(steps) ** 2))) > _ROUGH * size

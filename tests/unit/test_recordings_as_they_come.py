@@ -1,0 +1,253 @@
+"""Tables as other programs write them: encodings, lines above the rows, units, dates, text, a time for each channel."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import friction_hil as fh
+from friction_hil.cli import main
+from friction_hil.errors import RecordingError, UsageError
+from friction_hil.recordings import Recording
+from friction_hil.recordings.contradictions import contradictions, unsigned_register
+from friction_hil.recordings.dates import seconds
+from friction_hil.recordings.units import conversion, unit_in
+
+TIME = np.arange(400) * 0.005
+POSITION = np.sin(3.0 * TIME) + 0.2 * np.sin(11.0 * TIME)
+VELOCITY = 3.0 * np.cos(3.0 * TIME) + 2.2 * np.cos(11.0 * TIME)
+TORQUE = 0.3 * np.sign(VELOCITY) + 0.12 * VELOCITY
+DEGREES = np.degrees(POSITION)
+COLUMNS = (TIME, POSITION, TORQUE)
+
+
+def comma(value: float) -> str:
+    return f"{value:.6f}".replace(".", ",")
+
+
+def rows(*columns: np.ndarray, between: str = ",", end: str = "\n", write: object = "{:.6f}".format) -> str:
+    return "".join(between.join(map(write, row)) + end for row in zip(*columns, strict=True))  # type: ignore[call-overload]
+
+
+def scope() -> str:
+    """As TwinCAT Scope: a header of keys, decimal commas, a slower channel that ends early."""
+    names = ("Axis.ActPos", "Axis.Torque")
+    keys = (("Name", names), ("SampleTime[ms]", ("5", "10")), ("Offset", ("0", "0")), ("Unit", ("° (Angle)", "(None)")))
+    head = "Name\tproject\nFile\tx.csv\n\n" + "".join("\t".join(f"{k}\t{v}" for v in vs) + "\n" for k, vs in keys)
+    slow = [(comma(1e3 * t), comma(q)) for t, q in zip(TIME[::2], TORQUE[::2], strict=True)] + [("", "")] * 200
+    lines = [[comma(1e3 * t), comma(q), *own] for t, q, own in zip(TIME, DEGREES, slow, strict=True)]
+    return head + "\n" + "".join("\t".join(line) + "\n" for line in lines) + "EOF\n"
+
+
+MIDNIGHT = np.datetime64("2024-06-11T00:00:00.000")
+STAMPS = [str(MIDNIGHT + np.timedelta64(round(1e3 * t) - 1000, "ms")).replace("T", " ") for t in TIME]
+DATED = "".join(f"{d},RUN,{q:.6f},{m:.6f}\n" for d, q, m in zip(STAMPS, DEGREES, TORQUE, strict=True))
+CLOCK = DATED.replace("2024-06-10 ", "").replace("2024-06-11 ", "")
+KEYS = "LabVIEW Measurement\t\n***End_of_Header***\t\n\nSamples\t400\t400\t\n"
+UNITS = "Y_Unit_Label\tdeg\tNm\t\nDelta_X\t0.005\t0.005\t\n"
+TABLES = {
+    "units row below a preamble": (
+        "Axis1\nNumber of sampling data,400\nSampling time interval(ms),5.0\nTime,A 1,A 2\nms,deg,mNm\n"
+        + rows(1e3 * TIME, DEGREES, 1e3 * TORQUE),
+        {"time_s": "Time", "position": "A 1", "torque": "A 2"},
+    ),
+    "units in names, decimal commas": (
+        "Zeit [ms];Position [°];Drehmoment (mNm)\n" + rows(1e3 * TIME, DEGREES, 1e3 * TORQUE, between=";", write=comma),
+        {"time_s": "Zeit [ms]", "position": "Position [°]", "torque": "Drehmoment (mNm)"},
+    ),
+    "units as suffixes": (
+        "t_ms,pos_deg,torque_nm\n" + rows(1e3 * TIME, DEGREES, TORQUE),
+        {"time_s": "t_ms", "position": "pos_deg", "torque": "torque_nm"},
+    ),
+    "separators at the ends of lines": ("time_s,position,torque,\n" + rows(*COLUMNS, end=",\n"), {}),
+    "more separators in the rows": ("time_s;position;torque\n" + rows(*COLUMNS, between=";", end=";\n"), {}),
+    "a name missing": (",position,torque\n" + rows(*COLUMNS), {"time_s": "column1"}),
+    "a name twice": ("time_s,q,q\n" + rows(*COLUMNS), {"position": "q", "torque": "q_2"}),
+    "dates and text": (
+        "timestamp,mode,pos [deg],torque (Nm)\n" + DATED,
+        {"time_s": "timestamp", "position": "pos [deg]", "torque": "torque (Nm)"},
+    ),
+    "times of day": (
+        "clock,mode,pos [deg],tau\n" + CLOCK,
+        {"time_s": "clock", "position": "pos [deg]", "torque": "tau"},
+    ),
+    "rostopic": (
+        "%time,field.header.frame_id,field.position0,field.effort0\n"
+        + "".join(f"{1718 * 10**15 + int(1e9 * t)},base,{q:.6f},{m:.6f}\n" for t, q, m in zip(*COLUMNS, strict=True)),
+        {"time_s": "%time", "position": "field.position0", "torque": "field.effort0"},
+    ),
+    "scope": (scope(), {"time_s": "time", "position": "Axis.ActPos", "torque": "Axis.Torque"}),
+    "one time before each channel": (
+        "Time [ms];q;Time [ms];tau\n" + rows(1e3 * TIME, POSITION, 1e3 * TIME, TORQUE, between=";", write=comma),
+        {"time_s": "Time [ms]", "position": "q", "torque": "tau"},
+    ),
+    "LabVIEW": (
+        KEYS
+        + UNITS
+        + "***End_of_Header***\t\t\t\nX_Value\tpos\ttau\tComment\n"
+        + rows(TIME, DEGREES, TORQUE, between="\t"),
+        {"time_s": "X_Value", "position": "pos", "torque": "tau"},
+    ),
+    "trace of a controller": (
+        "CODESYS Trace\nC:\\x.pro\nCycle P.POS P.TAU\n\n" + rows(*COLUMNS, between=" "),
+        {"time_s": "Cycle", "position": "P.POS", "torque": "P.TAU"},
+    ),
+    "durations of a controller": (
+        "T;x;y\n" + "".join(f"T#{1e3 * t:.0f}ms;{q:.6f};{m:.6f}\n" for t, q, m in zip(*COLUMNS, strict=True)),
+        {"time_s": "T", "position": "x", "torque": "y"},
+    ),
+    "quotes with separators inside": (
+        '"time_s","state","pos, left","torque"\n'
+        + "".join(f'"{t:.6f}","RUN, fast","{q:.6f}","{m:.6f}"\n' for t, q, m in zip(*COLUMNS, strict=True)),
+        {"position": "pos, left"},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_is_read_as_it_comes(tmp_path: Path, name: str) -> None:
+    text, columns = TABLES[name]
+    (tmp_path / "x.csv").write_text(text, newline="")
+    read = fh.recordings.read(tmp_path / "x.csv", columns=columns)
+    np.testing.assert_allclose(read["time_s"] - read["time_s"][0], TIME, atol=1e-6)
+    np.testing.assert_allclose(read["position"], POSITION, atol=2e-6)
+    known = np.isfinite(read["torque"])
+    is_sharp = np.abs(np.gradient(np.sign(VELOCITY))) > 0.0  # where a slower channel is interpolated over a step
+    assert known.mean() > 0.99
+    np.testing.assert_allclose(read["torque"][known & ~is_sharp], TORQUE[known & ~is_sharp], atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["dates and text", "units in names, decimal commas", "more separators in the rows"])
+def test_the_same_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    test_a_table_is_read_as_it_comes(tmp_path, name)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252"])
+def test_encodings(tmp_path: Path, encoding: str) -> None:
+    text, columns = TABLES["units in names, decimal commas"]
+    (tmp_path / "x.txt").write_bytes(text.encode(encoding))
+    read = fh.recordings.read(tmp_path / "x.txt", columns=columns)
+    np.testing.assert_allclose(read["position"], POSITION, atol=1e-6)
+    assert any("cp1252" in problem for problem in read.problems) == (encoding == "cp1252")
+
+
+def test_what_is_done_is_said_and_text_is_an_error_where_it_is_wanted(tmp_path: Path) -> None:
+    text, columns = TABLES["dates and text"]
+    path = tmp_path / "x.csv"
+    path.write_text(text)
+    problems = fh.recordings.read(path, columns=columns).problems
+    for part in (
+        "text are left out: mode ('RUN')",
+        "timestamp holds dates",
+        "position is in deg in the file",
+    ):
+        assert any(part in problem for problem in problems), problems
+    with pytest.raises(UsageError, match=r"column 'mode' holds text \('RUN'\), no numbers"):
+        fh.recordings.read(path, columns=columns | {"torque": "mode"})
+    path.write_text(text.replace(",RUN,0.", ",RUN,fast", 1))
+    with pytest.raises(RecordingError, match=r"x\.csv:\d+: pos \[deg\]: 'fast\d+' is not a number"):
+        fh.recordings.read(path, columns=columns)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_preview_names_a_command_that_reads_the_file(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "x.csv").write_text(TABLES[name][0], newline="")
+    assert main(["convert", str(tmp_path / "x.csv"), "--info", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)["axes"]["x"]
+    assert facts["rows"] == 400
+    if name not in ("a name missing", "a name twice", "durations of a controller", "trace of a controller"):
+        assert facts["rate_hz"] == pytest.approx(200.0, rel=1e-3)
+        fh.recordings.read(tmp_path / "x.csv", columns=facts["suggestion"]["columns"]).require("position", "torque")
+
+
+def test_a_table_that_is_not_mapped_names_the_options_in_one_step(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text(TABLES["dates and text"][0])
+    with pytest.raises(RecordingError, match=r"try --column time_s=timestamp --column 'position=pos \[deg\]' --column"):
+        fh.recordings.read(tmp_path / "x.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "factor"),
+    [
+        ("pos [deg]", "position", np.pi / 180.0),
+        ("pos (°)", "position", np.pi / 180.0),
+        ("M in mNm", "torque", 1e-3),
+        ("n / min^-1", "velocity", np.pi / 30.0),
+        ("rpm", "velocity", np.pi / 30.0),
+        ("speed_rpm", "velocity", np.pi / 30.0),
+        ("v [mm/s]", "velocity", 1e-3),
+        ("t [µs]", "time_s", 1e-6),
+        ("torque_nm", "torque", 1.0),
+        ("position", "position", None),
+        ("current [A]", "torque", None),
+        ("pos_min", "position", None),
+    ],
+)
+def test_units_in_names(name: str, column: str, factor: float | None) -> None:
+    found = conversion(column, unit_in(name))
+    assert (found.value if found else None) == (factor if factor is None else pytest.approx(factor))
+
+
+@given(st.integers(0, 86_400_000), st.lists(st.integers(0, 5_000_000), min_size=1, max_size=5))
+def test_dates_keep_their_microseconds(start_ms: int, steps_us: list[int]) -> None:
+    at = np.datetime64("2024-02-28T00:00:00", "us") + np.timedelta64(1000 * start_ms, "us")
+    stamps = at + np.cumsum([0, *steps_us]).astype("timedelta64[us]")
+    found = seconds([str(stamp) for stamp in stamps])
+    assert found is not None
+    np.testing.assert_allclose(found, np.cumsum([0, *steps_us]) * 1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("time", "position", "velocity", "said"),
+    [
+        (1.0, 1.0, 1.0, ""),
+        (1.0, 180.0 / np.pi, 1.0, "position is in degrees"),
+        (1.0, 1.0, 30.0 / np.pi, "revolutions per minute"),
+        (1000.0, 1.0, 1.0, "time is in milliseconds"),
+        (1.0, 1.0, 1000.0, "velocity is in thousandths"),
+        (1.0, 1.0, -1.0, "the other sign"),
+        (1.0, 3.0, 1.0, "times velocity"),
+    ],
+)
+def test_a_velocity_that_is_not_the_change_of_position_is_reported_by_replay_too(
+    tmp_path: Path, time: float, position: float, velocity: float, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    columns = {
+        "time_s": time * TIME,
+        "position": position * POSITION,
+        "velocity": velocity * (VELOCITY + 0.05 * np.random.default_rng(1).normal(size=400)),
+        "torque": TORQUE,
+    }
+    found = contradictions(Recording("x", "x", columns))
+    assert len(found) == bool(said)
+    assert said in "".join(found)
+    fh.recordings.write(tmp_path / "x.csv", Recording("x", "x", columns))
+    main(["replay", str(tmp_path / "x.csv"), "--model", "coulomb:coulomb=0.3", "--json"])
+    problems = json.loads(capsys.readouterr().out)["recordings"][0]["problems"]
+    assert any("velocity" in each and said in each for each in problems if said) == bool(said)
+
+
+@pytest.mark.parametrize("step", [1.0, 2.69, 0.1])
+def test_a_register_that_was_scaled_without_its_sign_is_found_and_read_back(tmp_path: Path, step: float) -> None:
+    counts = np.round(110.0 * np.sin(3.0 * TIME) + 3.0 * np.cos(40.0 * TIME))
+    logged = np.round(np.mod(counts, 65536.0) * step, 1)
+    columns = {"time_s": TIME, "position": POSITION, "i": logged}
+    fh.recordings.write(tmp_path / "x.csv", Recording("x", "x", columns))
+    read = fh.recordings.read(tmp_path / "x.csv", columns={"torque": "i"}, scale={"torque": 0.5})
+    said = unsigned_register([read])
+    assert "signed register of 16 bits" in said
+    source = said.partition("--column torque='")[2].partition(":int16")[0] + ":int16"
+    again = fh.recordings.read(tmp_path / "x.csv", columns={"torque": source})
+    np.testing.assert_array_equal(again["torque"], counts)
+
+
+def test_another_quantity_is_refused_in_place_of_the_position(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("time_s,velocity,torque\n" + rows(TIME, VELOCITY, TORQUE))
+    with pytest.raises(UsageError, match=r"velocity is in rad/s, position in rad; .* integrated from the velocity"):
+        fh.recordings.read(tmp_path / "x.csv", columns={"position": "velocity"})
