@@ -116,15 +116,19 @@ def expected_change(c: Any, r: Any, dt: float) -> tuple[float, float]:
     """
     v = r.motion.velocity
     cycles = int(c.judged_cycles)
-    predicted = r.slopes[cycles - 1] * cycles * c.period_s
-    came = v - r.velocities[cycles - 1]
-    r.change_square += (predicted * predicted - r.change_square) / _JUDGING_CYCLES
-    r.change_product += (predicted * came - r.change_product) / _JUDGING_CYCLES
+    elapsed = int(dt / c.period_s + 0.5)  # more than 1 after missed periods
+    before = cycles - elapsed  # of the prediction that was made for now
+    if before >= 0:
+        predicted = r.slopes[before] * cycles * c.period_s
+        came = v - r.velocities[before]
+        r.change_square += (predicted * predicted - r.change_square) / _JUDGING_CYCLES
+        r.change_product += (predicted * came - r.change_product) / _JUDGING_CYCLES
     r.slope += SLOPE_COEFFICIENT * ((v - r.last_velocity) / dt - r.slope)
     r.last_velocity = v
-    for k in range(cycles - 1, 0, -1):
-        r.slopes[k], r.velocities[k] = r.slopes[k - 1], r.velocities[k - 1]
-    r.slopes[0], r.velocities[0] = r.slope, v
+    for _ in range(min(max(elapsed, 1), cycles)):
+        for k in range(cycles - 1, 0, -1):
+            r.slopes[k], r.velocities[k] = r.slopes[k - 1], r.velocities[k - 1]
+        r.slopes[0], r.velocities[0] = r.slope, v
     if not (r.change_product > 0.0 and r.change_square > c.ahead_noise_square):
         return 0.0, 0.0
     ratio = min(r.change_product / r.change_square, 1.0) * (1.0 - c.ahead_noise_square / r.change_square)

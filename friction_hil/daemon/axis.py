@@ -338,8 +338,11 @@ class AxisLoop:
             if self.load_errors is not None:
                 error = inputs.position_demand - load_position
                 self.load_errors.take(condition, error, missed, is_usable and math.isfinite(error))
-            if is_usable and self._follow_check is not None:
-                fault = self._follow_check.take(position, estimate, setpoint.position, command.torque) or fault
+            if self._follow_check is not None:
+                take = self._follow_check.take
+                for _ in range(missed):
+                    take(math.nan, math.nan, math.nan, math.nan, is_usable=False)
+                fault = take(position, estimate, setpoint.position, command.torque, is_usable=is_usable) or fault
                 if self._follow_check.is_confirmed:
                     self._follow_check = None
         row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)

@@ -70,6 +70,7 @@ class FollowCheck:
         "_speed",
         "_start",
         "_start_demand",
+        "_unheard",
         "_unit",
         "_waited",
         "is_confirmed",
@@ -99,13 +100,16 @@ class FollowCheck:
         self._waited = 0
         self._start = self._start_demand = math.nan
         self._low = self._high = self._demand_low = self._demand_high = 0.0  # since the start
-        self._demanded = 0.0  # in the last cycle
+        self._demanded = 0.0  # in the last cycle with feedback
+        self._unheard = 0  # periods since then
         self._origin = 0.0  # where the axis began to leave its set-point
         self._next = self._runaway / 2.0**_DOUBLINGS  # distance at which the speed is noted next
         self._speed = math.nan  # at half of that distance
         self.is_confirmed = False
 
-    def take(self, position: float, velocity: float, demand: float, torque: float) -> str | None:
+    def take(
+        self, position: float, velocity: float, demand: float, torque: float, *, is_usable: bool = True
+    ) -> str | None:
         """Take one cycle of the motion; return a fault as a message, or None.
 
         Parameters
@@ -116,14 +120,20 @@ class FollowCheck:
             Demanded position at the time of the feedback.
         torque : float
             Torque that is sent, SI.
+        is_usable : bool
+            False for a cycle without feedback, and for a period that was missed.
         """
+        self._unheard += 1
+        if not is_usable:
+            return None
+        elapsed_s, self._unheard = self._unheard * self._period_s, 0
         if math.isnan(self._start):
             self._start, self._start_demand = position, demand
         moved, demanded = position - self._start, demand - self._start_demand
         self._low, self._high = min(self._low, moved), max(self._high, moved)
         self._demand_low, self._demand_high = min(self._demand_low, demanded), max(self._demand_high, demanded)
         error = demanded - moved
-        demand_rate, self._demanded = (demanded - self._demanded) / self._period_s, demanded
+        demand_rate, self._demanded = (demanded - self._demanded) / elapsed_s, demanded
         if abs(moved) >= max(_FOLLOWED * self._extent, 0.25 * self._distance) and abs(error) < 0.5 * abs(moved):
             self.is_confirmed = moved * demanded > 0.0
             return None

@@ -132,7 +132,10 @@ class FollowerAxis(AxisLoop):
         position = supervisor.position
         velocity = feedback.velocity if is_usable else compensator.velocity_estimate
         demand = self._demand.take(cycle, feedback.position_demand if is_operating else math.nan)
-        is_enabled = self._gate(is_operating and state in (LoopState.IDLE, LoopState.RUNNING) and running_s >= 0.0)
+        is_enabled = self._gate(
+            is_operating and state in (LoopState.IDLE, LoopState.RUNNING) and running_s >= 0.0,
+            (missed + 1) * self._period_s,
+        )
         inputs = compensator_inputs(
             cycle, position, velocity, feedback, demand, is_usable=is_usable, is_enabled=is_enabled
         )
@@ -163,13 +166,13 @@ class FollowerAxis(AxisLoop):
         is_faded_out = compensator.is_faded_out and command.torque == 0.0
         return AxisUpdate(fault, warning, False, is_standing, is_faded_out)
 
-    def _gate(self, is_open: bool) -> bool:
+    def _gate(self, is_open: bool, elapsed_s: float) -> bool:
         """Return True if the compensation is to be faded in, or kept: after the time without it at the start."""
         if is_open and self._baseline_left_s > 0.0:
-            self._baseline_left_s -= self._period_s
+            self._baseline_left_s -= elapsed_s
             is_open = False
         is_enabled = is_open and self._is_compensation_enabled
-        self._faded_s = self._faded_s + self._period_s if is_enabled else 0.0
+        self._faded_s = self._faded_s + elapsed_s if is_enabled else 0.0
         return is_enabled
 
     def _count_follower_error(self, error: float, missed: int, *, is_counted: bool, is_usable: bool) -> None:

@@ -259,7 +259,7 @@ def test_offset_is_wanted_only_in_the_configured_mode_and_while_the_master_wants
         axis.handlers[0x181](ENABLED.to_bytes(2, "little") + bytes(4))
         axis.handlers[0x281](b"\0\0" + bytes([mode]))
         axis.handlers[0x201](controlword.to_bytes(2, "little") + bytes(4))
-        axis.report(heard)
+        axis.report(heard, 0)
         assert heard.is_fresh
         return heard.is_offset_wanted
 
@@ -275,7 +275,7 @@ def test_emergencies_and_reboots_are_noticed_and_are_no_fault():
     heard = Feedback()
     axis.handlers[0x081](bytes.fromhex("1186080000000000"))
     axis.handlers[0x701](b"\0")
-    axis.report(heard)
+    axis.report(heard, 0)
     assert heard.notices == [
         "node 1: emergency 8611h following error, error register 08h",
         "node 1 restarted (boot-up message)",

@@ -372,7 +372,7 @@ class CanopenAxis:
         if self._mapped_temperature is not None:
             self._temperature.value = self._mapped_temperature.take(self._frames)
         before = self._measured
-        measured = self._decoder.decode(self._frames, before, self._missed + 1)
+        measured = self._decoder.decode(self._frames, before, (now_ns - self._heard_ns) * 1e-9)
         state_before, was, _, _, _, _, statusword_before = before
         state, now, _, _, _, mode, statusword = measured
         if was is not None and now is not None and not -_LARGEST_STEP <= now - was <= _LARGEST_STEP:

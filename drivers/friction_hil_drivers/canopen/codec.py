@@ -6,6 +6,7 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 from friction_hil.drive import Command, DriveState, Mode, Request
+from friction_hil.drive.encoder import derived_velocity
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.mapping import TARGETS, MappedPdo
 from friction_hil_drivers.canopen.objects import Object
@@ -97,7 +98,7 @@ class FeedbackDecoder:
             slots.get(objects.MODE_DISPLAY, 1),
         )
 
-    def decode(self, frames: Sequence[bytes], before: Measurement, cycles: int = 1) -> Measurement:
+    def decode(self, frames: Sequence[bytes], before: Measurement, elapsed_s: float = 0.0) -> Measurement:
         """Decode the TPDOs of one cycle.
 
         Parameters
@@ -106,8 +107,8 @@ class FeedbackDecoder:
             Data of each TPDO; what is longer than its mapping is ignored.
         before : Measurement
             The one before; the position follows its counter, given that it moved by less than 2^31 since.
-        cycles : int
-            Cycles since then.
+        elapsed_s : float
+            Time since then, s.
         """
         data = b"".join(frames)
         values = self._unpack_all(data) if len(data) == self._size else self._unpack_longer(frames)
@@ -116,10 +117,11 @@ class FeedbackDecoder:
         # as `friction_hil.drive.encoder.unwrap`, without the call
         counts = raw if counts is None else counts + ((raw - counts + _HALF) & _MASK) - _HALF
         position = counts / self._counts_per_unit
+        velocity = 0.0
         if self._has_velocity:
             velocity = increments / self._velocity_per_unit
-        else:
-            velocity = 0.0 if before.counts is None else (position - before.position) / (cycles * self._period_s)
+        elif before.counts is not None:
+            velocity = derived_velocity(position - before.position, elapsed_s, before.velocity, self._period_s)
         state, si_torque = drive_state(statusword), torque * self._rated_torque / PER_MILLE
         return _make(Measurement, (state, counts, position, velocity, si_torque, mode, statusword))
 

@@ -85,7 +85,7 @@ class PassiveAxis:
         self._error = drive.error
         self._frames = [b""] * len(drive.tpdos)
         self._measured = Measurement()
-        self._cycles = 0  # since the last complete set
+        self._measured_ns = 0  # time of the cycle of the last complete set
         self._notices: list[str] = []
         self._twin = TwinWatch(node)
         self._fault = ""
@@ -121,15 +121,15 @@ class PassiveAxis:
         if code := emergency_code(data):
             self._error = profile.error_text(code)
 
-    def report(self, feedback: Feedback) -> None:
-        """Write the drive's feedback of this cycle."""
-        self._cycles += 1
+    def report(self, feedback: Feedback, cycle_ns: int) -> None:
+        """Write the drive's feedback of the cycle that belongs to the time ``cycle_ns``."""
         feedback.is_fresh = self.is_complete
         feedback.missing = ""
         if self.is_complete:
-            measured = self._measured = self._decoder.decode(self._frames, self._measured, self._cycles)
+            elapsed_s = (cycle_ns - self._measured_ns) * 1e-9
+            measured = self._measured = self._decoder.decode(self._frames, self._measured, elapsed_s)
             self._frames = [b""] * len(self._tpdos)
-            self._cycles = 0
+            self._measured_ns = cycle_ns
             feedback.position, feedback.velocity = measured.position, measured.velocity
             feedback.torque, feedback.state = measured.torque, measured.state
         else:
@@ -191,7 +191,7 @@ class PassiveExchange:
         if not self._clock.is_real:
             self._require_frames()
         for axis, target in zip(self._axes, feedback, strict=True):
-            axis.report(target)
+            axis.report(target, end_ns)
 
     def _take(self, can_id: int, data: bytes) -> None:
         handler = self._handlers.get(can_id)

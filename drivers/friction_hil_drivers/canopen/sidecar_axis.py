@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from friction_hil.drive import AxisFacts, DriveState, Feedback, Mode
 from friction_hil.drive.codes import coded
-from friction_hil.drive.encoder import unwrap
+from friction_hil.drive.encoder import derived_velocity, unwrap
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.axis import Handler
 from friction_hil_drivers.canopen.codec import Frame, decode_heartbeat, emergency_code, emergency_text
@@ -76,7 +76,7 @@ class SidecarAxis:
         self._twin = TwinWatch(node)
         self._counts: int | None = None
         self._velocity = 0.0
-        self._stale = 0  # cycles since the last position
+        self._cycle = 0  # of the last position
         self._nmt_state: int | None = None  # as the last heartbeat has it
         self._demand: int | None = None
         self._demand_object = demand_object(options)
@@ -142,14 +142,15 @@ class SidecarAxis:
         self.is_complete = not self._missing
         self._wrong = ""
 
-    def report(self, feedback: Feedback) -> None:
-        """Write what was heard of the drive; without this cycle's TPDOs the values stay as they were."""
+    def report(self, feedback: Feedback, cycle: int) -> None:
+        """Write what was heard of the drive; without this cycle's TPDOs the values stay as they were.
+
+        ``cycle`` counts the SYNCs that were expected, those that nobody was there to hear too.
+        """
         values = self._values
         is_fresh = self.is_complete
         if is_fresh:
-            self._take_position(values[objects.POSITION_ACTUAL])
-        else:
-            self._stale += 1
+            self._take_position(values[objects.POSITION_ACTUAL], cycle)
         counts = 0 if self._counts is None else self._counts
         feedback.position = counts / self._units.counts_per_unit
         feedback.velocity = self._velocity
@@ -224,14 +225,15 @@ class SidecarAxis:
 
     # Values
 
-    def _take_position(self, raw: int) -> None:
+    def _take_position(self, raw: int, cycle: int) -> None:
         """Follow the counter; the velocity is its difference, because the unit of 606Ch would have to be asked for."""
         before = self._counts
         self._counts = raw if before is None else unwrap(before, raw, COUNTER_BITS)
         if before is not None:
-            elapsed_s = (self._stale + 1) * self._period_s
-            self._velocity = (self._counts - before) / self._units.counts_per_unit / elapsed_s
-        self._stale = 0
+            way = (self._counts - before) / self._units.counts_per_unit
+            elapsed_s = (cycle - self._cycle) * self._period_s
+            self._velocity = derived_velocity(way, elapsed_s, self._velocity, self._period_s)
+        self._cycle = cycle
 
     def _position_demand(self) -> float:
         """Return the master's set-point, near the position modulo the counter's range; NaN where none was heard."""

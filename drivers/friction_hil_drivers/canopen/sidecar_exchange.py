@@ -103,7 +103,7 @@ class SidecarExchange:
         else:
             self._step()
         for axis, target in zip(self._axes, feedback, strict=True):
-            axis.report(target)
+            axis.report(target, self._cycle)
             target.message = target.message or self._message
             target.is_setpoint_lost = self._unsent > 0
 
@@ -152,7 +152,7 @@ class SidecarExchange:
         axis.begin_cycle()
         for can_id, size in axis.sizes.items():
             axis.handlers[can_id](bytes(size))
-        axis.report(self._spare_feedback)
+        axis.report(self._spare_feedback, self._cycle)
         axis.encode(0.0)
 
     # SYNC in real time
@@ -168,6 +168,8 @@ class SidecarExchange:
         if was_missing and waiting:
             waiting -= 1  # the SYNC before came too late
             self._late += 1
+        elif 0 < waiting < self._elapsed and clock.now_ns() < lock.sync_ns(cycle):
+            waiting = 0  # those of the periods that the loop missed; this cycle's is still to come
         if self._late >= _LATE_TO_CAPTURE:
             return self._capture(cycle)
         if waiting:
@@ -283,6 +285,7 @@ class SidecarExchange:
         DriveError
             Neither SYNC nor anything else has come for long.
         """
+        self._cycle += 1
         is_begun = self._has_sync
         if is_begun:
             self._has_sync = False

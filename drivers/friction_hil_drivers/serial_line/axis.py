@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.drive.codes import coded
-from friction_hil.drive.encoder import unwrap
+from friction_hil.drive.encoder import derived_velocity, unwrap
 from friction_hil.errors import OptionError
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line import codes
@@ -123,6 +123,8 @@ class SerialAxis:
         Signals that are written in each cycle.
     before : sequence of Step
         Steps written before the drive is enabled.
+    period_s : float
+        Least time over which a velocity is derived from positions, s.
 
     Attributes
     ----------
@@ -141,9 +143,11 @@ class SerialAxis:
         image: Image,
         commands: tuple[str, ...],
         before: Sequence[Step] = (),
+        period_s: float = 0.0,
     ) -> None:
         self.name = name
         self.image = image
+        self._period_s = period_s
         self.sequencer = Sequencer(description, before)
         self.state = DriveState.UNKNOWN
         self.read_back: frozenset[str] = frozenset()
@@ -175,7 +179,7 @@ class SerialAxis:
         ----------
         feedback : Feedback
         time_s : float
-            Time of this cycle, s.
+            Time at which this cycle's values were asked for, s.
         last_error : str
             Last error on the line.
         """
@@ -189,7 +193,8 @@ class SerialAxis:
             if self._velocity_scale is not None:
                 self._velocity = values["velocity"] * self._velocity_scale
             elif time_s > self._position_s:
-                self._velocity = (position - self._position) / (time_s - self._position_s)
+                way, elapsed_s = position - self._position, time_s - self._position_s
+                self._velocity = derived_velocity(way, elapsed_s, self._velocity, self._period_s)
             self._position, self._position_s = position, time_s
         if not fresh.isdisjoint(self.state_signals):
             self.read_state()

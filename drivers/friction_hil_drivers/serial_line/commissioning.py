@@ -107,7 +107,7 @@ class Commissioning:
             commanded[name] = CycleSignals(fast, slow, mode.commands)
             listening_to[name] = CycleSignals(fast, slow, ())
             before = (*mode.prepare, *self._watchdog_steps(name, description))
-            axes.append(SerialAxis(name, description, scales, images[name], mode.commands, before))
+            axes.append(SerialAxis(name, description, scales, images[name], mode.commands, before, self._period_s))
             self._check_counter(name, scales)
         first = next(iter(options.values())).line
         listening = protocol.plan(listening_to)

@@ -201,6 +201,8 @@ class SerialDrives:
             bus.request_feedback(
                 deadline_ns if is_real else None, is_commanding=self._is_commanding, is_read=self._is_read
             )
+        # not once all have answered: one that is silent would make the positions of the others seem to be later ones
+        self._time_s = time_s = self._clock.now_ns() * 1e-9
         is_over = run_schedulers(self._schedulers, deadline_ns, self._selector)
         if is_over:
             self._timeouts = 0
@@ -210,7 +212,6 @@ class SerialDrives:
         for scheduler in self._schedulers:
             if not is_over or scheduler.deadline_ns is not None:
                 scheduler.end_cycle()
-        self._time_s = time_s = self._clock.now_ns() * 1e-9
         for each, axis, bus in zip(feedback, self._axes, self._bus_of, strict=True):
             scheduler = bus.scheduler
             axis.fill(each, time_s, scheduler.last_error)
