@@ -1,5 +1,6 @@
 """One drive in the cyclic phase: the bytes of its frames in, feedback out; commands in, bytes out."""
 
+import itertools
 import math
 import struct
 
