@@ -381,7 +381,7 @@ def test_a_drive_that_reports_little_more_than_its_position_can_be_followed():
     facts = AxisFacts("x", "a drive", 1e-3, 6.4e-4, 2.5e-3, 1.5e-3)
     axis = CanopenAxis(ConfiguredDrive(facts, UNITS, Mode.CSP, tpdos, rpdos, "", 2e-3), NODE, 0.1)
     axis.start(0)
-    times_ns = itertools.count(0, 2 * MS)
+    times_ns = itertools.count(0, 2_000_000)
 
     def cycle(counts):
         now_ns = next(times_ns)
