@@ -14,13 +14,24 @@ from friction_hil.daemon.first_motion import FirstMotion
 from friction_hil.daemon.follow_check import FollowCheck
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.row import AxisRow, row_width
-from friction_hil.daemon.safety import ENDING, MAX_STALE_CYCLES, FaultReset, LoopState, SafetyLimits, Supervisor
+from friction_hil.daemon.safety import (
+    ENDING,
+    LIMITED,
+    MAX_STALE_CYCLES,
+    FaultReset,
+    LoopState,
+    SafetyLimits,
+    Supervisor,
+)
 from friction_hil.daemon.sequence import STANDSTILL_S
 from friction_hil.daemon.temperature import TemperatureNotices
+from friction_hil.daemon.velocity_trust import FirstTorque
+from friction_hil.daemon.worsening import WorseningJudge
 from friction_hil.drive import AxisFacts, Command, Feedback
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import OptionError
 from friction_hil.motion.trajectory import PathTime, Setpoint
+from friction_hil.numerics.readable import quantity
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
@@ -65,6 +76,8 @@ class AxisLoop:
         The axis stops where set-points are missing: it has a path of positions. Velocity or torque would be kept.
     is_broken : bool
         Its computation has failed: it gets no torque any more.
+    taken_back : str
+        Why the compensation was taken back in this run; empty if it was not.
     """
 
     # slots here and in its parts: with a __dict__, the deep copy that warms the caches would be laid out differently,
@@ -77,21 +90,26 @@ class AxisLoop:
         "_faded_in_s",
         "_fault_reset",
         "_first_motion",
+        "_first_torque",
         "_follow_check",
         "_has_offset",
         "_held",
         "_is_compensation_enabled",
         "_is_standing",
+        "_is_velocity_doubt_told",
         "_last_cycle",
         "_load_position",
         "_load_zero",
         "_make_checks",
         "_most_held",
+        "_news",
         "_notices",
         "_period_s",
         "_standstill",
         "_states",
         "_temperature_notices",
+        "_unit",
+        "_worsening",
         "compensator",
         "following_errors",
         "gaps",
@@ -108,6 +126,7 @@ class AxisLoop:
         "stale_cycles",
         "state_width",
         "supervisor",
+        "taken_back",
     )
 
     def __init__(
@@ -123,19 +142,28 @@ class AxisLoop:
         check_torque(name, config, facts)
         unit, limits = ("rad" if config.model.axis == "rotary" else "m"), make_limits(config)
         self.name = name
-        self._period_s = period_s
+        self._period_s, self._unit = period_s, unit
         self.lead_s = lead_s(config.model, facts, period_s)
         self.setpoint_delay_s = facts.setpoint_delay_s
         self.shadow_names = list(shadow_names)
         self.compensator = make_compensator(config, config.model, facts, period_s)
         self.shadows = make_shadows(config, facts, period_s)
         self.supervisor = Supervisor(
-            name, limits, period_s, facts.position_resolution, unit, max_stale_cycles, facts.velocity_resolution
+            name,
+            limits,
+            period_s,
+            facts.position_resolution,
+            unit,
+            max_stale_cycles,
+            facts.velocity_resolution,
+            is_velocity_trusted=config.mode != "cst" and config.compensation.velocity != "drive",
         )
         self.motion = AxisMotion(name, unit, config, limits, facts, period_s, self.lead_s, path_time)
         self.is_stopped_by_gaps = config.mode == "csp" and self.motion.distance > 0.0
         motion_s = 1.0 / config.trajectory.frequency if hasattr(config.trajectory, "frequency") else math.inf
         self.following_errors = FollowingErrors(period_s, path_time.ramp_s, motion_s)
+        self._worsening = WorseningJudge(period_s, motion_s, facts.position_resolution)
+        self.taken_back = self._news = ""
         self.stale_cycles = 0  # without usable feedback
         self.gaps = FeedbackGaps()
         self._has_offset = config.compensation.transmission is not None
@@ -155,7 +183,8 @@ class AxisLoop:
         self._watch_temperature()
         self._fault_reset = FaultReset(is_wanted=False)
         self._make_checks = functools.partial(_checks, name, unit, config, limits, facts, period_s, self.motion)
-        self._first_motion, self._follow_check = self._make_checks()
+        self._first_motion, self._first_torque, self._follow_check = self._make_checks()
+        self._is_velocity_doubt_told = False
         self.is_broken = False
         self._is_standing = False  # in the last cycle with usable feedback
         self._held = 0  # cycles since then
@@ -195,13 +224,17 @@ class AxisLoop:
             begins_s = max(self._configured_baseline_s, running_s if math.isfinite(running_s) else 0.0)
             self._baseline_s = begins_s if change.is_enabled else math.inf
         self._faded_in_s = self._baseline_s + self._fade_s
+        self._worsening.restart()
 
     def begin_again(self) -> None:
         """Prepare for another motion after the axis was disabled: checks and figures are those of the new motion."""
-        first_motion, self._follow_check = self._make_checks()
+        first_motion, first_torque, self._follow_check = self._make_checks()
         if self.is_first_motion_due:
             self._first_motion = first_motion
+        if self._first_torque is not None:
+            self._first_torque = first_torque
         self.following_errors = self.following_errors.anew()
+        self._worsening = self._worsening.anew()
         if self.load_errors is not None:
             self.load_errors = self.load_errors.anew()
         self._baseline_s = self._configured_baseline_s if self._is_compensation_enabled else math.inf
@@ -300,7 +333,7 @@ class AxisLoop:
         if not is_usable or self.gaps.is_open:
             self._note_gap(cycle, feedback, state, is_usable=is_usable)
         position = supervisor.position
-        velocity = feedback.velocity if is_usable else compensator.velocity_estimate
+        velocity = supervisor.velocity(feedback) if is_usable else compensator.velocity_estimate
         setpoint, demand = self.motion.demand(time_s, state)
         is_active = self._is_compensation_enabled and state in (LoopState.IDLE, LoopState.RUNNING)
         is_enabled = is_active and running_s >= self._baseline_s
@@ -321,11 +354,13 @@ class AxisLoop:
         if fault is None and compensator.is_faulty:
             text = f"{self.name}: the friction model gave a torque that is not finite"
             fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
+        if self._first_torque is not None:
+            self._bound_torque(state, position, missed)
         self._command.write(command, state, time_s, position, estimate, setpoint, compensation, feedback)
         if state is LoopState.FIRST_MOTION and self._first_motion is not None:
             for _ in range(missed):
                 self._first_motion.take(math.nan, math.nan, is_usable=False)
-            fault = self._first_motion.take(position, velocity, is_usable=is_usable) or fault
+            fault = self._first_motion.take(position, feedback.velocity, is_usable=is_usable) or fault
             command.velocity = self._first_motion.target
         if self.load_errors is not None:
             load_position = self._take_load(feedback.load_position, position)
@@ -334,7 +369,9 @@ class AxisLoop:
             condition = _WITH if running_s >= self._faded_in_s else _FADING
             if running_s < self._baseline_s and compensator.is_faded_out:
                 condition = _WITHOUT
-            self.following_errors.take(condition, setpoint.position - position, missed, is_usable)
+            error = setpoint.position - position
+            if self.following_errors.take(condition, error, missed, is_usable):
+                self._judge(condition, inputs, error)
             if self.load_errors is not None:
                 error = inputs.position_demand - load_position
                 self.load_errors.take(condition, error, missed, is_usable and math.isfinite(error))
@@ -352,7 +389,8 @@ class AxisLoop:
         is_standing = self._judge_standstill(abs(estimate) <= self._standstill, is_usable=is_usable)
         is_reset_due = self._takes_reset(time_s, state, feedback, fault)
         fault = None if is_reset_due else fault  # what is to be reset does not end the run
-        warning = self._notices.next(compensator, estimate) or self._take_first_warning()
+        warning = self._notices.next(compensator, estimate) or self._take_first_warning() or self._doubt_velocity()
+        warning = warning or self._take_news()
         if warning is None and self._temperature_notices is not None:
             warning = self._temperature_notices.next(feedback.temperature)
         return AxisUpdate(fault, warning, is_reset_due, is_standing, compensator.is_faded_out)
@@ -363,6 +401,44 @@ class AxisLoop:
         if math.isnan(self._load_zero):
             self._load_zero = load_position - position
         return load_position - self._load_zero
+
+    def _judge(self, condition: Condition, inputs: CompensatorInputs, error: float) -> None:
+        """Take the compensation back if settled motion shows that it makes the following error larger."""
+        velocity, acceleration = inputs.velocity_demand, inputs.acceleration_demand_ahead
+        worse = self._worsening.take(condition, velocity, acceleration, error)
+        if worse is None:
+            return
+        self._is_compensation_enabled = False
+        self._baseline_s = self._faded_in_s = math.inf
+        self.taken_back = (
+            f"{self.name}: compensation makes the following error larger, {quantity(worse.without, self._unit)} -> "
+            f"{quantity(worse.compensated, self._unit)} RMS at the same velocities: it is taken back, the run goes on "
+            "without it; is the sign of the torque right (inverted_torque, 607Eh), and the model that of this axis?"
+        )
+        self._news = self.taken_back
+
+    def _take_news(self) -> str | None:
+        """Return, once, that the compensation was taken back."""
+        news, self._news = self._news, ""
+        return news or None
+
+    def _bound_torque(self, state: LoopState, position: float, missed: int) -> None:
+        """Let the torque of the loop's controller rise only until the axis moves, while its velocity is in doubt."""
+        if self.supervisor.is_velocity_confirmed or self._first_torque is None:
+            self._first_torque, self._command.most = None, math.inf
+        elif state in LIMITED:
+            self._command.most = self._first_torque.next(position, self._command.effort, missed + 1)
+
+    def _doubt_velocity(self) -> str | None:
+        """Return a warning, once, that the velocity which the drive reports is not that of its position."""
+        ratio = self.supervisor.velocity_contradiction
+        if self._is_velocity_doubt_told or math.isnan(ratio):
+            return None
+        self._is_velocity_doubt_told = True
+        return (
+            f"{self.name}: the drive reports a velocity {ratio:.3g} times the derivative of its position: it is not "
+            "used, speed follows from the position alone; compare the unit of its velocity with its manual"
+        )
 
     def _take_first_warning(self) -> str | None:
         """Return the warning of the first motion, once."""
@@ -413,9 +489,11 @@ def _checks(
     facts: AxisFacts,
     period_s: float,
     motion: AxisMotion,
-) -> tuple[FirstMotion | None, FollowCheck | None]:
+) -> tuple[FirstMotion | None, FirstTorque | None, FollowCheck | None]:
     """Return what watches the beginning of a motion, None for what is not needed."""
-    first_motion = follow_check = None
+    first_motion = first_torque = follow_check = None
+    if config.mode == "cst":
+        first_torque = FirstTorque(limits.torque, limits.velocity, period_s, facts.position_resolution)
     if config.mode == "csv" and motion.has_setpoint and facts.velocity_resolution > 0.0:
         first_motion = FirstMotion(name, unit, limits, period_s, facts.position_resolution, facts.velocity_resolution)
     if motion.has_setpoint:
@@ -428,7 +506,7 @@ def _checks(
             facts.position_resolution,
             is_torque_ours=config.mode == "cst",
         )
-    return first_motion, follow_check
+    return first_motion, first_torque, follow_check
 
 
 def check_torque(name: str, config: "AxisConfig", facts: AxisFacts) -> None:

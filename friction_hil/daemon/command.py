@@ -46,6 +46,8 @@ class CommandWriter:
         Position and velocity that are added to the set-point that is sent, SI.
     held_position : float
         Position at which the axis is held outside of the moving states, SI; NaN before the first cycle.
+    most, effort : float
+        Bound of what the loop's controller and the compensation ask for together (CST), and what they asked for, N m.
     """
 
     __slots__ = (
@@ -67,7 +69,9 @@ class CommandWriter:
         "_period_s",
         "_static",
         "_torque",
+        "effort",
         "held_position",
+        "most",
         "offset_sent",
     )
 
@@ -90,6 +94,7 @@ class CommandWriter:
         self._lowest = self._highest = 0.0  # of what the drive may have
         self.offset_sent = (0.0, 0.0)
         self.held_position = math.nan
+        self.most, self.effort = math.inf, 0.0
 
     def compile(self) -> None:
         """Compile the kernels that `write` runs."""
@@ -148,7 +153,9 @@ class CommandWriter:
         elif self._mode is Mode.CST:
             if now is not None:
                 self._is_held_by_loop, self._error_left, self.held_position = True, now.position - position, position
-            command.torque = self._limited(self._control(now, position, velocity) + compensation + static)
+            command.torque = self._limited(
+                self._bounded(self._control(now, position, velocity) + compensation) + static
+            )
         else:
             command.torque = self._limited(compensation + static)
             if now is not None:
@@ -181,7 +188,7 @@ class CommandWriter:
         command.position = self.held_position
         if self._is_held_by_loop:
             held = Setpoint(self.held_position, 0.0, 0.0)
-            command.torque = self._limited(self._control(held, position, velocity) + static)
+            command.torque = self._limited(self._bounded(self._control(held, position, velocity)) + static)
             return
         self._integral = 0.0
         if state in _STOPPED:
@@ -208,6 +215,11 @@ class CommandWriter:
             wanted += self._difference * self._fade_left_s / self._fade_s
         self._last_static = wanted
         return wanted
+
+    def _bounded(self, wanted: float) -> float:
+        """Return the torque within `most`, and keep it as `effort`."""
+        self.effort = min(max(wanted, -self.most), self.most)
+        return self.effort
 
     def _limited(self, wanted: float) -> float:
         """Return the torque within limit and slew, and keep it as the last one."""
@@ -241,7 +253,7 @@ class CommandWriter:
             now.velocity,
             now.acceleration,
             velocity,
-            self._period_s,
-            self._limits.torque,
+            self._period_s,  # after missed periods too: how the error went in them is not known
+            min(self._limits.torque, self.most),
         )
         return torque

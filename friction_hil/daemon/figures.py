@@ -85,6 +85,8 @@ class AxisFigures:
         Number of bridged cycles by the reason that the driver gave.
     load : AxisFigures or None
         The same of the load, against the path; None where it has no encoder.
+    taken_back : str
+        What the compensation was taken back for; empty if it was not.
     """
 
     unit: str
@@ -95,6 +97,7 @@ class AxisFigures:
     bridged: int = 0
     bridged_reasons: dict[str, int] = field(default_factory=dict)
     load: "AxisFigures | None" = None
+    taken_back: str = ""
 
     @property
     def reduction(self) -> Figures | None:
@@ -192,8 +195,8 @@ class FollowingErrors:
         """Return an accumulator for another motion of the same kind."""
         return FollowingErrors(*self._given)
 
-    def take(self, condition: Condition, error: float, missed: int, is_usable: bool) -> None:
-        """Take one cycle of the motion.
+    def take(self, condition: Condition, error: float, missed: int, is_usable: bool) -> bool:
+        """Take one cycle of the motion; return True if it counts as settled.
 
         Parameters
         ----------
@@ -212,10 +215,11 @@ class FollowingErrors:
             wait = self._recovery + RECOVERY_OF_MISSED * missed if missed else 0.0
             self._recovered = max(self._recovered, cycle + (wait if is_usable else max(wait, RECOVERY_OF_LATE)))
         if cycle < self._begin:
-            return
+            return False
         if cycle >= self._period_end:  # its last cycle was missed
             self._end_period()
-        if is_usable and cycle >= self._recovered:
+        is_counted = is_usable and cycle >= self._recovered
+        if is_counted:
             self._count += 1
             self._square += error * error
             if error > self._peak:
@@ -226,6 +230,7 @@ class FollowingErrors:
             self._left_out += 1
         if cycle + 1 >= self._period_end:
             self._end_period()
+        return is_counted
 
     def _enter(self, condition: Condition) -> None:
         self._end_part(self._cycle)

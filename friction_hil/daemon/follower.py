@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from friction_hil.compensator import CompensatorInputs
 from friction_hil.daemon.assembly import make_limits
 from friction_hil.daemon.axis import AxisLoop, AxisUpdate, compensator_inputs
 from friction_hil.daemon.demand import DemandEstimator
@@ -15,6 +16,7 @@ from friction_hil.daemon.figures import Condition, FollowingErrors
 from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.safety import MAX_STALE_CYCLES, LoopState, Supervisor
 from friction_hil.daemon.sequence import SETTLE_S, RunInputs, RunStateMachine, after_the_stop
+from friction_hil.daemon.worsening import WorseningJudge
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback
 from friction_hil.drive.codes import FaultCode
 from friction_hil.motion.trajectory import PathTime
@@ -103,6 +105,7 @@ class FollowerAxis(AxisLoop):
         self.supervisor = FollowerSupervisor(name, limits, period_s, facts.position_resolution, unit, max_stale_cycles)
         self.supervisor.is_operating = False
         self.following_errors = FollowingErrors(period_s, 0.0, math.inf)
+        self._worsening = WorseningJudge(period_s, math.inf, facts.position_resolution)
         self._demand = DemandEstimator(period_s, facts.setpoint_delay_s, self.lead_s)
         self._baseline_left_s = config.compensation.baseline_s
         self._faded_s = 0.0  # time for which the compensation has been enabled
@@ -152,15 +155,13 @@ class FollowerAxis(AxisLoop):
         torque = compensation if is_powered else 0.0
         self._command.write(command, state, time_s, position, estimate, None, torque, feedback)
         is_counted = is_operating and state is LoopState.RUNNING
-        self._count_follower_error(
-            inputs.position_demand - position, missed, is_counted=is_counted, is_usable=is_usable
-        )
+        self._count_follower_error(inputs, missed, is_counted=is_counted)
         row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)
         row.write_estimates(compensator.load_estimate, compensator.temperature_estimate, 0.0)
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))
         is_standing = supervisor.is_current and abs(estimate) <= self._standstill
-        warning = self._notices.next(compensator, estimate) or self._drive_notice.next(feedback)
+        warning = self._notices.next(compensator, estimate) or self._drive_notice.next(feedback) or self._take_news()
         if warning is None and self._temperature_notices is not None:
             warning = self._temperature_notices.next(feedback.temperature)
         is_faded_out = compensator.is_faded_out and command.torque == 0.0
@@ -175,14 +176,16 @@ class FollowerAxis(AxisLoop):
         self._faded_s = self._faded_s + elapsed_s if is_enabled else 0.0
         return is_enabled
 
-    def _count_follower_error(self, error: float, missed: int, *, is_counted: bool, is_usable: bool) -> None:
+    def _count_follower_error(self, inputs: CompensatorInputs, missed: int, *, is_counted: bool) -> None:
         """Count the following error of a cycle as one without, or one with full compensation."""
         condition = Condition.FADING
         if is_counted and self._faded_s > self._fade_s:
             condition = Condition.WITH
         elif is_counted and self.compensator.is_faded_out:
             condition = Condition.WITHOUT
-        self.following_errors.take(condition, error, missed, is_usable and math.isfinite(error))
+        error = inputs.position_demand - inputs.position
+        if self.following_errors.take(condition, error, missed, inputs.is_fresh and math.isfinite(error)):
+            self._judge(condition, inputs, error)
 
 
 class _DriveNotice:

@@ -11,6 +11,7 @@ from enum import IntEnum
 
 from friction_hil.daemon.fast_steps import MOST_FAST_CYCLES, FastSteps
 from friction_hil.daemon.velocity_check import VelocityCheck
+from friction_hil.daemon.velocity_trust import VelocityTrust
 from friction_hil.drive import DriveState, Feedback, Request
 from friction_hil.drive.codes import FaultCode
 
@@ -36,7 +37,7 @@ class LoopState(IntEnum):
 
 
 MOVING = (LoopState.RUNNING, LoopState.STOPPING)
-_LIMITED = (LoopState.FIRST_MOTION, *MOVING)
+LIMITED = (LoopState.FIRST_MOTION, *MOVING)
 _NOT_YET_ENABLED = (LoopState.IDLE, LoopState.ENABLING)
 ENDING = (LoopState.FAULT_STOPPING, LoopState.DISABLING, LoopState.DONE, LoopState.WAITING)
 
@@ -90,6 +91,8 @@ class Supervisor:
         Largest number of successive cycles without usable feedback that are bridged.
     velocity_resolution : float
         Smallest step of the reported velocity, SI; 0 if it is not known.
+    is_velocity_trusted : bool
+        False: speed is judged from the position alone until a motion has confirmed the velocity that is reported.
     """
 
     __slots__ = (
@@ -109,6 +112,7 @@ class Supervisor:
         "_slack",
         "_stale_cycles",
         "_steps",
+        "_trust",
         "_unit",
         "_velocity_check",
     )
@@ -122,6 +126,8 @@ class Supervisor:
         unit: str = "rad",
         max_stale_cycles: int = MAX_STALE_CYCLES,
         velocity_resolution: float = 0.0,
+        *,
+        is_velocity_trusted: bool = True,
     ) -> None:
         self._name = name
         self._limits = limits
@@ -135,6 +141,7 @@ class Supervisor:
         self._stale_cycles = 0
         self._max_stale_cycles = max_stale_cycles
         self._velocity_check = VelocityCheck(period_s, limits.velocity, position_resolution, velocity_resolution)
+        self._trust = None if is_velocity_trusted else VelocityTrust(period_s, position_resolution, velocity_resolution)
         self._fast_cycles = 0  # in a row in which the drive reported more than the velocity limit
         self._fast_estimates = 0  # in a row beyond the limit: if the drive reports less, a frame may have been late
         self._steps = FastSteps(limits.velocity * period_s, position_resolution)
@@ -155,6 +162,20 @@ class Supervisor:
     def position(self) -> float:
         """Last usable position; NaN before the first one."""
         return self._last_position
+
+    @property
+    def is_velocity_confirmed(self) -> bool:
+        """True if the velocity that the drive reports counts; False as long as that of its position does."""
+        return self._trust is None or self._trust.is_confirmed
+
+    def velocity(self, feedback: Feedback) -> float:
+        """Return the velocity of usable feedback: as reported, or by the position until a motion has confirmed that."""
+        return feedback.velocity if self._trust is None else self._trust.velocity
+
+    @property
+    def velocity_contradiction(self) -> float:
+        """Reported velocity over that of the position if they contradict each other and it is not used; else NaN."""
+        return math.nan if self._trust is None else self._trust.contradiction
 
     @property
     def has_position(self) -> bool:
@@ -193,6 +214,9 @@ class Supervisor:
             reach = self._jump * periods + self._slack
             usable = abs(feedback.position - self._last_position) <= reach
         if usable:
+            if self._trust is not None:
+                periods = self._stale_cycles + self._missed_since_position + 1
+                self._trust.take(feedback.position, feedback.velocity, periods)
             self._last_position = feedback.position
             self._stale_cycles = self._missed_since_position = 0
         else:
@@ -225,7 +249,7 @@ class Supervisor:
             text = f"{self._name}: the drive is in fault: {feedback.error or 'it reports no error code'}"
             advice = "; --reset-fault leaves it" if state in _NOT_YET_ENABLED else ""
             return FaultCode.DRIVE_IN_FAULT.append_to(text + advice)
-        return self._find_motion_fault(feedback, velocity, position_demand) if state in _LIMITED else None
+        return self._find_motion_fault(feedback, velocity, position_demand) if state in LIMITED else None
 
     def _missing_feedback(self, feedback: Feedback) -> str:
         if self._stale_cycles <= self._max_stale_cycles:
@@ -279,7 +303,11 @@ class Supervisor:
             return False
         self._fast_estimates += 1
         is_confirmed = self._stale_cycles == 0 and abs(feedback.velocity) > self._fastest
-        return is_confirmed or not math.isfinite(velocity) or self._fast_estimates >= MOST_FAST_CYCLES
+        return (
+            (is_confirmed and self.is_velocity_confirmed)
+            or not math.isfinite(velocity)
+            or self._fast_estimates >= MOST_FAST_CYCLES
+        )
 
     def _speed_limit(self) -> str:
         """Return the limit of the velocity in words, with its reason if it is not the configured one."""
@@ -293,7 +321,8 @@ class Supervisor:
         """Return the fault of the velocity that the drive reports: too high, or not that of its position."""
         is_usable, velocity, unit = self._stale_cycles == 0, feedback.velocity, self._unit
         if is_usable:
-            self._fast_cycles = 0 if abs(velocity) <= self._fastest else self._fast_cycles + 1
+            is_fast = self.is_velocity_confirmed and abs(velocity) > self._fastest
+            self._fast_cycles = self._fast_cycles + 1 if is_fast else 0
             if self._fast_cycles >= MOST_FAST_CYCLES:
                 return FaultCode.VELOCITY_LIMIT.append_to(
                     f"{self._name}: the drive reports a velocity of {velocity:.4g} {unit}/s, beyond the limit of "

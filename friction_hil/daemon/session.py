@@ -384,6 +384,7 @@ def _figures_of(errors: FollowingErrors, axis: AxisLoop, config: "AxisConfig") -
         compensated=errors.figures(Condition.WITH),
         is_comparable=config.trajectory.kind not in ("experiment", "multisine", "sequence"),
         stale=axis.stale_cycles,
+        taken_back=axis.taken_back,
     )
 
 

@@ -18,6 +18,7 @@ _NOTEWORTHY = 0.02  # a smaller difference is no error of the compensation that 
 _VAGUE = 0.1  # standard error of a ratio that says nothing
 _LEAST, _MOST = 0.5, 2.0  # beyond, the drive does not apply the command, or reports something else
 _DIGITS = 6
+_OTHER_SIGN = {"none": "command", "command": "none", "feedback": "both", "both": "feedback"}  # of what is sent
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,7 @@ def find_torque_ratio(without: Recording, compensated: Sequence[Recording], axis
         found = identify_torque_ratio([_running(each) for each in (without, *compensated)], axis.mode)
     except RecordingError as error:
         return TorqueRatio(former, None, str(error))
-    return TorqueRatio(former, found, _doubt(found))
+    return TorqueRatio(former, found, _doubt(found, getattr(axis.options, "inverted_torque", None)))
 
 
 def with_torque_ratio(model: dict[str, Any], ratio: float, error: float | None = None) -> dict[str, Any]:
@@ -140,14 +141,17 @@ def with_torque_ratio(model: dict[str, Any], ratio: float, error: float | None =
     return {**content, "fit": {**fit, "standard_errors": errors, "flags": [*fit["flags"], note]}}
 
 
-def _doubt(found: RatioEstimate) -> str:
-    """Return why an estimate says nothing; empty if it does."""
+def _doubt(found: RatioEstimate, inverted: str | None) -> str:
+    """Return why an estimate says nothing; empty if it does. ``inverted`` is the axis's key ``inverted_torque``."""
     figures = f"{found.ratio:.2g} (standard error {found.error:.2g})"
     if not found.error < _VAGUE:
         return (
             f"the trial shows {figures}; command and loops of the drive leave {found.unexplained:.0%} of the reported "
             "torque unexplained, so that it may not be what the drive applies"
         )
+    if _LEAST < -found.ratio < _MOST:
+        key = "the sign of the torque in the drive" if inverted is None else f"inverted_torque: {_OTHER_SIGN[inverted]}"
+        return f"the trial shows {figures}: the torque acts in the opposite direction; set {key}"
     if not _LEAST < found.ratio < _MOST:
         return f"the trial shows {figures}: the drive does not apply all of the command, or reports another torque"
     return ""

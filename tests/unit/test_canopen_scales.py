@@ -16,7 +16,7 @@ from friction_hil_drivers.canopen.si_units import (
     encode_unit,
     parse_velocity_unit,
 )
-from friction_hil_drivers.canopen.unit_table import resolution_notes, unit_rows
+from friction_hil_drivers.canopen.unit_table import polarity_notes, resolution_notes, unit_rows
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -237,6 +237,35 @@ def test_an_inverted_axis_inverts_all_three():
     assert (units.counts_per_unit, units.velocity_per_unit, units.rated_torque) == pytest.approx(
         (-COUNTS, -COUNTS, -0.64)
     )
+
+
+@pytest.mark.parametrize(
+    ("inverted", "command", "feedback"), [("none", 1, 1), ("command", -1, 1), ("feedback", 1, -1), ("both", -1, -1)]
+)
+@pytest.mark.parametrize("is_inverted", [False, True])
+def test_the_sign_of_the_torque_alone_can_be_inverted(is_inverted, inverted, command, feedback):
+    units, sign = scales(ENCODER).units(is_inverted=is_inverted, inverted_torque=inverted), -1 if is_inverted else 1
+    assert units.torque_per_mille(0.64) == sign * command * 1000
+    assert units.torque(1000) == pytest.approx(sign * feedback * 0.64)
+    assert units.position_counts(1.0) * sign > 0
+
+
+@pytest.mark.parametrize(
+    ("polarity", "inverted", "said"),
+    [
+        (None, "none", ""),
+        (0x00, "none", ""),
+        (0xC0, "none", "C0h: position and velocity inverted; by CiA 402 the torque is not"),
+        (0x80, "none", "80h: position inverted; by CiA 402 the torque is not"),
+        (0x40, "none", "40h: velocity inverted"),
+        (0xC0, "both", "C0h: position and velocity inverted"),
+    ],
+)
+def test_what_the_drive_inverts_is_shown(polarity, inverted, said):
+    notes = polarity_notes(polarity, inverted)
+    assert len(notes) == bool(said)
+    assert all(said in note for note in notes)
+    assert any("set inverted_torque" in note for note in notes) == ("by CiA 402" in said)
 
 
 # The table

@@ -75,9 +75,9 @@ CIA402 = {
 }
 
 
-def make(data=OWN, *, is_inverted=False, units=UNITS, kind="rotary", before=()):
+def make(data=OWN, *, is_inverted=False, inverted_torque="none", units=UNITS, kind="rotary", before=()):
     description = Bench.model_validate(data)
-    scales = make_scales("x", description, units, kind=kind, is_inverted=is_inverted)
+    scales = make_scales("x", description, units, kind=kind, is_inverted=is_inverted, inverted_torque=inverted_torque)
     image = Image()
     return SerialAxis("x", description, scales, image, ("torque_command",), before), image
 
@@ -115,6 +115,15 @@ def test_an_inverted_axis_turns_everything_round():
     assert (feedback.position, feedback.velocity < 0.0, feedback.torque > 0.0) == (pytest.approx(-0.5), True, True)
     write(axis, Request.ENABLE, torque=0.05)
     assert image.values["torque_command"] == pytest.approx(-100.0)
+
+
+@pytest.mark.parametrize(("inverted", "sent", "reported"), [("command", -1, 1), ("feedback", 1, -1), ("both", -1, -1)])
+def test_the_sign_of_the_torque_alone_can_be_inverted(inverted, sent, reported):
+    axis, image = make(inverted_torque=inverted)
+    feedback = hear(axis, image, position=500, velocity=600, torque=-150, status=1, error=0)
+    assert (feedback.position, feedback.torque) == pytest.approx((0.5, reported * -0.15))
+    write(axis, Request.ENABLE, torque=0.05)
+    assert image.values["torque_command"] == pytest.approx(sent * 100.0)
 
 
 @given(st.lists(st.integers(-30000, 30000), min_size=1, max_size=30))

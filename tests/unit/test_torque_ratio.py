@@ -73,6 +73,13 @@ def test_a_torque_that_is_another_one_determines_nothing(runs) -> None:
     assert found.figures["estimate"] == found.estimate.ratio
 
 
+def test_a_torque_that_acts_in_the_opposite_direction_names_the_key(runs) -> None:
+    found = decided([reporting(each, -1.0) for each in runs])
+
+    assert (found.is_determined, found.is_other) == (False, False)
+    assert "the torque acts in the opposite direction; set inverted_torque: command" in found.text
+
+
 def test_what_the_runs_cannot_tell_is_said(runs) -> None:
     with pytest.raises(RecordingError, match="the command does not change"):
         identify_torque_ratio([runs[0]], "csp")

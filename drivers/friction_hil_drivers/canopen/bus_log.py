@@ -256,7 +256,7 @@ def _columns(units: CanopenUnits, mode: Mode) -> dict[str, tuple[Object, float]]
         "position": (objects.POSITION_ACTUAL, 1.0 / units.counts_per_unit),
         "velocity": (objects.VELOCITY_ACTUAL, 1.0 / units.velocity_per_unit),
         "torque": (objects.TORQUE_ACTUAL, torque),
-        "command": (objects.TARGET_TORQUE if mode is Mode.CST else objects.TORQUE_OFFSET, torque),
+        "command": (objects.TARGET_TORQUE if mode is Mode.CST else objects.TORQUE_OFFSET, units.command_sign * torque),
     }
     if mode is Mode.CSP:
         columns["position_demand"] = objects.TARGET_POSITION, 1.0 / units.counts_per_unit

@@ -17,7 +17,7 @@ from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.scales import read_scales, require_agreement, require_velocity_unit
 from friction_hil_drivers.canopen.temperature import TemperatureOptions, read_first
-from friction_hil_drivers.canopen.unit_table import resolution_notes, unit_rows
+from friction_hil_drivers.canopen.unit_table import polarity_notes, resolution_notes, unit_rows
 from friction_hil_drivers.canopen.units import PER_MILLE, CanopenUnits
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import NOT_WATCHED, Watch, arm
@@ -108,8 +108,9 @@ def configure(
     require_agreement(access, options, scales)
     if mode is Mode.CSV:
         require_velocity_unit(access, options)
-    units = scales.units(is_inverted=options.is_inverted)
+    units = scales.units(is_inverted=options.is_inverted, inverted_torque=options.inverted_torque)
     notes += resolution_notes(scales, axis)
+    notes += polarity_notes(access.find(objects.POLARITY), options.inverted_torque)
     first = math.nan if options.temperature is None else read_first(access, options.temperature)
     state = profile.drive_state(access.read(objects.STATUSWORD))
     rpdos: tuple[MappedPdo, ...] = ()

@@ -6,6 +6,7 @@ from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.conversation import Script
 from friction_hil_drivers.canopen.dialogue import Upload
 from friction_hil_drivers.canopen.objects import DataType, Object
+from friction_hil_drivers.canopen.unit_table import polarity_text
 from friction_hil_drivers.cia402 import profile
 
 _MODES = {1: "pp", 2: "vl", 3: "pv", 4: "tq", 6: "hm", 7: "ip", 8: "csp", 9: "csv", 10: "cst", 11: "cstca"}
@@ -90,6 +91,7 @@ def _units() -> "Script[dict[str, Any]]":
     revolutions = yield from _read(objects.MOTOR_REVOLUTIONS)
     torque = yield from _read(objects.RATED_TORQUE)
     velocity = yield from _read(objects.VELOCITY_UNIT)
+    polarity = yield from _read(objects.POLARITY)
     value = yield from _read(objects.INTERPOLATION_PERIOD)
     exponent = yield from _read(objects.INTERPOLATION_EXPONENT)
     known = {objects.COUNTS_PER_SECOND: "counts/s", objects.REVOLUTIONS_PER_MINUTE: "1/min"}
@@ -101,6 +103,7 @@ def _units() -> "Script[dict[str, Any]]":
         ],
         "feed": (yield from _read(_FEED)),
         "velocity_unit": None if velocity is None else known.get(velocity, f"{velocity:08X}h"),
+        "polarity": None if polarity is None else polarity_text(polarity),
         "rated_torque_Nm": None if torque is None else torque / 1000.0,
         "rated_current_mA": (yield from _read(_RATED_CURRENT)),
         "interpolation_period_s": value * 10.0**exponent if value is not None and exponent is not None else None,

@@ -152,6 +152,7 @@ PROFILE_ACCELERATION = Object(0x6083, "profile acceleration", _U32)
 TORQUE_SLOPE = Object(0x6087, "torque slope", _U32)
 PHYSICAL_OUTPUTS = Object(0x60FE, "physical outputs", _U32, 1)
 MAX_MOTOR_SPEED = Object(0x6080, "max motor speed", _U32)  # 1/min
+POLARITY = Object(0x607E, "polarity", _U8)
 PROFILE_DECELERATION = Object(0x6084, "profile deceleration", _U32)
 QUICK_STOP_DECELERATION = Object(0x6085, "quick stop deceleration", _U32)
 ENCODER_INCREMENTS = Object(0x608F, "encoder increments", _U32, 1)

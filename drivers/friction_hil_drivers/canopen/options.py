@@ -11,6 +11,7 @@ from friction_hil_drivers.canopen.si_units import parse_velocity_unit
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
 from friction_hil_drivers.canopen.temperature import TemperatureOptions
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes, contradictions, watchdog_times
+from friction_hil_drivers.torque_sign import INVERTED_TORQUE, InvertedTorque
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, BusConfig
@@ -59,6 +60,7 @@ class CanopenOptions(BaseModel):
         (), description="keys that stand although the drive contradicts them (608Fh, 6076h, 60A9h)"
     )
     is_inverted: bool = Field(False, description="invert the sign of position, velocity and torque")
+    inverted_torque: InvertedTorque = Field("none", description=INVERTED_TORQUE)
     setpoint_delay_cycles: float | None = Field(
         None,
         ge=0.0,

@@ -29,6 +29,7 @@ from friction_hil_drivers.canopen.si_units import (
     parse_velocity_unit,
 )
 from friction_hil_drivers.canopen.units import CanopenUnits
+from friction_hil_drivers.torque_sign import InvertedTorque, torque_signs
 
 Kind = Literal["rotary", "linear"]
 
@@ -76,21 +77,24 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Scales:
-    """All scales of one drive, without the sign of `CanopenOptions.is_inverted`."""
+    """All scales of one drive, without the signs that `CanopenOptions` inverts."""
 
     position: Scale
     velocity: Scale
     torque: Scale
 
-    def units(self, *, is_inverted: bool) -> CanopenUnits:
+    def units(self, *, is_inverted: bool, inverted_torque: InvertedTorque = "none") -> CanopenUnits:
         """Return the conversion that the cyclic phase uses."""
         sign = -1.0 if is_inverted else 1.0
-        return CanopenUnits(sign * self.position.value, sign * self.velocity.value, sign * self.torque.value)
+        of_command, of_feedback = torque_signs(inverted_torque)
+        torque = sign * of_feedback * self.torque.value
+        return CanopenUnits(sign * self.position.value, sign * self.velocity.value, torque, of_command * of_feedback)
 
 
 def read_units(access: ObjectReader, options: CanopenOptions, kind: Kind) -> CanopenUnits:
     """Return the conversion of a drive, without comparing configuration and drive; see `read_scales`."""
-    return read_scales(access, options, kind).units(is_inverted=options.is_inverted)
+    scales = read_scales(access, options, kind)
+    return scales.units(is_inverted=options.is_inverted, inverted_torque=options.inverted_torque)
 
 
 def read_scales(access: ObjectReader, options: CanopenOptions, kind: Kind) -> Scales:

@@ -23,6 +23,7 @@ from friction_hil_drivers.canopen.sidecar_axis import SidecarAxis, demand_object
 from friction_hil_drivers.canopen.sidecar_exchange import SidecarExchange
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions, mapped
 from friction_hil_drivers.canopen.units import PER_MILLE, CanopenUnits
+from friction_hil_drivers.torque_sign import torque_signs
 
 if TYPE_CHECKING:
     import can
@@ -296,7 +297,8 @@ def _units(options: CanopenOptions) -> CanopenUnits:
     counts, rated_torque = options.counts_per_unit, options.rated_torque
     assert counts is not None and rated_torque is not None  # noqa: PT018 - the options have checked both
     sign = -1.0 if options.is_inverted else 1.0
-    return CanopenUnits(sign * counts, sign * counts, sign * rated_torque)
+    of_command, of_feedback = torque_signs(options.inverted_torque)
+    return CanopenUnits(sign * counts, sign * counts, sign * of_feedback * rated_torque, of_command * of_feedback)
 
 
 def _has(options: SidecarOptions, entry: objects.Object) -> bool:

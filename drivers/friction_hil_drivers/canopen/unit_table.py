@@ -7,11 +7,14 @@ import numpy as np
 from friction_hil.drive import Mode, UnitRow
 from friction_hil_drivers.canopen.scales import Kind, Scale, Scales
 from friction_hil_drivers.canopen.units import PER_MILLE
+from friction_hil_drivers.torque_sign import InvertedTorque
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
     from friction_hil.config.axis import AxisLimits
 
+_POSITION_INVERTED, _VELOCITY_INVERTED = 0x80, 0x40  # bits of 607Eh
+_POLARITY = {_POSITION_INVERTED: "position", _VELOCITY_INVERTED: "velocity"}
 _COARSE = 0.1  # of the friction: a larger step of the torque is told
 _SPEED = 0.1  # of the velocity limit: where the level of the friction is taken
 
@@ -64,3 +67,26 @@ def resolution_notes(scales: Scales, axis: "AxisConfig") -> list[str]:
             f"torque is rounded towards zero, so that up to {min(step / level, 1.0):.0%} of the compensation is missing"
         ]
     return []
+
+
+def polarity_text(polarity: int) -> str:
+    """Return object 607Eh in words.
+
+    >>> polarity_text(0xC0)
+    'C0h: position and velocity inverted'
+    """
+    inverted = [name for bit, name in _POLARITY.items() if polarity & bit]
+    return f"{polarity:02X}h: {' and '.join(inverted) or 'nothing'} inverted"
+
+
+def polarity_notes(polarity: int | None, inverted_torque: InvertedTorque) -> list[str]:
+    """Return a note where the drive inverts its position or velocity: by CiA 402 it does not invert the torque then."""
+    if polarity is None or not polarity & sum(_POLARITY):
+        return []
+    text = f"607Eh is {polarity_text(polarity)}"
+    if polarity & _POSITION_INVERTED and inverted_torque == "none":
+        text += (
+            "; by CiA 402 the torque is not: if compensation makes the following error larger, set inverted_torque: "
+            "both (or command, if only what is sent acts in the other direction)"
+        )
+    return [text]

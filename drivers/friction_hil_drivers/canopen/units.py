@@ -23,11 +23,14 @@ class CanopenUnits:
         Increments of 606Ch and 60FFh per rad/s (m/s).
     rated_torque : float
         Torque at 1000 per mille, N m (N).
+    command_sign : float
+        -1 where a torque that is sent acts in the other direction than the same one that is reported.
     """
 
     counts_per_unit: float
     velocity_per_unit: float
     rated_torque: float
+    command_sign: float = 1.0
 
     def position_counts(self, position: float) -> int:
         """Return the counts of a position, wrapped to 32 bits as drives wrap theirs."""
@@ -45,7 +48,7 @@ class CanopenUnits:
 
         Rounded to the nearest, a torque at its limit would exceed it.
         """
-        value = torque / self.rated_torque * PER_MILLE
+        value = self.command_sign * torque / self.rated_torque * PER_MILLE
         if not _is_finite(value):
             raise _not_finite(value)
         per_mille, nearest = int(value), round(value)

@@ -16,6 +16,7 @@ from friction_hil_drivers.serial_line.protocol import COMMANDS, TEMPERATURE, Ima
 from friction_hil_drivers.serial_line.read_back import contradiction
 from friction_hil_drivers.serial_line.sequences import Sequencer, disable_writes, meaning_of, state_of, state_signals
 from friction_hil_drivers.serial_line.units import LINEAR, NEEDS, ROTARY, UNITS, AxisUnits
+from friction_hil_drivers.torque_sign import InvertedTorque, torque_signs
 
 _WANTED = {
     "position_command": operator.attrgetter("position"),
@@ -53,7 +54,15 @@ def _scaled(description: Description) -> dict[str, Signal]:
     return {name: signal for name, signal in description.units().items() if name in known}
 
 
-def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: str, is_inverted: bool) -> SignalScales:
+def make_scales(
+    axis: str,
+    description: Description,
+    units: AxisUnits,
+    *,
+    kind: str,
+    is_inverted: bool,
+    inverted_torque: InvertedTorque = "none",
+) -> SignalScales:
     """Compute the scales of a drive on one axis.
 
     Raises
@@ -63,6 +72,8 @@ def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: 
     """
     for mistake in unit_mistakes(axis, description, units, kind):
         raise mistake
+    of_command, of_feedback = torque_signs(inverted_torque)
+    signs = {"torque_command": of_command, "torque": of_feedback}
     scales = {}
     for name, signal in _scaled(description).items():
         scale = signal.scale * UNITS[signal.unit](units)
@@ -70,7 +81,7 @@ def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: 
             raise OptionError(
                 axis, "description", f"one step of {name} would be {scale:g}; it must be finite and not zero"
             )
-        scales[name] = -scale if is_inverted else scale
+        scales[name] = signs.get(name, 1.0) * (-scale if is_inverted else scale)
     return SignalScales(scales, description.units()["position"].counter_bits)
 
 

@@ -100,6 +100,7 @@ class Commissioning:
                 options[name].units,
                 kind=config.model.axis,
                 is_inverted=options[name].is_inverted,
+                inverted_torque=options[name].inverted_torque,
             )
             fast = tuple(signal for signal in FAST if signal in signals)
             needed = (*SLOW, *_temperature_signals(config, description), *state_signals(description))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from friction_hil_drivers.serial_line.units import AxisUnits
+from friction_hil_drivers.torque_sign import INVERTED_TORQUE, InvertedTorque
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, BusConfig
@@ -91,6 +92,7 @@ class SerialOptions(BaseModel):
         None, le=_MOST_TORQUE, description="N m (N) per ampere, if the drive uses current instead of torque"
     )
     is_inverted: bool = Field(False, description="true to reverse the sign of position, velocity and torque")
+    inverted_torque: InvertedTorque = Field("none", description=INVERTED_TORQUE)
     setpoint_delay_cycles: NotNegative | None = Field(
         None,
         le=10.0,

@@ -125,6 +125,7 @@ def _axis_summary(figures: "AxisFigures") -> dict[str, Any]:
         "baseline": _condition(figures.without),
         "compensated": _condition(figures.compensated),
         "reduction": None if figures.reduction is None else asdict(figures.reduction),
+        "taken_back": figures.taken_back or None,
         "stale": figures.stale,
         "bridged": figures.bridged,
         "bridged_reasons": figures.bridged_reasons,
