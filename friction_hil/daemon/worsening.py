@@ -13,6 +13,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from friction_hil.daemon.figures import Condition
 from friction_hil.numerics.jit import Array
@@ -55,7 +56,7 @@ class _Errors:
         self.squares[key] += error * error
         self.count += 1
 
-    def centre(self, common: Array) -> float:
+    def centre(self, common: NDArray[np.bool_]) -> float:
         """Return the mean of the mean errors of both directions; 0 where there is only one."""
         cycles, sums = (np.where(common, each, 0.0).sum((1, 2)) for each in (self.cycles, self.sums))
         return float(np.mean(sums / cycles)) if cycles.all() else 0.0

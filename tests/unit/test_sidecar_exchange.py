@@ -307,10 +307,10 @@ def test_the_daemons_own_offsets_on_a_bus_that_echoes_them_are_none_of_somebody_
     for _ in range(100):
         axis.sent()
         axis.handlers[0x501](b"\0\0")
-    axis.report(feedback)
+    axis.report(feedback, 0)
     assert feedback.message == ""
     axis.handlers[0x501](b"\0\0")
-    axis.report(feedback)
+    axis.report(feedback, 0)
     assert "FH-249" in feedback.message
 
 

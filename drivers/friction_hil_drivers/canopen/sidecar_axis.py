@@ -77,6 +77,7 @@ class SidecarAxis:
         self._counts: int | None = None
         self._velocity = 0.0
         self._cycle = 0  # of the last position
+        self._stale = 0  # cycles since then in which somebody was there to hear it
         self._nmt_state: int | None = None  # as the last heartbeat has it
         self._demand: int | None = None
         self._demand_object = demand_object(options)
@@ -149,6 +150,7 @@ class SidecarAxis:
         """
         values = self._values
         is_fresh = self.is_complete
+        self._stale = 0 if is_fresh else self._stale + 1
         if is_fresh:
             self._take_position(values[objects.POSITION_ACTUAL], cycle)
         counts = 0 if self._counts is None else self._counts
