@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import friction_hil as fh
+from friction_hil.cli import main
 from friction_hil.compensator import INPUTS
 from friction_hil.errors import UsageError
 from friction_hil.export import c, kernels
@@ -173,6 +174,21 @@ def test_a_name_that_hides_a_file_or_type_of_the_language_is_refused(to, name):
 def test_a_name_that_some_language_refuses_is_refused(name, wanted):
     with pytest.raises(UsageError, match=f"such as {wanted}$"):
         fh.export.files("coulomb:coulomb=1", to="st", name=name)
+
+
+@pytest.mark.parametrize(
+    ("words", "begins", "acts"),
+    [(["--delay", "1e-3"], "0.001", "0.0018"), (["--delay", "0"], "0", "0.0008"), ([], "0.0013", "0.0021")],
+)
+def test_the_command_says_when_the_torque_begins_to_act(tmp_path, capsys, words, begins, acts):
+    """The delay that was given, or that of the model file; half a period and the lag of the torque come on top."""
+    model, config = "config/models/lugre_axis.yaml", "config/single_axis_csp.yaml"
+    output = str(tmp_path / "x.c")
+    given = ["--to", "c", "--output", output, "--config", config, "--resolution", "4.8e-5"]
+    assert main(["export", model, *given, *words]) == 0
+    printed = capsys.readouterr().out
+    assert f"begins to act {begins} s after the position was sampled (--delay)" in printed
+    assert f"is computed for {acts} s after" in printed
 
 
 def test_wrong_use_is_refused_with_what_would_be_right():

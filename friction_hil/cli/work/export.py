@@ -69,10 +69,13 @@ def export(
     if compensator is None:
         click.echo("The model alone; --config CONFIG exports its compensator, too.")
     else:
-        given = compensator.settings
+        given, lag_s = compensator.settings, file.mechanics.torque_lag_s
+        begin_s = round(given.lead_s - 0.5 * given.period_s - lag_s, 9) + 0.0  # no minus before a zero
+        lag = f" and {lag_s:g} s, the torque_lag_s of the model file," if lag_s > 0.0 else ""
         click.echo(
-            f"Model, and compensator with a period of {given.period_s:g} s, whose torque acts {given.lead_s:g} s after "
-            f"the position was sampled; --delay changes that."
+            f"Model, and compensator with a period of {given.period_s:g} s. Its torque begins to act {begin_s:g} s "
+            f"after the position was sampled (--delay), and half a period{lag} later on average: it is computed for "
+            f"{given.lead_s:.6g} s after."
         )
 
 
