@@ -32,6 +32,8 @@ def convert(subject: Subject, points: Points) -> Converted:
         "physx": {"friction": static, "dynamic_friction": sliding, **common},
         "newton": {"friction": sliding, **common},
     }
+    if file.axis == "linear":  # its dry friction would be soft: see `mjcf.armature`
+        content["newton"].pop("armature", None)
     notes = [
         "Pass one of the two objects to an actuator group: ImplicitActuatorCfg(joint_names_expr=[...], **values).",
         "For Isaac Sim 5.0 and later; before, friction was a coefficient without a unit.",

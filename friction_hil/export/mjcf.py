@@ -32,8 +32,11 @@ def convert(subject: Subject, points: Points) -> Converted:
 
 
 def armature(file: ModelFile) -> dict[str, float]:
-    """Return the armature by its name, nothing if the inertia is not known."""
-    return {"armature": file.mechanics.inertia} if file.mechanics.inertia > 0.0 else {}
+    """Return the armature by its name, nothing if the inertia is not known.
+
+    A sliding joint has none: MuJoCo would take the mass of the body alone for what its dry friction has to hold.
+    """
+    return {"armature": file.mechanics.inertia} if file.mechanics.inertia > 0.0 and file.axis == "rotary" else {}
 
 
 def moved(file: ModelFile) -> float:
@@ -46,6 +49,8 @@ def notes(file: ModelFile) -> list[str]:
     own = "Copy the attributes of the joint into a joint of your model."
     if file.mechanics.inertia <= 0.0:
         return [own, "The model file does not state the inertia: the body has 1."]
+    if file.axis == "linear":
+        return [own, "The body has the mass of motor and load; an armature would make the dry friction of MuJoCo soft."]
     return [
         own,
         "The armature is the inertia of motor and load together; subtract that of the bodies which your model moves.",
@@ -55,7 +60,7 @@ def notes(file: ModelFile) -> list[str]:
 def document(subject: Subject, joint: dict[str, str], actuator: Sequence[str] = (), timestep: str | None = None) -> str:
     """Return a model of one joint that MuJoCo loads as it is."""
     file = subject.model_file
-    own = _NEARLY_NOTHING * file.mechanics.inertia or _UNKNOWN
+    own = moved(file) * (_NEARLY_NOTHING if armature(file) else 1.0)
     kind = {"name": subject.name, "type": "hinge" if file.axis == "rotary" else "slide", "axis": "0 0 1"}
     inertial = {"pos": "0 0 0", "mass": own, "diaginertia": " ".join([f"{own:g}"] * 3)}
     lines = [

@@ -93,9 +93,7 @@ def _bristle_damping(file: ModelFile, stiffness: float) -> tuple[float, list[str
     if best == 0.0:
         return 0.0, []
     unit = "N m s/rad" if file.axis == "rotary" else "N s/m"
-    return best, [
-        f"The damping of the bristles, {own:.3g} {unit}, became {best:.3g}: MuJoCo would let the joint creep."
-    ]
+    return best, [f"The damping of the bristles is {best:.3g} {unit} instead of {own:.3g}: the joint would creep."]
 
 
 def _cogging(model: FrictionModel) -> tuple[float, float, float] | None:

@@ -59,7 +59,7 @@ def _robot(subject: Subject, dynamics: dict[str, float]) -> str:
         f"  {element('joint', joint, is_open=True)}",
         '    <parent link="base"/>',
         '    <child link="moving"/>',
-        '    <axis xyz="0 0 1"/>',
+        f'    <axis xyz="{"0 0 1" if is_rotary else "1 0 0"}"/>',  # across gravity
         *([] if is_rotary else [f"    {element('limit', limit)}"]),
         f"    {element('dynamics', dynamics)}",
         "  </joint>",

@@ -100,35 +100,36 @@ def speed_under(torque, text, dt):
     return (data.qpos[0] - half) / ((steps - 1 - steps // 2) * dt)
 
 
-def axis_file(inertia, model="lugre", **parameters):
+def axis_file(inertia, model="lugre", axis="rotary", **parameters):
     """A model file with a level of 0.08, whose inertia is known."""
     own = {"coulomb": 0.08} | parameters
-    content = {"axis": "rotary", "friction": {"model": model, "parameters": own}}
+    content = {"axis": axis, "friction": {"model": model, "parameters": own}}
     return ModelFile.model_validate(content | {"mechanics": {"inertia": inertia}})
 
 
 AXIS = {"sigma0": 2000.0, "sigma1": 1.0, "sigma2": 0.002, "static": 0.12, "stribeck_velocity": 0.2}
 
 
-@pytest.mark.parametrize("inertia", [1e-6, 2e-4, 0.5])
+@pytest.mark.parametrize(("axis", "inertia"), [("rotary", 1e-6), ("rotary", 2e-4), ("rotary", 0.5), ("linear", 2.0)])
 @pytest.mark.parametrize(("to", "softness"), [("mjcf", STIFF), ("urdf", DEFAULT)])
-def test_a_joint_under_a_constant_torque_creeps_as_it_is_said_to(to, softness, inertia):
-    converted = fh.export.convert(axis_file(inertia, **AXIS), to, name="x", speed=3.0)
+def test_a_joint_under_a_constant_torque_creeps_as_it_is_said_to(to, softness, axis, inertia):
+    converted = fh.export.convert(axis_file(inertia, axis=axis, **AXIS), to, name="x", speed=3.0)
     (text,) = converted.files.values()
     level = converted.parameters[{"mjcf": "frictionloss", "urdf": "friction"}[to]]
     most = softness.creep(level, inertia)
-    assert f"up to {most:.2g} rad/s" in text
-    assert f"up to {most:.2g} rad/s" in "\n".join(converted.loss.lines())
+    unit = {"rotary": "rad/s", "linear": "m/s"}[axis]
+    assert f"up to {most:.2g} {unit}" in text
+    assert f"up to {most:.2g} {unit}" in "\n".join(converted.loss.lines())
     for dt in (1e-4, 2e-3):
         assert speed_under(0.6 * level, text, dt) == pytest.approx(0.6 * most, rel=1e-2)
     assert speed_under(1.2 * level, text, 2e-3) > 0.02 * level / inertia * 0.3
 
 
 @pytest.mark.parametrize("to", ["mjcf", "urdf"])
-@pytest.mark.parametrize("inertia", [1e-5, 2e-4, 1.0])
-def test_the_stated_loss_is_what_mujoco_shows_in_steady_motion(to, inertia):
+@pytest.mark.parametrize(("axis", "inertia"), [("rotary", 1e-5), ("rotary", 2e-4), ("rotary", 1.0), ("linear", 3.0)])
+def test_the_stated_loss_is_what_mujoco_shows_in_steady_motion(to, axis, inertia):
     """Inverse dynamics without acceleration: the torque that keeps the joint at its speed."""
-    file = axis_file(inertia, **AXIS)
+    file = axis_file(inertia, axis=axis, **AXIS)
     converted = fh.export.convert(file, to, name="x", speed=3.0)
     (text,) = converted.files.values()
     points, model = converted.loss.points, model_of(text)
@@ -151,8 +152,9 @@ def test_the_stated_loss_is_what_mujoco_shows_in_steady_motion(to, inertia):
         axis_file(1e-3, **AXIS | {"sigma0": 5e4, "sigma1": 1e-3}),
         axis_file(2e-4, "dahl", sigma0=1500.0),
         axis_file(2e-4, "stribeck", static=0.12, stribeck_velocity=0.2, viscous=0.002),
+        axis_file(2e-3, axis="linear", **AXIS),
     ],
-    ids=["constant", "falling", "none", "little", "dahl", "stribeck"],
+    ids=["constant", "falling", "none", "little", "dahl", "stribeck", "linear"],
 )
 def test_bristles_hold_a_constant_torque(own):
     """At the time step of the file; without their damping they swing, and the joint creeps at 0.03 rad/s and more."""
