@@ -236,3 +236,64 @@ def test_a_watchdog_shorter_than_what_is_bridged_is_a_mistake():
 def test_all_axes_of_a_bus_watch_one_master():
     with pytest.raises(ConfigurationError, match=r"axes.y.master_node: must be the same for all axes"):
         configuration(x=axis_dict(node=NODE), y=axis_dict(node=6, master_node=125))
+
+
+HIGH = 0x06090031
+HIDDEN, WRITE_ONLY = 0x08000020, 0x06010001
+
+
+def answers(*entries):
+    return {"manners": {"sdo": list(entries)}}
+
+
+def test_a_consumer_entry_that_cannot_be_read_is_left_alone(drive):
+    """It could not be restored: after the run the drive would miss a heartbeat that nobody sends."""
+    one = drive(**answers({"index": CONSUMER, "subindex": 1, "access": "read", "abort": HIDDEN}))
+    assert "heartbeat (1016h:02)" in one.notes
+    one.turn()
+    one.drives.close()
+    assert one.drives.leftovers == []
+    assert one.bench.node._dictionary.at(CONSUMER, 1).value == 0
+    assert one.bench.node._dictionary.at(CONSUMER, 2).value == 0
+
+
+@pytest.mark.parametrize("index", [0x1017, 0x605A, 0x6007])
+def test_no_optional_object_is_written_that_cannot_be_read(drive, index):
+    before = Bench().node._dictionary.at(index, 0).value
+    one = drive(**answers({"index": index, "access": "read", "abort": HIDDEN}), is_watchdog_required=False)
+    assert one.bench.node._dictionary.at(index, 0).value == before
+    one.drives.close()
+    assert one.drives.leftovers == []
+
+
+@pytest.mark.parametrize("index", [0x6040, 0x60FF, 0x60B2])
+def test_a_command_that_can_only_be_written_has_the_width_of_the_standard(drive, index):
+    one = drive(**answers({"index": index, "access": "read", "abort": WRITE_ONLY}))
+    assert "taken as absent" not in one.notes
+    one.turn()
+
+
+@pytest.mark.parametrize(
+    ("lacking", "cause"),
+    [
+        (
+            {
+                "missing": [*ONE_RPDO, GUARD_TIME],
+                "prepare": synchronous_only,
+                **answers({"index": CONSUMER, "access": "write", "abort": HIGH}),
+            },
+            r"1400h:02 refused FEh \(abort 06090030h\).*; 1016h:01 refused 007E003Ch \(abort 06090031h\).*; no 100Ch",
+        ),
+        (
+            {"missing": [REACTION, ERROR_BEHAVIOUR]},
+            r"daemon: 1016h and 100Ch could watch it, but nothing says what its loss does: no 6007h, no 1029h\. If",
+        ),
+        (
+            {"missing": [REACTION, ERROR_BEHAVIOUR, CONSUMER, GUARD_TIME]},
+            r"it has neither 1016h nor 100Ch, but nothing says what its loss does: no 6007h, no 1029h",
+        ),
+    ],
+)
+def test_the_refusal_names_the_cause_that_was_found(drive, lacking, cause):
+    with pytest.raises(DriveError, match=cause):
+        drive(**lacking)

@@ -232,7 +232,8 @@ def _command_objects(access: "SdoClient", mode: Mode, *, is_compensated: bool) -
         The drive lacks the torque offset, and the configuration wants a compensation.
     """
     entries = list(COMMANDS[mode])
-    if mode is Mode.CST or access.width(objects.TORQUE_OFFSET) is not None:
+    offset = objects.TORQUE_OFFSET
+    if mode is Mode.CST or access.width(offset) or access.hidden_width(offset):
         return entries, []
     if is_compensated:
         text = (
@@ -367,7 +368,7 @@ def _prepare_mode(access: "SdoClient", mode: Mode, period_s: float) -> list[str]
     access.write(objects.CONTROLWORD, profile.DISABLE_VOLTAGE)
     notes = _set_interpolation_period(access, mode, period_s)
     for entry in (objects.TARGET_TORQUE, objects.TORQUE_OFFSET, objects.TARGET_VELOCITY):
-        bits = access.width(entry)
+        bits = access.width(entry) or access.hidden_width(entry)
         if bits is not None:
             ensure(access, entry, 0, bits)
     if mode is Mode.CSP:

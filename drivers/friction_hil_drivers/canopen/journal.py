@@ -11,7 +11,7 @@ import contextlib
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -27,6 +27,8 @@ _TO_MAPPING = 0x200  # from a communication record to its mapping record
 
 # Commands and set-points are no settings; 1010h and 1011h are orders
 _NOT_KEPT = frozenset({0x1010, 0x1011, 0x6040, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60FF})
+
+_MODES = [objects.axis_index(objects.MODE.index, axis) for axis in range(8)]
 
 Address = tuple[int, int]
 
@@ -56,11 +58,14 @@ class Found:
     found : bytes or None
         None: the drive did not show it.
     written : list of bytes
+    is_taken : bool
+        The drive has taken the last one.
     """
 
     entry: Object
     found: bytes | None
     written: list[bytes] = field(default_factory=list)
+    is_taken: bool = False
 
     def is_ours(self, present: bytes | None) -> bool:
         """Return True if ``present`` is what was found or written, or is not shown, so that nobody else changed it."""
@@ -69,7 +74,7 @@ class Found:
     @property
     def wish(self) -> str:
         """What the object is to hold, in words."""
-        return f"{self.entry} {f'was {_shown(self.found)}' if is_kept(self.entry) else 'is to be 0'}"
+        return f"{self.entry} {f'was {hexadecimal(self.found)}' if is_kept(self.entry) else 'is to be 0'}"
 
 
 # What belongs together
@@ -134,7 +139,7 @@ def _pdo_steps(group: Sequence[Found]) -> list[Step]:
     if mapping and mapping[0].entry.subindex == 0:
         count = mapping[0]
         steps.append((count.entry, bytes(1)))
-        steps += _steps(mapping[1 : 1 + _number(count.found)])
+        steps += _steps(mapping[1:])  # those beyond the number too, as far as the drive shows them
         steps += _steps([count])
     steps += _steps(parameters)
     if switch is None or switch.found is None:
@@ -193,11 +198,23 @@ class Journal:
         self._open()
         for one in self._concerned(entry):
             if one.address not in self._found:
-                self._found[one.address] = Found(one, self._access.peek(one))
+                self._found[one.address] = Found(one, self._peek(one))
         kept = self._found[entry.address]
         if data not in kept.written:
             kept.written.append(data)
         self._save()
+
+    def after(self, entry: Object) -> None:
+        """Note that the drive has taken what was written to an object."""
+        if (kept := self._found.get(entry.address)) is not None:
+            kept.is_taken = True
+
+    def _peek(self, entry: Object) -> bytes | None:
+        """Return the content of an object; that of a mode which the drive does not show is its display."""
+        found = self._access.peek(entry)
+        if found is None and entry.index in _MODES:
+            found = self._access.peek(replace(entry, index=entry.index + 1))
+        return found
 
     def _open(self) -> None:
         """Find the file of this drive, once, and take over what it has."""
@@ -259,10 +276,13 @@ class Journal:
         left: dict[Address, Found] = {}
         words = []
         for one in self._found.values():
-            present = self._access.peek(one.entry)
-            if one.found is not None and present != one.found and not self._is_unused(one.entry):
+            present = self._peek(one.entry)
+            is_unused = self._is_unused(one.entry)
+            if one.found is None and one.is_taken and not is_unused:
+                words.append(f"{one.entry} stays {hexadecimal(one.written[-1])}: what it held before is not known")
+            elif one.found is not None and present != one.found and (not is_unused or any(one.found)):
                 left[one.entry.address] = one
-                words.append(f"{one.wish} and stays {_shown(present)}")
+                words.append(f"{one.wish} and stays {hexadecimal(present)}")
         self._found = left
         self._forget_or_save()
         return words
@@ -276,7 +296,7 @@ class Journal:
     def _restore_group(self, group: Sequence[Step]) -> bool:
         """Write a group; return False if the drive refused a part of it."""
         wanted = dict(group)  # the last value of each object
-        if all(self._access.peek(entry) == data for entry, data in wanted.items()):
+        if all(self._peek(entry) == data for entry, data in wanted.items()):
             return True
         is_taken = True
         for entry, data in group:
@@ -360,5 +380,6 @@ def _entry(one: dict[str, Any]) -> Found:
     return Found(entry, found, written)
 
 
-def _shown(data: bytes | None) -> str:
+def hexadecimal(data: bytes | None) -> str:
+    """Return the content of an object as a number: ``007E003Ch``."""
     return "not shown" if data is None else f"{int.from_bytes(data, 'little'):0{2 * len(data)}X}h"

@@ -262,7 +262,7 @@ class PdoNegotiator:
         """Return the widths that the drive itself gives its objects."""
         access, widths = self._access, {}
         for entry in entries:
-            bits = access.width(entry)
+            bits = access.width(entry) or (access.hidden_width(entry) if self._where["is_receive"] else None)
             if bits is None:
                 text = f"{access.axis}: {access.where} lacks object {entry}, which is needed in an {self._direction}"
                 raise DriveError(text, code=codes.OBJECT_MISSING)

@@ -20,13 +20,14 @@ from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.codec import Frame
 from friction_hil_drivers.canopen.conversation import PATIENCE_S
 from friction_hil_drivers.canopen.frames import FrameBus
-from friction_hil_drivers.canopen.journal import Journal
+from friction_hil_drivers.canopen.journal import Journal, hexadecimal
 from friction_hil_drivers.canopen.object_reader import ObjectReader
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.sdo_answers import (
     ABSENT,
     HIDDEN,
     SEGMENT,
+    WRITE_ONLY,
     Address,
     Request,
     abort_code,
@@ -184,6 +185,8 @@ class SdoClient(ObjectReader):
         By index and sub-index: why the drive refused to show an object, where it did not say that it has none.
     journal : Journal or None
         Keeps what the drive holds before it is written to.
+    write_refusals : dict
+        By address: why an object does not hold what was written last.
     is_read_only : bool
         True: every write is refused, as if by the drive, and nothing is sent.
     """
@@ -202,6 +205,7 @@ class SdoClient(ObjectReader):
         self.axis_number = 0
         self.notes: list[str] = []
         self.refusals: dict[Address, str] = {}
+        self.write_refusals: dict[Address, str] = {}
         self._hidden: set[Address] = set()
         self.journal: Journal | None = None
         self.is_read_only = False
@@ -232,7 +236,8 @@ class SdoClient(ObjectReader):
                 self.refusals[entry.address] = str(error)
                 if error.code in HIDDEN:
                     self._hidden.add(entry.address)
-                self._note(f"the drive does not show {entry} ({error}): taken as absent")
+                absent = "" if error.code == WRITE_ONLY else ": taken as absent"
+                self._note(f"the drive does not show {entry} ({error}){absent}")
             return None
 
     def why_absent(self, entry: Object) -> str:
@@ -244,6 +249,10 @@ class SdoClient(ObjectReader):
         """See `ObjectReader.why_hidden`."""
         address = entry.of_axis(self.axis_number).address
         return self.refusals[address] if address in self._hidden else ""
+
+    def why_not_written(self, entry: Object) -> str:
+        """Return why an object does not hold what was written last, "" where it was not refused."""
+        return self.write_refusals.get(entry.of_axis(self.axis_number).address, "")
 
     def hidden_width(self, entry: Object) -> int | None:
         """Return the width in bits, as the standard has it, of an object that cannot be read; None for another."""
@@ -291,6 +300,8 @@ class SdoClient(ObjectReader):
         if self.journal is not None:
             self.journal.before(entry, data)
         self.download(entry, data, shown)
+        if self.journal is not None:
+            self.journal.after(entry)
 
     def download(self, entry: Object, data: bytes, shown: str = "") -> None:
         """Write the content of an object without keeping what it held before; see `write_bytes`."""
@@ -298,6 +309,7 @@ class SdoClient(ObjectReader):
             with self._attempts(1):
                 self._sdo.download(entry.index, entry.subindex, data)
         except canopen.SdoAbortedError as error:
+            self.write_refusals[entry.address] = f"refused {hexadecimal(data)} (abort {error.code:08X}h)"
             text = f"{self.axis}: writing {shown or data.hex()} to {entry} of {self.where}: {error}"
             raise DriveError(text, code=codes.SDO_ABORT) from error
         except canopen.SdoCommunicationError as error:
@@ -317,14 +329,28 @@ class SdoClient(ObjectReader):
             return None
 
     def try_write(self, entry: Object, value: int) -> bool:
-        """Write an object that the drive may lack or refuse; return True if it reads back as written."""
+        """Write an object that the drive may lack or refuse; return True if it then holds the value.
+
+        One that the drive does not show is left alone: it could be neither read back nor restored.
+
+        Raises
+        ------
+        DriveError
+            The drive does not answer.
+        """
+        address = entry.of_axis(self.axis_number).address
+        if self.find(entry) is None and address in self.refusals:
+            self.write_refusals[address] = f"cannot be read ({self.refusals[address]}) and is left as it is"
+            return False
         try:
             self.write(entry, value)
         except DriveError as error:
             if error.code != codes.SDO_ABORT:
                 raise  # a drive that does not answer has not refused
-            return False
-        return self.find(entry) == value
+        found = self.find(entry)
+        if found not in (None, value):
+            self.write_refusals.setdefault(address, f"holds {found:#x} after {value:#x} was written")
+        return found == value
 
     @contextlib.contextmanager
     def _attempts(self, attempts: int) -> Iterator[None]:

@@ -20,8 +20,10 @@ SEGMENT: Address = (-1, -1)  # stands for the object of a segment, which names n
 # Why a server says that it has no such object, CiA 301, table 22
 ABSENT = (0x06020000, 0x06090011)
 
+WRITE_ONLY = 0x06010001
+
 # ... and that it has one which cannot be read now: time-out, memory, write-only, hardware, local control, state
-HIDDEN = (0x05040000, 0x05040005, 0x06010001, 0x06060000, 0x08000020, 0x08000021, 0x08000022)
+HIDDEN = (0x05040000, 0x05040005, WRITE_ONLY, 0x06060000, 0x08000020, 0x08000021, 0x08000022)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ Three means, none of which depends on SYNC, which a dead daemon does not send an
 """
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -29,6 +29,7 @@ NOT_TRIED = "written and read back, not tried"
 _EVENT_DRIVEN = (255, 254)
 _REACTIONS = {1: "a fault", 2: "no voltage", 3: "a quick stop"}  # 6007h
 _LEAVES_OPERATIONAL = {0: "Pre-operational", 2: "Stopped"}  # 1029h:01
+_ERROR_BEHAVIOUR = objects.COMMUNICATION_ERROR_BEHAVIOUR
 _WORD = struct.Struct("<H")
 
 
@@ -207,10 +208,18 @@ def arm(
     if is_command:
         notes.append(f"no other RPDO has a timer: {command[0].name} takes effect when it arrives, and not at SYNC")
     watch = Watch(rpdo_id, times.feed_cycles, guard_ms, tuple(means))
-    return Armed(watch, [_summary(access, options, means, reaction, leaves), *notes], is_command)
+    rpdos = [command[0], *(record for record, _ in free)]
+    return Armed(watch, [_summary(access, options, rpdos, means, reaction, leaves), *notes], is_command)
 
 
-def _summary(access: "SdoClient", options: "CanopenOptions", means: Sequence[Means], reaction: str, leaves: str) -> str:
+def _summary(
+    access: "SdoClient",
+    options: "CanopenOptions",
+    rpdos: Sequence[PdoRecord],
+    means: Sequence[Means],
+    reaction: str,
+    leaves: str,
+) -> str:
     """Return a note that says what watches the daemon.
 
     Raises
@@ -226,18 +235,66 @@ def _summary(access: "SdoClient", options: "CanopenOptions", means: Sequence[Mea
             text += "has not been seen; friction-hil doctor --try-watchdog shows it"
         return f"{text})"
     if options.is_watchdog_required:
-        text = (
-            f"{access.axis}: {access.where} cannot watch the daemon: it has no event-driven RPDO with a timer, no "
-            f"heartbeat consumer 1016h and no node guarding 100Ch, or does not react to their loss (6007h, 1029h). If "
-            "the daemon dies, its torque stays. Set is_watchdog_required: false to accept that"
-        )
-        raise DriveError(text, code=codes.NO_WATCHDOG)
+        causes = _missing_means(access, rpdos, reaction) if reaction or leaves else _missing_reaction(access)
+        text = f"{access.axis}: {access.where} cannot watch the daemon: {'; '.join(causes)}. If the daemon dies, its "
+        fix = "Set is_watchdog_required: false to accept that"
+        raise DriveError(f"{text}torque stays. {fix}", code=codes.NO_WATCHDOG)
     return "the drive does NOT watch the daemon: if the daemon dies, its last torque stays"
+
+
+def _missing_reaction(access: "SdoClient") -> Iterator[str]:
+    """Yield why the loss of the daemon is known to have no effect, whatever watches it."""
+    there = {
+        "1016h": objects.CONSUMER_HEARTBEAT_COUNT,
+        "100Ch": objects.GUARD_TIME,
+    }
+    means = [name for name, entry in there.items() if access.find(entry) is not None]
+    found = f"{' and '.join(means)} could watch it" if means else "it has neither 1016h nor 100Ch"
+    reactions = [_state(access, entry) for entry in (objects.ABORT_CONNECTION_OPTION, _ERROR_BEHAVIOUR)]
+    yield f"{found}, but nothing says what its loss does: {', '.join(reactions)}"
+
+
+def _missing_means(access: "SdoClient", rpdos: Sequence[PdoRecord], reaction: str) -> Iterator[str]:
+    """Yield for each means why the drive does not watch by it."""
+    if not reaction:
+        yield f"a timer of an RPDO has no effect without 6007h: {_state(access, objects.ABORT_CONNECTION_OPTION)}"
+    elif timed := [record for record in rpdos if access.find(record.event_timer) is not None]:
+        tried = [entry for record in timed for entry in (record.transmission_type, record.event_timer)]
+        tried += [record.mapping(position) for record in timed for position in (0, 1)]
+        refusals = [f"{_place(entry)} {why}" for entry in tried if (why := access.why_not_written(entry))]
+        yield f"no event-driven RPDO with a timer: {', '.join(refusals) or 'none is free'}"
+    else:
+        yield "no RPDO has a timer (1400h:05)"
+    count = access.find(objects.CONSUMER_HEARTBEAT_COUNT)
+    if count:
+        entries = [(entry, access.why_not_written(entry) or _why_hidden(access, entry)) for entry in _consumers(count)]
+        yield ", ".join(f"{_place(entry)} {why}" for entry, why in entries if why) or "no entry of 1016h is free"
+    else:
+        yield _state(access, objects.CONSUMER_HEARTBEAT_COUNT)
+    yield ", ".join(_state(access, entry) for entry in (objects.GUARD_TIME, objects.LIFE_TIME_FACTOR))
+
+
+def _state(access: "SdoClient", entry: Object) -> str:
+    """Return what stands in the way at an object: that it is missing, hidden, or refuses what was written."""
+    found, refusal = access.find(entry), access.why_not_written(entry)
+    if found is None and (hidden := access.why_absent(entry)) == "lacks":
+        return f"no {entry.index:04X}h"
+    if refusal:
+        return f"{_place(entry)} {refusal}"
+    return f"{_place(entry)} {hidden}" if found is None else f"{_place(entry)} = {found}"
+
+
+def _why_hidden(access: "SdoClient", entry: Object) -> str:
+    return "cannot be read, and is left as it is" if access.find(entry) is None else ""
+
+
+def _place(entry: Object) -> str:
+    return f"{entry.index:04X}h:{entry.subindex:02X}" if entry.subindex else f"{entry.index:04X}h"
 
 
 def _reaction(access: "SdoClient") -> str:
     """Let the drive react to a lost connection; return the reaction in words, "" if that is not known."""
-    if not holds(access, objects.ABORT_CONNECTION_OPTION, 1):
+    if not access.try_write(objects.ABORT_CONNECTION_OPTION, 1):
         found = access.find(objects.ABORT_CONNECTION_OPTION)
         return f"{_REACTIONS[found]} (6007h = {found})" if found in _REACTIONS else ""
     return f"{_REACTIONS[1]} (6007h = 1)"
@@ -245,9 +302,9 @@ def _reaction(access: "SdoClient") -> str:
 
 def _leaves_operational(access: "SdoClient") -> str:
     """Return how a drive without 6007h leaves Operational when a heartbeat is lost, "" if it does not say so."""
-    entry = objects.COMMUNICATION_ERROR_BEHAVIOUR
+    entry = _ERROR_BEHAVIOUR
     found = access.find(entry)
-    if found == 1 and holds(access, entry, 0):
+    if found == 1 and access.try_write(entry, 0):
         found = 0
     return f"NMT {_LEAVES_OPERATIONAL[found]} (1029h:01 = {found})" if found in _LEAVES_OPERATIONAL else ""
 
@@ -274,8 +331,8 @@ def _set_up_feed(access: "SdoClient", record: PdoRecord, identifier: int, timer_
     is_ready = (
         _holds_cob_id(access, record, objects.PDO_INVALID | identifier)
         and (_carries(access, record, word) or _map(access, record, word))
-        and any(holds(access, record.transmission_type, kind) for kind in _EVENT_DRIVEN)
-        and holds(access, record.event_timer, timer_ms)
+        and any(access.try_write(record.transmission_type, kind) for kind in _EVENT_DRIVEN)
+        and access.try_write(record.event_timer, timer_ms)
         and _holds_cob_id(access, record, identifier)
     )
     if not is_ready:
@@ -289,20 +346,20 @@ def _make_event_driven(access: "SdoClient", record: PdoRecord, identifier: int, 
         return False
     before = access.find(record.transmission_type)
     _holds_cob_id(access, record, objects.PDO_INVALID | identifier)
-    is_ready = any(holds(access, record.transmission_type, kind) for kind in _EVENT_DRIVEN) and holds(
-        access, record.event_timer, timer_ms
+    is_ready = any(access.try_write(record.transmission_type, kind) for kind in _EVENT_DRIVEN) and access.try_write(
+        record.event_timer, timer_ms
     )
     if not is_ready and before is not None:
-        holds(access, record.transmission_type, before)
+        access.try_write(record.transmission_type, before)
     access.write(record.cob_id, identifier)
     return is_ready
 
 
 def _map(access: "SdoClient", record: PdoRecord, word: int) -> bool:
     return (
-        holds(access, record.mapping(0), 0)
-        and holds(access, record.mapping(1), word)
-        and holds(access, record.mapping(0), 1)
+        access.try_write(record.mapping(0), 0)
+        and access.try_write(record.mapping(1), word)
+        and access.try_write(record.mapping(0), 1)
     )
 
 
@@ -313,64 +370,50 @@ def _carries(access: "SdoClient", record: PdoRecord, word: int) -> bool:
 def _holds_cob_id(access: "SdoClient", record: PdoRecord, value: int) -> bool:
     """Write the COB-ID of an RPDO; other bits than those of the identifier and of its validity are the drive's."""
     relevant = objects.PDO_INVALID | 0x7FF
-    holds(access, record.cob_id, value)
+    access.try_write(record.cob_id, value)
     found = access.find(record.cob_id)
     return found is not None and found & relevant == value & relevant
 
 
 def _arm_heartbeat(access: "SdoClient", master: int, times: WatchdogTimes) -> tuple[list[Means], list[str]]:
     """Let the drive watch the daemon's heartbeat by an entry of 1016h that is free; return it, and notes."""
-    count = access.find(objects.CONSUMER_HEARTBEAT_COUNT) or 0
-    entries = [
-        Object(0x1016, objects.CONSUMER_HEARTBEAT.name, DataType.UNSIGNED32, number) for number in range(1, count + 1)
-    ]
-    found = {entry: access.find(entry) or 0 for entry in entries}
-    notes, chosen = [], None
+    entries = _consumers(access.find(objects.CONSUMER_HEARTBEAT_COUNT) or 0)
+    held = {entry: access.find(entry) for entry in entries}
+    # one that cannot be read is left alone: it could not be restored, and the drive would miss the daemon afterwards
+    found = {entry: value for entry, value in held.items() if value is not None}
+    notes = []
+    free = [entry for entry, value in found.items() if not (value >> 16 & 0x7F and value & 0xFFFF)]
     for entry, value in found.items():
         node, time_ms = value >> 16 & 0x7F, value & 0xFFFF
         if node == master:
-            chosen = entry  # CiA 301 allows one entry for a node
+            free = [entry]  # CiA 301 allows one entry for a node
         elif node and time_ms:
             text = f"{entry} is {value:08X}h: the drive watches node {node} too, within {time_ms} ms; it is kept"
             notes.append(text)
-    if chosen is None:
-        free = [entry for entry, value in found.items() if not (value >> 16 & 0x7F and value & 0xFFFF)]
-        chosen = free[0] if free else None
-    if chosen is None:
+    if not free:
         return [], [*notes, "no entry of 1016h is free for the daemon"] if entries else []
-    if not holds(access, chosen, master << 16 | times.loss_ms):
-        return [], notes
-    return [Means("heartbeat", f"heartbeat (1016h:{chosen.subindex:02X})", times.loss_ms)], notes
+    for entry in free:
+        if access.try_write(entry, master << 16 | times.loss_ms):
+            return [Means("heartbeat", f"heartbeat (1016h:{entry.subindex:02X})", times.loss_ms)], notes
+    return [], notes
+
+
+def _consumers(count: int) -> list[Object]:
+    """Return the entries of 1016h."""
+    name = objects.CONSUMER_HEARTBEAT.name
+    return [Object(0x1016, name, DataType.UNSIGNED32, number) for number in range(1, count + 1)]
 
 
 def _arm_guarding(access: "SdoClient", times: WatchdogTimes) -> list[Means]:
     """Let the drive watch for the daemon's remote frames; return it, nothing where it has no life guarding."""
     if access.find(objects.GUARD_TIME) is None or access.find(objects.LIFE_TIME_FACTOR) is None:
         return []
-    if access.find(objects.PRODUCER_HEARTBEAT) and not holds(access, objects.PRODUCER_HEARTBEAT, 0):
+    if access.find(objects.PRODUCER_HEARTBEAT) and not access.try_write(objects.PRODUCER_HEARTBEAT, 0):
         return []  # CiA 301: a node that produces heartbeats is not guarded
-    is_ready = holds(access, objects.GUARD_TIME, times.heartbeat_ms) and holds(
-        access, objects.LIFE_TIME_FACTOR, HEARTBEATS_TO_LOSS
+    is_ready = access.try_write(objects.GUARD_TIME, times.heartbeat_ms) and access.try_write(
+        objects.LIFE_TIME_FACTOR, HEARTBEATS_TO_LOSS
     )
     if not is_ready:
-        holds(access, objects.GUARD_TIME, 0)
+        access.try_write(objects.GUARD_TIME, 0)
         return []
     return [Means("guarding", "node guarding (100Ch, 100Dh)", times.loss_ms)]
-
-
-def holds(access: "SdoClient", entry: Object, value: int) -> bool:
-    """Write an optional object; return True if it then holds the value.
-
-    A refusal is no obstacle where the drive holds the value already.
-
-    Raises
-    ------
-    DriveError
-        The drive does not answer.
-    """
-    try:
-        access.write(entry, value)
-    except DriveError as error:
-        if error.code != codes.SDO_ABORT:
-            raise
-    return access.find(entry) == value
