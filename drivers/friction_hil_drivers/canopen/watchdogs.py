@@ -268,7 +268,9 @@ def _missing_means(access: "SdoClient", rpdos: Sequence[PdoRecord], reaction: st
     count = access.find(objects.CONSUMER_HEARTBEAT_COUNT)
     if count:
         entries = [(entry, access.why_not_written(entry) or _why_hidden(access, entry)) for entry in _consumers(count)]
-        yield ", ".join(f"{_place(entry)} {why}" for entry, why in entries if why) or "no entry of 1016h is free"
+        refused = [f"{_place(entry)} {why}" for entry, why in entries if why]
+        more = f", and {len(refused) - 1} more" if len(refused) > 1 else ""
+        yield f"{refused[0]}{more}" if refused else "no entry of 1016h is free"
     else:
         yield _state(access, objects.CONSUMER_HEARTBEAT_COUNT)
     yield ", ".join(_state(access, entry) for entry in (objects.GUARD_TIME, objects.LIFE_TIME_FACTOR))
