@@ -19,7 +19,15 @@ _BUS_KEYS = {
     "socketcan": ("bitrate",),
     "slcan": ("bitrate",),
 }
-_SYNC_COB_ID = 0x80
+# Identifiers that CiA 301 lets no object have, because they belong to NMT, SDO, LSS and heartbeats of the nodes
+_RESERVED = (
+    range(0x80),
+    range(0x101, 0x181),
+    range(0x581, 0x600),
+    range(0x601, 0x680),
+    range(0x6E0, 0x700),
+    range(0x701, 0x800),
+)
 MULTICAST = "239.74.163.2"  # of the examples
 
 
@@ -36,7 +44,12 @@ class BusConfig(Section):
         "the compensation as torque offset",
         default="master",
     )
-    sync_cob_id: int = key("identifier of SYNC (1005h), to which a sidecar locks", default=0x80, ge=1, le=0x7FF)
+    sync_cob_id: int = key(
+        "identifier of SYNC (1005h): a master sends it, and sets drives that have another; a sidecar locks to it",
+        default=0x80,
+        ge=1,
+        le=0x7FF,
+    )
     bitrate: int | None = key(
         "bit rate, used to compute the bus load; for socketcan the rate set by 'ip link'",
         "bit/s",
@@ -74,8 +87,8 @@ def _mistakes(bus: BusConfig) -> Iterator[Mistake]:
             yield (name,), "must be a single value, because it is passed to python-can unchanged"
         elif isinstance(value, float) and not math.isfinite(value):
             yield (name,), f"must be a finite number, not {show(value)}"
-    if bus.role == "master" and bus.sync_cob_id != _SYNC_COB_ID:
-        yield ("sync_cob_id",), "is only for role: sidecar; as master the daemon sends SYNC as 080h"
+    if bus.role == "master" and any(bus.sync_cob_id in identifiers for identifiers in _RESERVED):
+        yield ("sync_cob_id",), f"must not be {bus.sync_cob_id:#x}: CiA 301 reserves that for NMT, SDO or heartbeats"
     yield from _channel_mistakes(bus)
     allowed = _BUS_KEYS.get(bus.interface)
     if allowed is None:

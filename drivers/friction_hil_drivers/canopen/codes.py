@@ -44,6 +44,7 @@ PDO_NOT_AS_STATED = "FH-249"
 NMT_STATE_UNKNOWN = "FH-268"
 TWO_NODES = "FH-264"
 WOULD_DISTURB = "FH-265"
+SYNC_ID_FIXED = "FH-266"
 
 TITLES = {
     BUS_NOT_OPENED: "The CAN bus does not open",
@@ -90,6 +91,7 @@ TITLES = {
     NMT_STATE_UNKNOWN: "It is not known in which NMT state a node was found",
     TWO_NODES: "Two nodes on the bus have the same number",
     WOULD_DISTURB: "Reading a node would disturb the SDO transfers of another master",
+    SYNC_ID_FIXED: "A drive takes SYNC by another identifier, and keeps it",
 }
 
 REMEDIES = {
@@ -123,7 +125,7 @@ REMEDIES = {
     NODE_RESTARTED: "check the supply; stop other masters",
     NOT_OPERATIONAL: "the drive's emergency says why; stop other masters",
     WRONG_MODE: "close the vendor's tool; check 6502h",
-    SYNC_NOT_ANSWERED: "start `friction-hil simulate FILE --pace sync`",
+    SYNC_NOT_ANSWERED: "start `friction-hil simulate FILE --pace sync`; 1005h of a drive must be `bus.sync_cob_id`",
     FEEDBACK_LATE: "a longer `period_s`; another adapter; less traffic on the bus",
     PDO_LENGTH: "set the drive up anew; look for a second node with this number",
     COMMANDS_TOO_OLD: "`friction-hil doctor`; see FH-113",
@@ -137,4 +139,5 @@ REMEDIES = {
     NMT_STATE_UNKNOWN: "`NMT start` by its master, if that expects it Operational",
     TWO_NODES: "a node number of its own for each drive, set with one of them on the bus at a time",
     WOULD_DISTURB: "stop the other master, or its SDO; `bus.role: sidecar` needs none; `drives show --may-disturb`",
+    SYNC_ID_FIXED: "`bus.sync_cob_id` as in the message, for all drives of the bus",
 }

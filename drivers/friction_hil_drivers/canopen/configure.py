@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
     from friction_hil_drivers.canopen.sdo import SdoClient
 
+_SYNC_BITS = 0x600007FF  # of 1005h: identifier, 29 bits, and that the drive itself sends SYNC; the others are its own
 _STAY_IN_QUICK_STOP = 6  # 605Ah
 # Feedback that a drive may lack, in the order in which it is done without, and what follows
 _WITHOUT = {
@@ -64,6 +65,7 @@ def configure(
     dry_run: bool,
     taken: set[int] | None = None,
     before_writing: Callable[[], None] = lambda: None,
+    sync_id: int = objects.SYNC_ID,
 ) -> ConfiguredDrive:
     """Check a drive's identity and modes, read its units, map its PDOs and set its watchdogs.
 
@@ -83,6 +85,8 @@ def configure(
         Identifiers that PDOs of other axes have; those of this axis are added.
     before_writing : callable, optional
         Called when everything has been read and compared, before the first write.
+    sync_id : int, optional
+        Identifier of SYNC.
 
     Raises
     ------
@@ -118,6 +122,8 @@ def configure(
     if not dry_run:
         _require_unpowered(access, state)
     before_writing()
+    if not access.is_read_only:
+        notes += _set_sync_id(access, sync_id)
     if not dry_run:
         rpdos, watch, of_commands = _set_up_commands(access, options, mode, commands, period_s, times, taken)
         notes += of_commands
@@ -274,6 +280,33 @@ def _require_unpowered(access: "SdoClient", state: DriveState) -> None:
             "former one left it enabled; stop that master, or take the drive's power by friction-hil stop CONFIG"
         )
         raise DriveError(text, code=codes.ALREADY_POWERED)
+
+
+def _set_sync_id(access: "SdoClient", sync_id: int) -> list[str]:
+    """Let the drive take SYNC by its identifier; return a note where the drive does not show which one it takes.
+
+    Raises
+    ------
+    DriveError
+        It takes another one, and refuses this one.
+    """
+    found = access.find(objects.SYNC_COB_ID)
+    if found is None:
+        own = sync_id == objects.SYNC_ID
+        return (
+            []
+            if own
+            else [f"the drive {access.why_absent(objects.SYNC_COB_ID)} {objects.SYNC_COB_ID}: is it {sync_id:03X}h?"]
+        )
+    if found & _SYNC_BITS == sync_id or access.try_write(objects.SYNC_COB_ID, sync_id):
+        return []
+    text = (
+        f"{access.axis}: {access.where} takes SYNC as {found & 0x7FF:03X}h ({objects.SYNC_COB_ID} = {found:08X}h, "
+        f"{access.why_not_written(objects.SYNC_COB_ID)}), and the daemon sends it as {sync_id:03X}h"
+    )
+    raise DriveError(
+        text, f"bus: {{sync_cob_id: {found & 0x7FF:#x}}}, for all drives of the bus", code=codes.SYNC_ID_FIXED
+    )
 
 
 def _set_up_commands(

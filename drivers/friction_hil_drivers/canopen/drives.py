@@ -89,6 +89,9 @@ class CanopenDrives(CanopenService):
         """Read the EDS of each axis and compare it with the mode; see `friction_hil.drive.Driver`."""
         for name, axis in axes.items():
             options = canopen_options(axis)
+            sync_id = 0 if configuration.bus is None else configuration.bus.sync_cob_id
+            if sync_id == objects.EMERGENCY_BASE + options.node:
+                yield name, "node", UsageError(f"bus.sync_cob_id {sync_id:#x} is the emergency message of this node")
             try:
                 reasons = () if options.eds is None else compare_axis(options.eds, axis)
             except UsageError as error:
@@ -201,7 +204,7 @@ class CanopenDrives(CanopenService):
         for node, name in owners.items():
             self._locks.append(AxisLock(config, node, name))
         self._bus = open_frame_bus(config, self._given_bus)
-        self._others = OtherMasters(owners, self._first_options.master_node)
+        self._others = OtherMasters(owners, self._first_options.master_node, config.sync_cob_id)
         if self._bus.is_echoing:
             count_sent(self._bus, self._others)
         heard_by(self._bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)
@@ -298,6 +301,7 @@ class CanopenDrives(CanopenService):
 
     def _connect_axis(self, name: str, config: "AxisConfig") -> CanopenAxis:
         options, client = canopen_options(config), self._clients[name]
+        assert self._configuration.bus is not None
         client.is_read_only = self._is_passive
         try:
             drive = configure(
@@ -309,6 +313,7 @@ class CanopenDrives(CanopenService):
                 dry_run=self._dry_run,
                 taken=self._identifiers,
                 before_writing=lambda: self._prepare_nmt(client, options.node),
+                sync_id=self._configuration.bus.sync_cob_id,
             )
         except DriveError as error:
             if self._is_passive and error.code in _OF_MAPPING:
@@ -352,9 +357,13 @@ class CanopenDrives(CanopenService):
         return options.times(self._configuration.period_s, self._configuration.realtime.max_missed)
 
     def _make_exchange(self, bus: "FrameBus") -> CyclicExchange | PassiveExchange:
+        assert self._configuration.bus is not None
+        sync_id = self._configuration.bus.sync_cob_id
         if self._is_passive:
             period_s = self._configuration.period_s
-            return passive_exchange(bus, self._axes, self._clients, self._others, self._clock, period_s=period_s)
+            return passive_exchange(
+                bus, self._axes, self._clients, self._others, self._clock, period_s=period_s, sync_id=sync_id
+            )
         options = [canopen_options(axis) for axis in self._configs.values()]
         return CyclicExchange(
             bus,
@@ -366,6 +375,7 @@ class CanopenDrives(CanopenService):
             dry_run=self._dry_run,
             max_missed=self._configuration.realtime.max_missed,
             alarm=MasterAlarm(self._others),
+            sync_id=sync_id,
         )
 
     # The cyclic phase

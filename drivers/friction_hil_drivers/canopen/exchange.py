@@ -54,6 +54,8 @@ class CyclicExchange:
         Periods after which a command is too old to be sent, and missed exchanges in a row that are bridged.
     alarm : MasterAlarm, optional
         Tells of another master that appears.
+    sync_id : int, optional
+        Identifier of SYNC.
     """
 
     __slots__ = (
@@ -83,6 +85,7 @@ class CyclicExchange:
         "_spare",
         "_spare_command",
         "_spare_feedback",
+        "_sync_id",
         "_timeouts",
         "_unsent",
     )
@@ -99,8 +102,10 @@ class CyclicExchange:
         dry_run: bool,
         max_missed: int = 10,
         alarm: MasterAlarm | None = None,
+        sync_id: int = objects.SYNC_ID,
     ) -> None:
         self._bus = bus
+        self._sync_id = sync_id
         self._axes = axes
         self._clock = clock
         self._dry_run = dry_run
@@ -171,7 +176,7 @@ class CyclicExchange:
     def _send_sync(self) -> str:
         """Send SYNC, at which drives take over what their RPDOs carried; return why it was not sent, "" if it was."""
         try:
-            self._bus.send(objects.SYNC_ID, b"")
+            self._bus.send(self._sync_id, b"")
         except QueueFullError as error:
             return f"SYNC was not sent: {error}"
         if self._has_new_words:
@@ -333,8 +338,10 @@ class CyclicExchange:
         self._timeouts = 0 if is_complete else self._timeouts + 1
         if self._timeouts >= STEPPED_TIMEOUTS:
             waited_s = STEPPED_TIMEOUTS * STEPPED_TIMEOUT_S
-            text = f"not every drive has answered SYNC for {waited_s:g} s: are they still running?"
-            raise DriveError(text, code=codes.SYNC_NOT_ANSWERED)
+            text = (
+                f"not every drive has answered SYNC for {waited_s:g} s: are they still running, and is 1005h of each "
+            )
+            raise DriveError(f"{text}{self._sync_id:03X}h (bus.sync_cob_id)?", code=codes.SYNC_NOT_ANSWERED)
 
     def _send_heartbeat(self, now: int) -> None:
         if not self._dry_run:

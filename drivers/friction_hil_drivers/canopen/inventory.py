@@ -53,7 +53,7 @@ class CanopenInventory:
         self._config = config
         self._bus = bus
         self._may_disturb = may_disturb
-        self._others = OtherMasters(_NODES, _NO_MASTER)
+        self._others = OtherMasters(_NODES, _NO_MASTER, config.sync_cob_id)
         if bus.is_echoing:
             count_sent(bus, self._others)
         heard_by(bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)

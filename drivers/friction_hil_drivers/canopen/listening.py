@@ -42,18 +42,21 @@ class OtherMasters:
         Our nodes.
     master_node : int
         Node number of the daemon's own heartbeat.
+    sync_id : int, optional
+        Identifier of SYNC.
     """
 
-    def __init__(self, nodes: Collection[int], master_node: int) -> None:
+    def __init__(self, nodes: Collection[int], master_node: int, sync_id: int = objects.SYNC_ID) -> None:
         self._nodes = frozenset(nodes)
         self._echoes: Counter[int] = Counter()
         self._heard: dict[str, int] = {}  # frames, by what they are
         self._states: dict[int, int] = {}  # last NMT state that a node reported
         self._identifiers: set[int] = set()
         self._answers = {node: NodeAnswers() for node in nodes}
+        self._sync_id = sync_id
         self._own_heartbeat = objects.HEARTBEAT_BASE + master_node
         self._watched: dict[int, str] = {
-            objects.SYNC_ID: "SYNC (080h)",
+            sync_id: f"SYNC ({sync_id:03X}h)",
             self._own_heartbeat: f"heartbeat of node {master_node}, which is the daemon's own number",
         }
         for node in nodes:
@@ -136,12 +139,12 @@ class OtherMasters:
     def commanding(self) -> set[int]:
         """Identifiers of frames that act on our drives: SYNC, NMT, RPDOs, and the heartbeat that they watch."""
         rpdos = {can_id for can_id in self._watched if can_id < objects.SDO_RESPONSE_BASE}
-        return {objects.NMT_ID, self._own_heartbeat, *rpdos}
+        return {objects.NMT_ID, self._sync_id, self._own_heartbeat, *rpdos}
 
     @property
     def has_sync(self) -> bool:
         """True if another master sends SYNC."""
-        return self._watched[objects.SYNC_ID] in self._heard
+        return self._sync_id in self._identifiers
 
     @property
     def words(self) -> str:

@@ -29,9 +29,11 @@ _SYNCS = 50  # by which the rhythm is judged
 _RESERVE_FRACTION = 0.25  # of the period, kept for computing
 
 
-def _listen(bus: "FrameBus", others: "OtherMasters", identifiers: Collection[int], clock: Clock) -> HeardPdos:
+def _listen(
+    bus: "FrameBus", others: "OtherMasters", identifiers: Collection[int], clock: Clock, sync_id: int
+) -> HeardPdos:
     """Listen until every TPDO came and, where there is SYNC, for some of its periods; at most `_HEAR_S`."""
-    heard = HeardPdos(objects.SYNC_ID)
+    heard = HeardPdos(sync_id)
     end = time.monotonic() + _HEAR_S
     while (left := end - time.monotonic()) > 0.0:
         is_enough = len(heard.stamps) > _SYNCS or not (clock.is_real and others.has_sync)
@@ -52,7 +54,7 @@ def _rhythm_notes(heard: HeardPdos, name: str, node: int, tpdos: Sequence["Mappe
         SYNC has another period than ``period_s``, or two nodes send a TPDO.
     """
     if problem := heard.wrong_period(period_s):
-        text = f"{name}: SYNC ({objects.SYNC_ID:03X}h) of the other master {problem}"
+        text = f"{name}: SYNC of the other master {problem}"
         raise DriveError(text, "period_s must be the master's period", codes.SYNC_UNUSABLE)
     notes = []
     for pdo in tpdos:
@@ -151,13 +153,21 @@ class PassiveExchange:
     period_s : float
     """
 
-    def __init__(self, bus: "FrameBus", axes: Sequence[PassiveAxis], clock: Clock, *, period_s: float) -> None:
+    def __init__(
+        self,
+        bus: "FrameBus",
+        axes: Sequence[PassiveAxis],
+        clock: Clock,
+        *,
+        period_s: float,
+        sync_id: int = objects.SYNC_ID,
+    ) -> None:
         self._bus = bus
         self._axes = axes
         self._clock = clock
         self._reserve_ns = round(_RESERVE_FRACTION * period_s * 1e9)
         self._handlers = {can_id: handler for axis in axes for can_id, handler in axis.handlers.items()}
-        self._handlers[objects.SYNC_ID] = self._on_sync
+        self._handlers[sync_id] = self._on_sync
         self._timeouts = 0
 
     def start(self) -> None:
@@ -218,6 +228,7 @@ def passive_exchange(
     clock: Clock,
     *,
     period_s: float,
+    sync_id: int,
 ) -> PassiveExchange:
     """Return the exchange of a dry run beside another master, and add notes on what it sends to the axes.
 
@@ -227,7 +238,7 @@ def passive_exchange(
         A TPDO does not come, two nodes send it, or SYNC has another period.
     """
     wanted = {pdo.cob_id: axis for axis in axes for pdo in axis.tpdos}
-    heard = _listen(bus, others, wanted, clock)
+    heard = _listen(bus, others, wanted, clock, sync_id)
     if silent := [can_id for can_id in wanted if not others.has_heard(can_id)]:
         listed = ", ".join(f"{can_id:03X}h" for can_id in silent)
         reason = f"no TPDO {listed} came within {_HEAR_S:g} s, as one that is sent only on a change may not"
@@ -235,7 +246,8 @@ def passive_exchange(
     for axis in axes if clock.is_real else ():
         notes = _rhythm_notes(heard, axis.facts.name, axis.node, axis.tpdos, period_s)
         axis.facts = replace(axis.facts, notes=(*axis.facts.notes, *notes))
-    return PassiveExchange(bus, [PassiveAxis(axis.drive, axis.node) for axis in axes], clock, period_s=period_s)
+    passive = [PassiveAxis(axis.drive, axis.node) for axis in axes]
+    return PassiveExchange(bus, passive, clock, period_s=period_s, sync_id=sync_id)
 
 
 def nothing_to_hear(client: "SdoClient", others: "OtherMasters", reason: str) -> DriveError:

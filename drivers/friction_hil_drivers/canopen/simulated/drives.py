@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from friction_hil.drive import AxisFacts, Mode
 from friction_hil.errors import BusError
-from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.delays import ACTUATION_CYCLES, SETPOINT_CYCLES
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.options import canopen_options
@@ -172,7 +171,7 @@ class SimulatedCanopenDrives:
             if frame is None:
                 self._advance(now_ns, is_sync_near=left_ns < _AHEAD_NS)
             else:
-                if frame[0] == objects.SYNC_ID:
+                if any(frame[0] == node.sync_id for node in self._nodes):
                     next_sync_ns = now_ns + period_ns
                 self._take(*frame, now_ns)
             self._poll(now_ns)

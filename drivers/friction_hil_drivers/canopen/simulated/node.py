@@ -124,6 +124,11 @@ class SimulatedNode:
         self._send(objects.HEARTBEAT_BASE + self.number, bytes([NmtState.BOOT_UP]))
         self._producer.restart(self.now_ns)
 
+    @property
+    def sync_id(self) -> int:
+        """Identifier of SYNC (1005h)."""
+        return int(self._sync_id.value) & 0x7FF
+
     def listens_to(self, can_id: int) -> bool:
         """True if the node takes frames with this identifier."""
         return can_id in self._handlers
