@@ -256,3 +256,16 @@ def test_a_dry_run_does_not_read_what_another_master_reads(polled):
     bus.shutdown()
     assert len(bus.sent) <= 4
     assert all(is_reading(*frame) for frame in bus.sent)
+
+
+def test_a_wrong_number_is_answered_with_those_that_exist():
+    bus = BenchBus(Bench())
+    config = configuration(x=axis_dict(node=NODE + 2))
+    drives = CanopenDrives(config, config.axes, SteppedClock(), dry_run=False, bus=bus)
+    with pytest.raises(DriveError, match=rf"no drive answers as node 7 .* nodes that answer: {NODE} \[FH-206\]"):
+        drives.connect()
+    drives.close()
+    found = inventory(bus)
+    with pytest.raises(DriveError, match=rf"node 7 .* answers no SDO request; nodes that answer: {NODE} \[FH-244\]"):
+        found.show(NODE + 2)
+    found.close()

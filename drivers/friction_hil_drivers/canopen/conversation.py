@@ -6,12 +6,12 @@ A script is a generator: it yields the transfers that it wants and pauses, and r
 import contextlib
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.dialogue import Transfer
+from friction_hil_drivers.canopen.dialogue import Transfer, Upload
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 
 if TYPE_CHECKING:
@@ -34,6 +34,9 @@ class Pause:
 
 
 Script = Generator[Transfer | Pause, None, _R]
+
+NODES = range(1, 128)
+FIRST_ANSWER_S = 0.8  # of a node that may not exist: asked once
 
 
 @dataclass(slots=True)
@@ -168,3 +171,16 @@ class Conversation:
         transfer.is_silent = True
         self._silent.add(node)
         return True
+
+
+def device_types(talk: Conversation, nodes: Iterable[int] = NODES) -> dict[int, int | None]:
+    """Return the device type (None: it has none) of each node that answers."""
+    found = talk.hold({node: _device_type() for node in nodes})
+    return {node: answer[0] for node, answer in found.items() if answer is not None}
+
+
+def _device_type() -> "Script[tuple[int | None] | None]":
+    """Return the device type, None for a node that does not answer."""
+    upload = Upload(objects.DEVICE_TYPE)
+    yield upload
+    return None if upload.is_silent else (upload.value,)

@@ -28,6 +28,7 @@ from friction_hil_drivers.canopen.listening import (
     Look,
     MasterAlarm,
     OtherMasters,
+    ask_identities,
     count_sent,
     heard_by,
     look,
@@ -42,7 +43,6 @@ from friction_hil_drivers.canopen.passive import PassiveExchange, nothing_to_hea
 from friction_hil_drivers.canopen.service import CanopenService
 from friction_hil_drivers.canopen.sidecar import SidecarDrives
 from friction_hil_drivers.canopen.stopping import has_no_power
-from friction_hil_drivers.canopen.twins import IDENTITY, SETTLE_S
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 
@@ -252,10 +252,7 @@ class CanopenDrives(CanopenService):
         DriveError
             A node does not answer, or two do.
         """
-        for client in self._clients.values():
-            for entry in IDENTITY:
-                client.peek(entry)
-        heard_by(bus, self._others, time.monotonic() + SETTLE_S, time.monotonic)
+        ask_identities(list(self._clients.values()), bus, self._others)
         for name, client in self._clients.items():
             self._refuse_twins(client, self._node_of(name))
 

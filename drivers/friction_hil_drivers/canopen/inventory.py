@@ -15,12 +15,27 @@ from friction_hil.drive import DriveState
 from friction_hil.drive.inventory import DriveEntry, Scan, Stop, StopReport
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
-from friction_hil_drivers.canopen.conversation import PATIENCE_S, Conversation, Pause, Script
+from friction_hil_drivers.canopen.conversation import (
+    FIRST_ANSWER_S,
+    NODES,
+    PATIENCE_S,
+    Conversation,
+    Pause,
+    Script,
+    device_types,
+)
 from friction_hil_drivers.canopen.description import describe, mode_name, mode_names
 from friction_hil_drivers.canopen.dialogue import Upload
 from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.canopen.interfaces import bus_name
-from friction_hil_drivers.canopen.listening import LISTEN_S, OtherMasters, count_sent, heard_by, would_disturb
+from friction_hil_drivers.canopen.listening import (
+    LISTEN_S,
+    OtherMasters,
+    count_sent,
+    heard_by,
+    those_that_answer,
+    would_disturb,
+)
 from friction_hil_drivers.canopen.stopping import reset_axes, stop_axes, stop_drive
 from friction_hil_drivers.canopen.twins import SETTLE_S, ask_identity, ask_often
 from friction_hil_drivers.cia402 import profile
@@ -29,10 +44,8 @@ if TYPE_CHECKING:
     from friction_hil.config import BusConfig
     from friction_hil_drivers.canopen.frames import FrameBus
 
-_FIRST_ANSWER_S = 0.8  # of a node that may not exist: asked once
 _ANSWER_S = 0.5
 _ATTEMPTS = 2
-_NODES = range(1, 128)
 _NO_MASTER = 0  # no heartbeat is ours
 _NMT_WORDS = {state.value: state.name.lower().replace("_", "-") for state in objects.NmtState}
 
@@ -53,7 +66,7 @@ class CanopenInventory:
         self._config = config
         self._bus = bus
         self._may_disturb = may_disturb
-        self._others = OtherMasters(_NODES, _NO_MASTER, config.sync_cob_id)
+        self._others = OtherMasters(NODES, _NO_MASTER, config.sync_cob_id)
         if bus.is_echoing:
             count_sent(bus, self._others)
         heard_by(bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)
@@ -61,7 +74,7 @@ class CanopenInventory:
         self.notes = (
             (f"another master is at work: {heard}; it may enable a drive again that is stopped",) if heard else ()
         )
-        used = [str(node) for node in _NODES if self._others.uses_sdo_of(node)]
+        used = [str(node) for node in NODES if self._others.uses_sdo_of(node)]
         if used:
             text = f"its SDO transfers with node {', '.join(used)} may fail while nodes are asked here"
             self.notes = (*self.notes, f"{text}: each has one SDO server")
@@ -72,8 +85,8 @@ class CanopenInventory:
 
     def scan(self) -> Scan:
         """Read identity, state and modes of every node; see `friction_hil.drive.inventory.Inventory`."""
-        self._require_free_sdo(_NODES)
-        found = self._find(_NODES, asking=self._before_reading)
+        self._require_free_sdo(NODES)
+        found = self._find(NODES, asking=self._before_reading)
         asked = self._talk(asking=self._before_reading).hold(
             {node: _identify(node, device, self._nmt_of(node)) for node, device in found.items()}
         )
@@ -97,7 +110,8 @@ class CanopenInventory:
         self._require_free_sdo([node])
         found = self._find([node], asking=self._before_reading)
         if node not in found:
-            raise DriveError(self._silence(node), "friction-hil drives scan lists those that do", codes.NODE_SILENT)
+            others = sorted(self._find(NODES, asking=self._before_reading))
+            raise DriveError(f"{self._silence(node)}; {those_that_answer(others)}", code=codes.NODE_SILENT)
         self._refuse_twins([node])
         return self._talk(asking=self._before_reading).hold({node: describe(node, self._nmt_of(node))})[node]
 
@@ -124,7 +138,7 @@ class CanopenInventory:
         DriveError
             No nodes are given, and no drive answers.
         """
-        asked = list(dict.fromkeys(nodes)) or sorted(self._find(_NODES))
+        asked = list(dict.fromkeys(nodes)) or sorted(self._find(NODES))
         if not asked:
             text = f"no node answers on {bus_name(self._config)}: it is not known whether a drive has power"
             raise DriveError(text, "check supply, wires and bit rate", codes.NODE_SILENT)
@@ -246,9 +260,7 @@ class CanopenInventory:
         self, nodes: Sequence[int], *, asking: "Callable[[int, bytes], None] | None" = None
     ) -> dict[int, int | None]:
         """Return the device type (None: it has none) of each node that answers."""
-        talk = self._conversation(_FIRST_ANSWER_S, 1, asking)
-        found = talk.hold({node: _device_type() for node in nodes})
-        return {node: answer[0] for node, answer in found.items() if answer is not None}
+        return device_types(self._conversation(FIRST_ANSWER_S, 1, asking), nodes)
 
     def _owner(self, node: int) -> str:
         """Return a text about the daemon of this machine that drives a node, "" for none."""
@@ -267,13 +279,6 @@ class CanopenInventory:
 
 def _nodes_of(axes: Mapping[str, tuple[int, int]]) -> list[int]:
     return list(dict.fromkeys(node for node, _ in axes.values()))
-
-
-def _device_type() -> "Script[tuple[int | None] | None]":
-    """Return the device type, None for a node that does not answer."""
-    upload = Upload(objects.DEVICE_TYPE)
-    yield upload
-    return None if upload.is_silent else (upload.value,)
 
 
 def _identify(node: int, device: int | None, nmt: str) -> "Script[DriveEntry]":

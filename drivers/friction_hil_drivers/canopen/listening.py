@@ -15,9 +15,10 @@ from friction_hil.drive import DriveState
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen.conversation import FIRST_ANSWER_S, Conversation, device_types
 from friction_hil_drivers.canopen.object_reader import ObjectReader
 from friction_hil_drivers.canopen.objects import DataType, Object
-from friction_hil_drivers.canopen.twins import SETTLE_S, SURE_REQUESTS, NodeAnswers
+from friction_hil_drivers.canopen.twins import IDENTITY, SETTLE_S, SURE_REQUESTS, NodeAnswers
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
@@ -122,6 +123,11 @@ class OtherMasters:
         """Return True if SDO requests of another master to one of our nodes were heard."""
         return objects.SDO_REQUEST_BASE + node in self._identifiers
 
+    @property
+    def uses_sdo(self) -> bool:
+        """True if another master was heard to use the SDO server of any node."""
+        return any(objects.SDO_REQUEST_BASE < can_id < objects.SDO_REQUEST_BASE + 0x80 for can_id in self._identifiers)
+
     def state_of(self, node: int) -> int | None:
         """Return the NMT state in the last heartbeat of one of our nodes, None where none was heard."""
         return self._states.get(node)
@@ -183,6 +189,11 @@ class MasterAlarm:
                 self.message = coded(text, codes.MASTER_APPEARED)
 
 
+def those_that_answer(nodes: Sequence[int]) -> str:
+    """Return the nodes that answer, in words."""
+    return f"nodes that answer: {', '.join(map(str, nodes))}" if nodes else "no node answers at all"
+
+
 def would_disturb(nodes: Sequence[int], bus: str, otherwise: str) -> DriveError:
     """Return why nodes are not read whose only SDO server another master uses; ``otherwise`` is a second remedy."""
     listed = ", ".join(map(str, nodes))
@@ -210,6 +221,27 @@ def heard_by(bus: "FrameBus", others: OtherMasters, end: float, now: Callable[[]
         frame = bus.receive(left)
         if frame is not None:
             others.take(frame)
+
+
+def ask_identities(clients: Sequence["SdoClient"], bus: "FrameBus", others: OtherMasters) -> None:
+    """Ask nodes who they are, and wait for the answers of a second one.
+
+    Raises
+    ------
+    DriveError
+        One does not answer; the message has those that do.
+    """
+    for client in clients:
+        try:
+            for entry in IDENTITY:
+                client.peek(entry)
+        except DriveError as error:
+            if error.code != codes.NO_ANSWER or others.uses_sdo:
+                raise
+            talk = Conversation(bus, answer_s=FIRST_ANSWER_S, attempts=1, heard=others.take)
+            text = f"{error.detail} {those_that_answer(sorted(device_types(talk)))}"
+            raise DriveError(text, code=error.code) from error
+    heard_by(bus, others, time.monotonic() + SETTLE_S, time.monotonic)
 
 
 def require_one_node(client: "SdoClient", bus: "FrameBus", others: OtherMasters, node: int, bus_name: str) -> None:
