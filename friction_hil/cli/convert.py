@@ -21,9 +21,10 @@ def command(**options: Any) -> None:
     """Convert the recording IN to OUT; the suffixes give the formats.
 
     Reads .mcap, .csv, .txt, .tsv, .dat and .lvm (columns of numbers, with or without names), .parquet, .mf4 and .mdf,
-    .h5 and .hdf5, .mat (MATLAB 4 to 7.3), .npz, .npy, .json (a list of rows), and logs of raw CAN frames (candump
-    .log, .asc, .blf, .trc; --config describes them). Writes .mcap, .csv, .parquet, .mf4, .h5, .hdf5, .mat (MATLAB 5),
-    .npz and .json. Parquet, MDF and HDF5 need: pip install "friction-hil[formats]".
+    .h5 and .hdf5, .mat (MATLAB 4 to 7.3), .npz, .npy, .json (a list of rows), joint states of ROS in .mcap, .db3 and
+    .bag, and logs of raw CAN frames (candump .log, .asc, .blf, .trc; --config describes them). Writes .mcap, .csv,
+    .parquet, .mf4, .h5, .hdf5, .mat (MATLAB 5), .npz and .json. Parquet, MDF and HDF5 need:
+    pip install "friction-hil[formats]".
 
     --info shows what a file of another program holds, what is suspicious in it, and the command that would read it.
 

@@ -19,6 +19,7 @@ from friction_hil.recordings.segments import (
     EvenSignals,
     Segment,
     even_signals,
+    is_position_integrated,
     known_fraction,
     stated_torque_delay_s,
 )
@@ -60,6 +61,8 @@ class RegressionSegment(Segment):
         True if each ``decimation``-th row is kept as it is: a model is evaluated at the low-passed motion of that row
         alone, and compared with the low-passed torque. Where the axis slides, both are the same to first order; a
         filter over the model's torque would mix in its torque in rows that do not count, where it is wrong.
+    has_position : bool
+        False if the position is integrated from the velocity, from an unknown start.
     """
 
     rows: int
@@ -72,6 +75,7 @@ class RegressionSegment(Segment):
     is_moving: Mask | None = field(default=None, kw_only=True)
     is_torque_age_stated: bool = field(default=False, kw_only=True)
     is_thinned: bool = field(default=False, kw_only=True)
+    has_position: bool = field(default=True, kw_only=True)
 
     def reduce(self, values: Array) -> Array:
         """Filter (n,) or (n, m) values at the full rate and return the rows of the regression.
@@ -304,6 +308,7 @@ def _regression_segment(
         resolution=resolution(segment.encoder),
         group=group,
         is_torque_age_stated=stated_torque_delay_s(signals.recording) is not None,
+        has_position=not is_position_integrated(signals.recording),
     )
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.identification import unknown_gain
@@ -20,6 +20,7 @@ from friction_hil.identification.settings import IdentificationSettings
 from friction_hil.identification.structures import EXTENDS
 from friction_hil.identification.torque_timing import TorqueTiming, torque_timing
 from friction_hil.recordings import Recording
+from friction_hil.recordings.segments import is_position_integrated, with_position
 
 _FAR = 3.0  # times the error of the best family: with parameters for each direction a family is no candidate either
 _EXACT = 1e-3  # of the measured torque: errors below do not tell families apart
@@ -100,7 +101,11 @@ def identify(
     """
     if not recordings:
         raise UsageError("identify needs a recording")
-    fitter = CandidateFitter(recordings, validation, settings or IdentificationSettings(), progress)
+    recordings, validation = [with_position(each) for each in recordings], [with_position(each) for each in validation]
+    settings = settings or IdentificationSettings()
+    if any(map(is_position_integrated, (*recordings, *validation))):
+        settings = _without_position(settings)
+    fitter = CandidateFitter(recordings, validation, settings, progress)
     is_refined_later = not fitter.known and shows_presliding(fitter.data.records, fitter.settings.refine)
     fits, free = _fit_all(fitter, is_refined_later=is_refined_later and fitter.settings.has_modifiers)
     if not any(math.isfinite(each.held_out.rmse) for each in fits):
@@ -121,6 +126,20 @@ def identify(
     return Identification(
         (best, *others), reason, fitter.data.records, kept, fitter.settings, tuple(dict.fromkeys(fitter.notes)), torque
     )
+
+
+def _without_position(settings: IdentificationSettings) -> IdentificationSettings:
+    """Return settings for recordings without a position: neither gravity nor presliding is looked for.
+
+    Raises
+    ------
+    UsageError
+        They ask for what depends on the position.
+    """
+    if settings.gravity == "pendulum" or settings.refine:
+        what = "a pendulum" if settings.gravity == "pendulum" else "the refinement"
+        raise UsageError(f"{what} needs a measured position, and a recording has only its velocity")
+    return replace(settings, gravity="none" if settings.gravity == "auto" else settings.gravity, refine=False)
 
 
 def plausible_fits(identification: Identification) -> tuple[Fit, ...]:

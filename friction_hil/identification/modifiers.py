@@ -56,6 +56,8 @@ def excited(
 
 def ripple_orders(data: Data, estimate: Estimate, structure: ModelStructure) -> list[float]:
     """Return the orders of position harmonics that stand out in the residual of a fit, largest first."""
+    if not all(record.has_position for record in data.records):
+        return []
     # the decimator of ordinary records has a gain of 0.99 even at rest; in an angle times 200 that is a period or more
     gain = data.column("offset")
     search = RippleSearch(

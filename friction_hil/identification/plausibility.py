@@ -27,6 +27,8 @@ _POOR = 0.5  # of the same: a model with a larger error explains less than three
 _GOOD = 0.1  # relative error below which no cause is looked for
 _CLEARLY = 0.8  # ratio of two errors below which the smaller one is no coincidence
 _NO_FRICTION = 1e-3  # of the measured torque
+_MOVING = 0.05  # of the highest speed
+_ONE_WAY = 0.02  # of the moving rows: fewer in the other direction determine nothing there
 _SPEEDS = 50  # at which a model is looked at for friction
 
 
@@ -55,7 +57,7 @@ def check_result(result: Identification, recordings: Sequence[Recording]) -> lis
     swinging = ["gravity.sine", "gravity.cosine"] if is_rotary else []
     found = _register(recordings) or _sign(result, PlainAxis(data, swinging, has_spring=True), recordings)
     is_turned = bool(found)
-    found += _of_motion(result, recordings)
+    found += [*_of_motion(result, recordings), *_one_way(result, data)]
     found += [] if is_turned else _without_friction(result.best)
     error, constant = result.best.held_out.relative_error, _error_of_constant(result)
     causes = []
@@ -109,6 +111,23 @@ def _register(recordings: Sequence[Recording]) -> list[Finding]:
     """Report a torque that is a signed register, read as an unsigned one."""
     text = unsigned_register(recordings)
     return [Finding(text, is_fatal=True)] if text else []
+
+
+def _one_way(result: Identification, data: Data) -> list[Finding]:
+    """Report a motion in one direction, in which friction cannot be told from a constant torque."""
+    velocity = data.motion("velocity")
+    fast = np.abs(velocity) > _MOVING * float(np.max(np.abs(velocity)))
+    shares = [float(np.mean(velocity[fast] * sign > 0.0)) for sign in (1.0, -1.0)]
+    if min(shares) >= _ONE_WAY or "offset" in result.settings.held:
+        return []
+    return [
+        Finding(
+            f"the axis moves in one direction ({100.0 * max(shares):.3g} % of the moving rows), in which Coulomb "
+            "friction cannot be told from an offset or gravity: record strokes in both directions, or, if nothing but "
+            "friction holds the axis, give --fix offset=0",
+            is_fatal=True,
+        )
+    ]
 
 
 def _of_motion(result: Identification, recordings: Sequence[Recording]) -> list[Finding]:

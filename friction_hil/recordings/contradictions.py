@@ -8,7 +8,7 @@ import numpy as np
 
 from friction_hil.recordings.columns import TIME
 from friction_hil.recordings.mapping import parse_source
-from friction_hil.recordings.quality import GAP_PERIODS, without_overflow
+from friction_hil.recordings.quality import GAP_PERIODS, LARGEST, without_overflow
 from friction_hil.recordings.recording import Array, Recording
 
 _FEWEST_ROWS = 50
@@ -84,6 +84,9 @@ def register_of(values: Array) -> Register | None:
     """Return the register that was read without its sign; None if the values are no such one."""
     raw = values[np.isfinite(values)]
     if len(raw) < _FEWEST_LEVELS or np.any(raw < 0.0):
+        return None
+    top = float(np.max(raw))
+    if not 0.0 < top < LARGEST or np.mean((raw > top / 3.0) & (raw < 0.75 * top)) >= _RARELY:
         return None
     step = _step(raw)
     if step is None:
@@ -168,6 +171,8 @@ def _step(raw: Array) -> float | None:
     if np.all(whole == np.floor(whole)):
         return 1.0
     levels = np.unique(raw)
+    if len(levels) < _FEWEST_LEVELS:
+        return None
     gap = int(np.argmax(np.diff(levels))) + 1
     low = levels[:gap]
     if len(low) < _FEWEST_LEVELS:

@@ -41,8 +41,10 @@ _MODULES = {
     ".asc": "can_log",
     ".blf": "can_log",
     ".trc": "can_log",
+    ".bag": "ros_bag",
+    ".db3": "ros_database",
 }
-_READ_ONLY = (".txt", ".tsv", ".dat", ".lvm", ".npy", ".mdf", ".log", ".asc", ".blf", ".trc")
+_READ_ONLY = (".txt", ".tsv", ".dat", ".lvm", ".npy", ".mdf", ".log", ".asc", ".blf", ".trc", ".bag", ".db3")
 _WRITERS = {suffix: name for suffix, name in _MODULES.items() if suffix not in _READ_ONLY} | {".mcap": "mcap_writer"}
 """Module by suffix, with `read(source)`, which returns recordings, and `write(path, recording, overwrite=)`."""
 

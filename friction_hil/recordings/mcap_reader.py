@@ -1,4 +1,4 @@
-"""Read recordings from MCAP: those of friction_hil, and any flat float64 ROS 2 messages."""
+"""Read recordings from MCAP: those of friction_hil, other flat float64 messages of ROS 2, and joint states."""
 
 from collections.abc import Callable
 
@@ -10,6 +10,7 @@ from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.recordings import mcap_format as layout
 from friction_hil.recordings.bounds import MOST_AXES, check_columns
 from friction_hil.recordings.columns import CYCLE
+from friction_hil.recordings.joint_table import TYPES, JointTable
 from friction_hil.recordings.mcap_chunks import ChannelRows, McapContent
 from friction_hil.recordings.recording import Array, Event, Recording
 from friction_hil.recordings.source import Source
@@ -44,6 +45,8 @@ def read(source: Source) -> list[Recording]:
 
     content = McapContent(source.path, choose, source.memory)
     axes = _axes(content, known)
+    if not axes and (joints := _joint_states(source, content)) is not None:
+        return joints
     if not axes:
         raise RecordingError(f"{source.path}: no channel holds flat float64 ROS 2 messages; {_what_is_there(content)}")
     chosen = _select(content, list(axes), source.select)
@@ -63,6 +66,30 @@ def read(source: Source) -> list[Recording]:
         recording.columns = _columns(content, channel, names, recording.problems)
         recording.restarts = _restarts(content, numbers, channel, recording)
         recordings.append(recording)
+    return recordings
+
+
+def _joint_states(source: Source, content: McapContent) -> list[Recording] | None:
+    """Return the joints of a file of ROS 2, each as an axis; None if no channel holds joint states."""
+    channels = [
+        channel
+        for channel in content.channels.values()
+        if (schema := content.schemas.get(channel.schema_id)) is not None
+        and schema.name in TYPES
+        and channel.message_encoding == MessageEncoding.CDR
+    ]
+    if not channels:
+        return None
+    table = JointTable(source.path, source.memory)
+    for channel in channels:
+        for message in content.odd.pop(channel.id, []):
+            table.add(channel.topic, message, is_ros2=True)
+        for run in content.runs.pop(channel.id, []):
+            for row in run:
+                table.add(channel.topic, layout.CDR_LITTLE_ENDIAN + row.tobytes(), is_ros2=True)
+    recordings = table.selected(lambda names: _select(content, names, source.select))
+    for recording in recordings:
+        recording.problems += content.problems
     return recordings
 
 

@@ -12,14 +12,16 @@ import numpy as np
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
+from friction_hil.recordings.columns import TIME
 from friction_hil.recordings.contradictions import contradictions, unsigned_register
 from friction_hil.recordings.edges import between_counts
 from friction_hil.recordings.even import EvenGrid, even_grid
-from friction_hil.recordings.quality import is_coarse, resolution, without_overflow
+from friction_hil.recordings.quality import GAP_PERIODS, is_coarse, resolution, without_overflow
 from friction_hil.recordings.recording import Recording
 
 _LONGEST_DELAY_S = 1.0  # of a torque that a driver reads late
 
+INTEGRATED = "velocity, integrated"  # source of a position that no file has
 DEFAULT_LOWPASS_RATIO = 0.1  # of the sampling rate, where the velocity is derived from the position
 LEAST_KNOWN_FRACTION = 0.9  # of the rows: a slow input with fewer values is not used
 
@@ -138,6 +140,34 @@ class EvenSignals:
         )
 
 
+def with_position(recording: Recording) -> Recording:
+    """Return the recording; without a position, one that is integrated from the velocity, from an unknown start.
+
+    Raises
+    ------
+    RecordingError
+        There is neither a position nor a velocity.
+    """
+    if "position" in recording or "velocity" not in recording:
+        recording.require("position")
+        return recording
+    time, velocity = recording[TIME], without_overflow(recording["velocity"])
+    steps = np.diff(time)
+    period = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
+    is_usable = (steps > 0.0) & (steps <= GAP_PERIODS * period)
+    moved = np.where(is_usable, 0.5 * (velocity[1:] + velocity[:-1]) * steps, 0.0)
+    position = np.concatenate([[0.0], np.cumsum(np.nan_to_num(moved))])
+    columns = recording.columns | {"position": np.where(np.isfinite(velocity), position, np.nan)}
+    note = "no position: integrated from the velocity; nothing that depends on the position is identified"
+    sources = recording.sources | {"position": INTEGRATED}
+    return replace(recording, columns=columns, problems=[*recording.problems, note], sources=sources)
+
+
+def is_position_integrated(recording: Recording) -> bool:
+    """True if the position is that of `with_position`."""
+    return recording.sources.get("position") == INTEGRATED
+
+
 def known_fraction(recording: Recording, name: str) -> float:
     """Return the fraction of rows in which a column has a value; 0 if there is no such column."""
     return float(np.mean(np.isfinite(without_overflow(recording[name])))) if name in recording else 0.0
@@ -174,12 +204,13 @@ def even_signals(
     UsageError
         The low-pass does not fit the sampling rate.
     """
-    recording.require("position", "torque")
+    recording = with_position(recording)
+    recording.require("torque")
     why_derived = _why_velocity_is_derived(recording) if lowpass_hz is None else ""
     has_velocity = lowpass_hz is None and not why_derived
     grid = even_grid(recording, ["position", "torque", *(["velocity"] if has_velocity else [])], held)
     problems = list(grid.problems)
-    if has_velocity:
+    if has_velocity and not is_position_integrated(recording):
         problems += contradictions(recording)
     if text := unsigned_register([recording]):
         problems.append(text)

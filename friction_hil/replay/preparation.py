@@ -21,6 +21,7 @@ from friction_hil.recordings.segments import (
     Segment,
     even_signals,
     known_fraction,
+    with_position,
 )
 
 
@@ -49,8 +50,9 @@ def replay_segments(
     RecordingError, UsageError
         See `friction_hil.replay.comparison.replay`.
     """
+    recording = with_position(recording)
+    recording.require("torque")
     problems = list(recording.problems)
-    recording.require("position", "torque")
     signals = even_signals(recording, _known_inputs(recording, problems), lowpass_hz=lowpass_hz)
     problems += signals.problems
     rows = _long_enough(signals, factor, problems)

@@ -83,7 +83,7 @@ def test_binary_file_called_csv(tmp_path: Path) -> None:
 def test_files_that_are_not_there_or_not_known(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"nothing\.csv cannot be read: No such file or directory"):
         fh.recordings.read(tmp_path / "nothing.csv")
-    with pytest.raises(UsageError, match=r"There are: \.asc, \.blf, \.csv, .*\.parquet"):
+    with pytest.raises(UsageError, match=r"There are: \.asc, \.bag, \.blf, \.csv, .*\.parquet"):
         fh.recordings.read(tmp_path / "x.parket")
     with pytest.raises(RecordingError, match="cannot be read"):
         fh.recordings.read(tmp_path / "nothing.mat")

@@ -23,6 +23,7 @@ from friction_hil.identification.moving_beside import moving_beside
 from friction_hil.identification.plausibility import Finding, check_result
 from friction_hil.numerics.readable import brief
 from friction_hil.recordings import Recording, read_all
+from friction_hil.recordings.segments import with_position
 from friction_hil.reports.identification_report import write_report
 
 _SHOWN = 12  # candidates in the table, besides the simplest; JSON has all
@@ -54,8 +55,8 @@ def identify_axis(
     if settings.has_unknown_gain and controller:
         raise click.UsageError("--controller needs a measured torque: not with --unknown-gain")
     reading: dict[str, Any] = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz}
-    recordings = read_recordings(sources, axis, **reading)
-    validation = read_recordings(kept_apart, axis, **reading)
+    recordings = list(map(with_position, read_recordings(sources, axis, **reading)))
+    validation = list(map(with_position, read_recordings(kept_apart, axis, **reading)))
     settings = replace(settings, axis=kind_of([*recordings, *validation], is_linear=is_linear))
     with status_line("reading") as show:
         result = identify(
