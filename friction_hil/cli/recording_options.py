@@ -19,7 +19,7 @@ def _columns(context: click.Context, parameter: click.Parameter, pairs: tuple[st
         name, source = _pair(text, "torque=effort")
         _refuse_repeated(name, columns)
         columns[name], factor = _parsed(source)
-        if factor != 1.0:
+        if factor != 1.0 or columns[name] != source.strip():  # a factor of 1 keeps the numbers of the file, too
             factors[name] = factor
     return columns
 

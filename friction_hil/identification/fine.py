@@ -22,6 +22,7 @@ from friction_hil.errors import RecordingError
 from friction_hil.identification.data import Data, RegressionSegment
 from friction_hil.motion.experiment import LEAST_RATE_HZ, is_fast
 from friction_hil.numerics.jit import Array
+from friction_hil.recordings.quality import is_last_digit
 
 LEAST_S = 5.0  # of a segment; filters and states settle in its first and last second
 SLOWEST_SWING_HZ = 8.0
@@ -166,6 +167,31 @@ def shows_presliding(records: Sequence[RegressionSegment], is_wanted: bool | Non
                 f"interpolated, at {LEAST_RATE_HZ:g} Hz or more, for {LEAST_S:g} s or more without a gap"
             )
     return is_wanted
+
+
+def why_not_refined(records: Sequence[RegressionSegment]) -> list[str]:
+    """Return why recordings that are fast enough for presliding are not refined, one sentence for each file."""
+    found = []
+    for each in records:
+        is_long = is_fast(each.rate_hz) and each.is_moving is None and len(each.encoder) >= LEAST_S * each.rate_hz
+        if each.has_position and is_long and each.resolution is None:
+            found.append(
+                f"{each.path}: the model is not refined at the encoder's resolution, because the position comes in "
+                "no steps that show (it was smoothed, interpolated or rounded): stiffness, damping of the bristles and "
+                "inertia are less certain than with a position in counts"
+            )
+    return list(dict.fromkeys(found))
+
+
+def rounding_notes(records: Sequence[RegressionSegment]) -> list[str]:
+    """Return what depends on the last digit of a position that a file has rounded, one sentence for each file."""
+    found = [
+        f"{each.path}: the position comes in steps of {each.resolution:g}, its last digit. If the encoder is finer, "
+        "stiffness, damping, Stribeck velocity and inertia depend on this rounding: save more digits"
+        for each in records
+        if each.has_position and each.resolution is not None and is_last_digit(each.resolution, each.encoder)
+    ]
+    return list(dict.fromkeys(found))
 
 
 def fine_data(

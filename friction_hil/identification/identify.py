@@ -9,7 +9,7 @@ from friction_hil.identification import unknown_gain
 from friction_hil.identification.candidates import CandidateFitter
 from friction_hil.identification.choice import choose, is_better, plausible, to_refine
 from friction_hil.identification.data import RegressionSegment
-from friction_hil.identification.fine import shows_presliding
+from friction_hil.identification.fine import rounding_notes, shows_presliding, why_not_refined
 from friction_hil.identification.fits import ENDED_EARLY, Fit
 from friction_hil.identification.inference import VAGUE
 from friction_hil.identification.prediction_errors import is_grouped
@@ -107,6 +107,10 @@ def identify(
         settings = _without_position(settings)
     fitter = CandidateFitter(recordings, validation, settings, progress)
     is_refined_later = not fitter.known and shows_presliding(fitter.data.records, fitter.settings.refine)
+    if fitter.settings.axis == "rotary":  # the counts of linear encoders are round numbers
+        fitter.notes += rounding_notes(fitter.data.records)
+    if not is_refined_later and not fitter.known and fitter.settings.refine is None:
+        fitter.notes += why_not_refined(fitter.data.records)
     fits, free = _fit_all(fitter, is_refined_later=is_refined_later and fitter.settings.has_modifiers)
     if not any(math.isfinite(each.held_out.rmse) for each in fits):
         raise RecordingError(f"no candidate could be fitted to the recording: {'; '.join(fitter.notes)}")

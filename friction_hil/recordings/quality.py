@@ -18,6 +18,13 @@ _NAMED_ROWS = 5
 _SAMPLE = 50_000  # rows that suffice to find the steps of a quantised value
 _EXACT = 1e-2  # of a step: tolerance within which the distances of quantised levels are its multiples
 _FEWEST_LEVELS = 5
+_FEWEST_ROUNDED = 50  # levels that show a step behind their rounding
+_ROUNDED = 0.2  # of a step: standard deviation of rounded levels; of any numbers, it is 0.29
+_NEAR = 1.75  # times the smallest distance of levels: below are single steps
+_MOST_PARTS = 4  # of the smallest distance, if no two levels are one step apart
+_STAGES = 40
+_BITS = 1e-4  # of a step
+_MOST_DIGITS = 1e14  # beyond, any number is a multiple of its last digit
 _FINEST = 1e-9  # of the span
 _WRAP_BITS = range(8, 33)  # ranges of encoders, in counts
 _WRAP_RATIO = 0.5  # of the span: a wrap jumps by more, motion between two samples by less
@@ -205,6 +212,62 @@ def resolution(values: Array) -> float | None:
     levels = np.unique(values[np.isfinite(values)])
     if levels.size < _FEWEST_LEVELS:
         return None
+    step = _common_step(levels)
+    if levels.size < _FEWEST_ROUNDED or (step is not None and _is_exact(step, levels)):
+        return step
+    return _rounded_step(levels) or step
+
+
+def is_last_digit(step: float, values: Array) -> bool:
+    """True if a step is a power of ten of which the values are multiples: a file's last digit, not a count."""
+    power = 10.0 ** round(math.log10(step)) if step > 0.0 else 0.0
+    size = float(np.max(np.abs(values), initial=0.0))
+    if not power or abs(step / power - 1.0) > 1e-6 or size / power > _MOST_DIGITS:
+        return False
+    counts = values / power
+    return bool(np.all(np.abs(counts - np.round(counts)) <= 1e-6 + 4.0 * np.finfo(float).eps * size / power))
+
+
+def _rounded_step(levels: Array) -> float | None:
+    """Return the step of quantised levels that were rounded to fewer digits since; None if they show none.
+
+    The smallest distances are that step, give or take the last digit. It becomes more exact with each level further
+    away, whose number of steps is known as long as the error of so many steps is less than half of one.
+    """
+    distances = np.diff(levels)
+    near = distances[distances <= _NEAR * float(distances.min())]
+    for parts in range(1, _MOST_PARTS + 1):
+        step, base = float(np.mean(near)) / parts, levels[0]
+        for end in np.unique(np.geomspace(3, len(levels), _STAGES).astype(int)):
+            away = levels[:end] - base
+            counts = np.round(away / step)
+            spread = counts - np.mean(counts)
+            if not np.any(spread):
+                break
+            step = float(spread @ away / (spread @ spread))
+            base = levels[0] + float(np.mean(away - step * counts))
+            if not step > 0.0 or (end >= _FEWEST_ROUNDED and _rest(levels[:end], base, step) > _ROUNDED):
+                break
+        else:
+            if _rest(levels, base, step) <= _ROUNDED:
+                return step
+    return None
+
+
+def _rest(levels: Array, base: float, step: float) -> float:
+    """Return by how much levels are no multiples of a step above a base, as standard deviation in steps."""
+    steps = (levels - base) / step
+    return float(np.std(steps - np.round(steps)))
+
+
+def _is_exact(step: float, levels: Array) -> bool:
+    """True if levels are multiples of a step to the last bits, and the step is no file's last digit."""
+    counts = (levels - levels[0]) / step
+    return bool(np.all(np.abs(counts - np.round(counts)) < _BITS)) and not is_last_digit(step, levels)
+
+
+def _common_step(levels: Array) -> float | None:
+    """Return the largest step of which all distances of levels are multiples; None if there is none."""
     span = float(levels[-1] - levels[0])
     smallest = _FINEST * span  # smaller distances are rounding errors
     steps = np.diff(levels)

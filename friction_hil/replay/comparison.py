@@ -7,7 +7,7 @@ low-passed itself.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.segments import Segment
 from friction_hil.replay.preparation import Reduction, replay_segments
+from friction_hil.replay.wrong_units import wrong_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +115,8 @@ def replay(
             measured = signal.gain * recorded
             mechanics = mechanics + signal.back_emf * reduced([each.velocity for each in segments])
         predictions.append(_prediction(name, model, measured, friction, mechanics))
+        if signal is None and not is_own(recording):
+            problems += filter(None, [_wrong_unit(name, model, recording, segments, reduced, predictions[-1])])
     return Replay(
         path=recording.path,
         axis=recording.axis,
@@ -126,6 +129,26 @@ def replay(
         predictions=tuple(predictions),
         segments=reduced.rows(segments),
     )
+
+
+def is_own(recording: Recording) -> bool:
+    """True if the daemon made the recording, whose units are known."""
+    return "configuration" in recording.metadata
+
+
+def _wrong_unit(
+    name: str,
+    model: ModelFile,
+    recording: Recording,
+    segments: Sequence[Segment],
+    reduced: Reduction,
+    found: Prediction,
+) -> str:
+    def again(others: Sequence[Segment]) -> Array:
+        friction, mechanics = map(reduced, zip(*(predict(model, each) for each in others), strict=True))
+        return friction + mechanics
+
+    return wrong_unit(name, recording, segments, found.measured, found.torque, again)
 
 
 def predict(model: ModelFile, segment: Segment) -> tuple[Array, Array]:
@@ -172,7 +195,7 @@ def signal_of(model: ModelFile, recording: Recording) -> TorqueSignal | None:
 
     The daemon records torques, also where its model was identified from a signal of unknown gain.
     """
-    return None if "configuration" in recording.metadata else model.signal
+    return None if is_own(recording) else model.signal
 
 
 def _other_signal(name: str, signal: TorqueSignal, recording: Recording) -> list[str]:

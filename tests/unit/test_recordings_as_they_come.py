@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import friction_hil as fh
@@ -14,6 +14,7 @@ from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings import Recording
 from friction_hil.recordings.contradictions import contradictions, unsigned_register
 from friction_hil.recordings.dates import seconds
+from friction_hil.recordings.quality import resolution
 from friction_hil.recordings.units import conversion, unit_in
 
 TIME = np.arange(400) * 0.005
@@ -251,3 +252,24 @@ def test_another_quantity_is_refused_in_place_of_the_position(tmp_path: Path) ->
     (tmp_path / "x.csv").write_text("time_s,velocity,torque\n" + rows(TIME, VELOCITY, TORQUE))
     with pytest.raises(UsageError, match=r"velocity is in rad/s, position in rad; .* integrated from the velocity"):
         fh.recordings.read(tmp_path / "x.csv", columns={"position": "velocity"})
+
+
+@given(st.integers(10, 24), st.integers(4, 10), st.floats(-1.0, 1.0), st.booleans())
+def test_the_steps_of_an_encoder_are_found_behind_rounding(
+    bits: int, digits: int, start: float, in_degrees: bool
+) -> None:
+    """As long as a step is clearly more than the last digit; a finer encoder is as coarse as that digit."""
+    step = (360.0 if in_degrees else 2.0 * np.pi) / 2.0**bits
+    assume(step >= 5.0 * 10.0**-digits or step <= 0.2 * 10.0**-digits)
+    time = np.arange(4000) * 1e-3
+    position = (start + 0.2 * np.sin(2.0 * time) + 0.01 * np.sin(50.0 * time)) * (57.3 if in_degrees else 1.0)
+    found = resolution(np.round(np.round(position / step) * step, digits))
+    assume(np.ptp(position) > 100.0 * max(step, 10.0**-digits))
+    assert found == pytest.approx(max(step, 10.0**-digits), rel=1e-3)
+
+
+@given(st.integers(0, 1000))
+def test_numbers_of_no_encoder_have_no_steps(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    assert resolution(random.normal(size=2000)) is None
+    assert resolution(np.cumsum(random.normal(size=2000))) is None
