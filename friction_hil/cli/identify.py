@@ -45,6 +45,12 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
     help="A linear axis: m, N, kg. A recording of run says it itself.",
 )
 @click.option(
+    "--static",
+    "is_static",
+    is_flag=True,
+    help="The files are maps of friction: points of velocity and torque at constant speeds, without time and position.",
+)
+@click.option(
     "--gravity",
     type=click.Choice(["auto", "none", "constant", "pendulum"]),
     default="auto",

@@ -190,6 +190,9 @@ def _command(
             words += ["--scale", f"{name}={factor:.10g}"]
     if options.get("rate_hz") is not None:
         words += ["--rate", f"{options['rate_hz']:.10g}"]
+    names = {*recording.columns, *recording.others, *found.columns}
+    if {"velocity", "torque"} <= names and not {TIME, "position"} & names and found.rate_hz is None:
+        words.append("--static")  # points of a map have no time
     return shlex.join([*words, *found.options])
 
 

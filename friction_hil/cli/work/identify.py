@@ -10,6 +10,7 @@ import click
 
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.identify_static import identify_map
 from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.read import kind_of, read_recordings
 from friction_hil.cli.work.result_files import check_result_files
@@ -44,17 +45,24 @@ def identify_axis(
     output: Path | None,
     report: Path | None,
     as_json: bool,
+    is_static: bool = False,
     **options: Any,
 ) -> int:
     """Identify an axis, write model file and report, and print the result; ``options`` become settings.
 
     Returns 1, and writes no model file, if the result explains nothing.
     """
+    if is_static:
+        reading = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz}
+        shown = {"output": output, "as_json": as_json, "is_linear": is_linear}
+        return identify_map(
+            sources=sources, axis=axis, families=options["models"], held=options["held"], **shown, **reading
+        )
     settings = _settings(**options)
     check_result_files(output, report)
     if settings.has_unknown_gain and controller:
         raise click.UsageError("--controller needs a measured torque: not with --unknown-gain")
-    reading: dict[str, Any] = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz}
+    reading = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz}
     recordings = list(map(with_position, read_recordings(sources, axis, **reading)))
     validation = list(map(with_position, read_recordings(kept_apart, axis, **reading)))
     settings = replace(settings, axis=kind_of([*recordings, *validation], is_linear=is_linear))
