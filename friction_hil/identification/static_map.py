@@ -7,6 +7,7 @@ criterion is chosen (AICc; C. M. Hurvich, C.-L. Tsai, Biometrika 76(2), 1989), a
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from friction_hil.recordings import Recording
 
 FAMILIES = ("coulomb", "stribeck", "power_law")
 _FEWEST_SPEEDS = 3
-_STEP = 1e-6  # of the logarithm of a parameter, for standard errors
 _SMALLEST = 1e-9  # of the largest torque: a parameter below is zero
 
 
@@ -94,8 +94,8 @@ def fit_map(recordings: Sequence[Recording], families: Sequence[str] = ()) -> St
     middle = float(np.mean(torque)) if has_offset else 0.0
     if float(np.mean((torque - middle) * np.sign(velocity))) <= 0.0:
         raise RecordingError(f"{recordings[0].path}: the torque has another sign than friction: --scale torque=-1")
-    fits = [_fit(name, velocity, torque, has_offset) for name in families or FAMILIES]
-    fits = sorted((each for each in fits if each is not None), key=lambda each: each.score)
+    tried = [_fit(name, velocity, torque, has_offset) for name in families or FAMILIES]
+    fits = sorted((each for each in tried if each is not None), key=lambda each: each.score)
     if not fits:
         raise RecordingError(f"{recordings[0].path}: {len(velocity)} points are too few for any model")
     return StaticMap(tuple(fits), velocity, torque, tuple(notes))
@@ -111,8 +111,8 @@ def _fit(family: str, velocity: Array, torque: Array, has_offset: bool) -> Stati
         return None
 
     def residual(at: Array) -> Array:
-        values = dict(zip(names, np.exp(at[: len(names)]).tolist(), strict=True))
-        predicted = models.create(family, **_limited(values)).steady_state(velocity)
+        values: dict[str, Any] = _limited(dict(zip(names, np.exp(at[: len(names)]).tolist(), strict=True)))
+        predicted = models.create(family, **values).steady_state(velocity)
         return np.asarray(predicted + (at[-1] if has_offset else 0.0) - torque)
 
     low = [math.log(_SMALLEST * float(np.max(np.abs(torque))))] * len(names)

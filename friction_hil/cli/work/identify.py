@@ -52,17 +52,15 @@ def identify_axis(
 
     Returns 1, and writes no model file, if the result explains nothing.
     """
+    reading: dict[str, Any] = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz}
     if is_static:
-        reading = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz}
-        shown = {"output": output, "as_json": as_json, "is_linear": is_linear}
-        return identify_map(
-            sources=sources, axis=axis, families=options["models"], held=options["held"], **shown, **reading
-        )
+        shown: dict[str, Any] = {"output": output, "as_json": as_json, "is_linear": is_linear}
+        shown |= {"families": options["models"], "held": options["held"]}
+        return identify_map(sources=sources, axis=axis, **shown, **reading)
     settings = _settings(**options)
     check_result_files(output, report)
     if settings.has_unknown_gain and controller:
         raise click.UsageError("--controller needs a measured torque: not with --unknown-gain")
-    reading = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz}
     recordings = list(map(with_position, read_recordings(sources, axis, **reading)))
     validation = list(map(with_position, read_recordings(kept_apart, axis, **reading)))
     settings = replace(settings, axis=kind_of([*recordings, *validation], is_linear=is_linear))
