@@ -9,7 +9,7 @@ from friction_hil.daemon.axis import AxisLoop, AxisUpdate
 from friction_hil.daemon.follower import FollowerStateMachine
 from friction_hil.daemon.log import RunLog
 from friction_hil.daemon.pacing import ExchangeTimes
-from friction_hil.daemon.safety import MOVING, LoopState
+from friction_hil.daemon.safety import MOVING, LoopState, why_unusable
 from friction_hil.daemon.sequence import ENABLE_TIMEOUT_S, RunInputs, RunStateMachine, timeout_faults
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Feedback
@@ -224,6 +224,7 @@ class RunControl:
             if not axis.supervisor.has_position and not axis.supervisor.take(heard):
                 if time_s > _FIRST_FEEDBACK_S:
                     text = f"{axis.name}: no usable feedback within {_FIRST_FEEDBACK_S:g} s of the start"
+                    text += f": {reason}" if (reason := heard.message or why_unusable(heard)) else ""
                     raise DriveError(FaultCode.FIRST_FEEDBACK_MISSING.append_to(text))
                 return False
         if not self._settings.dry_run and not self._settings.is_follower:

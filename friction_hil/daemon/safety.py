@@ -73,6 +73,16 @@ class SafetyLimits:
     position_high: float = math.inf
 
 
+def why_unusable(feedback: Feedback) -> str:
+    """Return why the feedback of a cycle cannot be used, whatever came before it; "" where it can, or nobody says."""
+    if not feedback.is_fresh:
+        return feedback.missing
+    for name in ("position", "velocity", "torque"):
+        if not math.isfinite(value := getattr(feedback, name)):
+            return f"its {name} is {value}, not a number that can be used"
+    return ""
+
+
 class Supervisor:
     """Check the feedback of one axis.
 
@@ -256,12 +266,13 @@ class Supervisor:
             text = f"{self._name}: commands do not reach the drive any more"
         else:
             text = f"{self._name}: no usable feedback for more than {self._max_stale_cycles} cycles"
-            if feedback.is_fresh:
+            if feedback.is_fresh and not why_unusable(feedback):
                 return FaultCode.POSITION_JUMPS.append_to(
                     f"{text}: its position jumps further than limits.velocity allows, now to "
                     f"{feedback.position:.4g} {self._unit}"
                 )
-        return FaultCode.FEEDBACK_MISSING.append_to(f"{text}: {feedback.missing}" if feedback.missing else text)
+        reason = why_unusable(feedback)
+        return FaultCode.FEEDBACK_MISSING.append_to(f"{text}: {reason}" if reason else text)
 
     def _find_motion_fault(self, feedback: Feedback, velocity: float, position_demand: float) -> str | None:
         """Return the fault of an axis that should be enabled and follow its demand within its limits."""

@@ -156,10 +156,12 @@ def _doubt(found: LagEstimate, period_s: float, *, is_age_known: bool) -> str:
     if found.most_s > _AT_LIMIT * found.longest_s:
         return f"it is as long as {_ms(found.longest_s)}, or the torque follows the command by another law"
     if abs(found.gain - 1.0) > _GAIN_ERROR:
-        return (
-            f"the reported torque changes by {found.gain:.2g} of the commanded one: the drive does not apply all of "
-            "it, or reports it in another unit"
-        )
+        text = f"the reported torque changes by {found.gain:.2g} of the commanded one: the drive"
+        if found.gain < 0.0:
+            return f"{text} applies it in the other direction, as with 607Eh, which inverts position and velocity alone"
+        if found.gain > 1.0:
+            return f"{text} reports it in another unit"
+        return f"{text} does not apply all of it, or reports it in another unit"
     if found.lag_s < _CLEAR * found.error_s:
         return (
             f"the reported torque probably follows the command within {_ms(found.most_s)}: samples at {_ms(period_s)} "

@@ -147,6 +147,17 @@ def test_a_position_that_goes_on_jumping_is_told_as_such():
     assert "its position jumps further than limits.velocity allows, now to 6.554e+04 rad" in text
 
 
+@pytest.mark.parametrize("name", ["position", "velocity", "torque"])
+def test_a_number_that_is_not_finite_is_told_as_such_and_not_as_a_jump(name):
+    one = supervisor()
+    broken = heard(**{name: math.nan})
+    for _ in range(MAX_STALE_CYCLES + 1):
+        one.take(broken)
+    text = one.find_fault(broken, LoopState.RUNNING, 0.0, 0.0)
+    assert text is not None
+    assert f"its {name} is nan, not a number that can be used [FH-103]" in text
+
+
 def test_cycles_with_feedback_between_start_the_count_anew():
     one = supervisor()
     for _ in range(10):
