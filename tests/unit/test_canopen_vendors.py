@@ -8,7 +8,7 @@ import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
-from friction_hil_drivers.canopen.eds_check import compare_eds
+from friction_hil_drivers.canopen.eds_check import compare_eds, necessary_keys
 from friction_hil_drivers.canopen.options import CanopenOptions
 
 from friction_hil.daemon.realtime import SteppedClock
@@ -16,7 +16,20 @@ from friction_hil.drive import Command, DriveState, Feedback, Mode, Request
 from friction_hil.errors import DriveError
 from tests.canopen_bench import NODE, Bench, BenchBus
 from tests.servo_drives import axis_dict, configuration
-from tests.vendor_drives import DRIVES, EPOS4, EROB, EYOU, FIXED, INGENIA, NOT_CYCLIC, ONE_ENTRY, SCHUNK, VendorDrive
+from tests.vendor_drives import (
+    CSP,
+    DRIVES,
+    EPOS4,
+    EROB,
+    EVENT_TIMERS,
+    EYOU,
+    FIXED,
+    INGENIA,
+    NOT_CYCLIC,
+    ONE_ENTRY,
+    SCHUNK,
+    VendorDrive,
+)
 
 CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
 UNITS = {"counts_per_unit": 2**20 / math.tau, "rated_torque": 0.64}
@@ -270,3 +283,42 @@ def test_drives_that_switch_on_in_their_own_way_are_enabled(tmp_path, mode, mann
         assert driven.feedback.state is DriveState.OPERATION_ENABLED
         assert (driven.feedback.message, driven.feedback.error) == ("", "")
         assert driven.bench.emergencies == []
+
+
+WITHOUT_UNITS = (0x608F, 0x60A8, 0x6092, 0x6076)
+
+
+def keys(drive: VendorDrive, folder: Path, kind="rotary", **options) -> list[str]:
+    dictionary = load_eds(drive.write(folder / "drive.eds"), NODE)
+    return [key for key, _ in necessary_keys(dictionary, CanopenOptions(node=NODE, **options), kind)]
+
+
+@pytest.mark.parametrize(
+    ("lacks", "needed"),
+    [
+        ((), []),
+        (WITHOUT_UNITS, ["counts_per_unit", "rated_torque"]),
+        ((0x6007, 0x1029), ["is_watchdog_required"]),
+        ((0x1016, 0x100C, *EVENT_TIMERS), ["is_watchdog_required"]),
+        ((0x1016, 0x100C), []),
+        ((0x6007, 0x1016, 0x100C), ["is_watchdog_required"]),  # the timer of an RPDO has no effect
+        ((*WITHOUT_UNITS, 0x6007, 0x1029), ["counts_per_unit", "rated_torque", "is_watchdog_required"]),
+    ],
+)
+def test_every_key_that_an_eds_makes_necessary_is_named(tmp_path, lacks, needed):
+    assert keys(VendorDrive(lacks=lacks), tmp_path) == needed
+    accepted = {**UNITS, "is_watchdog_required": False}
+    assert keys(VendorDrive(lacks=lacks), tmp_path, **accepted) == []
+
+
+def test_a_limit_that_leaves_no_room_for_a_node_makes_the_consumer_useless(tmp_path):
+    limited = VendorDrive(lacks=(0x100C, *EVENT_TIMERS), values={("1016sub1", "HighLimit"): "65535"})
+    assert keys(limited, tmp_path) == ["is_watchdog_required"]
+    assert keys(VendorDrive(lacks=(0x100C, *EVENT_TIMERS)), tmp_path) == []
+
+
+def test_cst_is_recommended_only_to_a_drive_that_has_it(tmp_path):
+    for drive in (VendorDrive(lacks=(0x60B2,), supported=CSP), VendorDrive(lacks=(0x60B2, 0x6071))):
+        [text] = reasons(drive, "csp", tmp_path)
+        assert "mode cst does without it" not in text
+        assert "compensation: {enabled: false}" in text

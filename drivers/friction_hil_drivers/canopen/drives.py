@@ -97,8 +97,8 @@ class CanopenDrives(CanopenService):
             except UsageError as error:
                 yield name, "eds", error
                 continue
-            for reason in reasons:
-                yield name, "eds", UsageError(f"{options.eds} {reason}")
+            for key, reason in reasons:
+                yield name, key, UsageError(f"{options.eds} {reason}")
 
     @classmethod
     def try_watchdogs(

@@ -1,8 +1,8 @@
 """Comparing an EDS with the mode of an axis, without the drive."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from friction_hil.drive import Mode
 from friction_hil_drivers.canopen import objects
@@ -11,6 +11,7 @@ from friction_hil_drivers.canopen.mapping import COMMANDS, PdoRecord
 from friction_hil_drivers.canopen.negotiation import FoundPdo, covering, grouped
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
+from friction_hil_drivers.canopen.si_units import Measure, decode_position_unit
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
@@ -45,12 +46,82 @@ def compare_eds(
     for entry in (objects.MODE, *commands, *_FEEDBACK):
         variable = _variable(dictionary, entry, options)
         if variable is None:
-            hint = " (mode cst does without it)" if entry is objects.TORQUE_OFFSET else ""
+            hint = _without_offset(dictionary, options) if entry is objects.TORQUE_OFFSET else ""
             yield f"has no object {entry}, which mode {mode.name.lower()} needs{hint}"
         elif len(variable) < entry.type.bits:
             yield f"gives {entry} {len(variable)} bits and not {entry.type.bits}"
     yield from _compare_pdos(dictionary, options, commands, is_receive=True)
     yield from _compare_pdos(dictionary, options, _FEEDBACK, is_receive=False)
+
+
+def _without_offset(dictionary: "ObjectDictionary", options: CanopenOptions) -> str:
+    """Return how a drive without the torque offset can be used, as far as the file shows."""
+    has_target = _variable(dictionary, objects.TARGET_TORQUE, options) is not None
+    variable = _variable(dictionary, objects.SUPPORTED_MODES, options)
+    bits = None if variable is None else _value(variable)
+    if has_target and (not bits or Mode.CST in profile.supported_modes(bits) or not options.is_mode_check_required):
+        return " (mode cst does without it)"
+    return " (without it, and without cst, compensation: {enabled: false})"
+
+
+def necessary_keys(
+    dictionary: "ObjectDictionary", options: CanopenOptions, kind: Literal["rotary", "linear"]
+) -> Iterator[tuple[str, str]]:
+    """Yield the keys that a drive with this EDS needs and the configuration does not have: (key, reason).
+
+    Parameters
+    ----------
+    dictionary : ObjectDictionary
+    options : CanopenOptions
+    kind : {"rotary", "linear"}
+    """
+
+    def has(entry: Object) -> bool:
+        return _variable(dictionary, entry, options) is not None
+
+    feed = _variable(dictionary, objects.FEED, options)
+    is_counted = has(objects.ENCODER_INCREMENTS) or (feed is not None and (_value(feed) or 1) != 1)
+    is_known = _has_unit(dictionary, options, kind) or (kind == "rotary" and is_counted)
+    if options.counts_per_unit is None and not is_known:
+        per = "rad of the motor" if kind == "rotary" else "m"
+        yield "counts_per_unit", f"has no object {objects.ENCODER_INCREMENTS}: give the counts per {per}"
+    if options.rated_torque is None and not has(objects.RATED_TORQUE):
+        yield "rated_torque", f"has no object {objects.RATED_TORQUE}: give the torque at 1000 per mille"
+    if options.is_watchdog_required and (reason := _unwatched(dictionary, options, has)):
+        text = "if the daemon dies, its torque stays; false accepts that, with an emergency stop at hand"
+        yield "is_watchdog_required", f"{reason}: {text}"
+
+
+def _has_unit(dictionary: "ObjectDictionary", options: CanopenOptions, kind: Literal["rotary", "linear"]) -> bool:
+    """Return True if 60A8h may say what a count is; a file without its value leaves that open."""
+    variable = _variable(dictionary, objects.POSITION_UNIT, options)
+    if variable is None:
+        return False
+    if (value := _value(variable)) is None:
+        return True
+    try:
+        measure = decode_position_unit(value).measure
+    except ValueError:
+        return False
+    return measure is (Measure.ANGLE if kind == "rotary" else Measure.LENGTH)
+
+
+def _unwatched(dictionary: "ObjectDictionary", options: CanopenOptions, has: Callable[[Object], bool]) -> str:
+    """Return why a drive with this EDS cannot watch the daemon, "" where it can."""
+    has_reaction = has(objects.ABORT_CONNECTION_OPTION)
+    if not has_reaction and not has(objects.COMMUNICATION_ERROR_BEHAVIOUR):
+        return "has neither 6007h nor 1029h, which would say what the loss of the daemon does"
+    consumer = _find(dictionary, objects.CONSUMER_HEARTBEAT)
+    has_consumer = consumer is not None and (not consumer.max or consumer.max >= options.master_node << 16)
+    has_guarding = has(objects.GUARD_TIME) and has(objects.LIFE_TIME_FACTOR)
+    rpdos = (PdoRecord(True, number, options.node, options.axis_number) for number in range(objects.PDOS_PER_AXIS))
+    has_timer = has_reaction and any(_find(dictionary, rpdo.event_timer) is not None for rpdo in rpdos)
+    if has_consumer or has_guarding or has_timer:
+        return ""
+    limit = (
+        "" if consumer is None else f" (the HighLimit of 1016h:01, {consumer.max}, leaves no room for a node number)"
+    )
+    return f"has no RPDO with a timer that acts, no usable 1016h{limit} and no node guarding 100Ch"
 
 
 def _compare_modes(dictionary: "ObjectDictionary", mode: Mode, options: CanopenOptions) -> Iterator[str]:
@@ -144,8 +215,10 @@ def read_eds(axis: "AxisConfig") -> None:
         load_eds(options.eds, options.node)
 
 
-def compare_axis(path: Path, axis: "AxisConfig") -> list[str]:
-    """Return the reasons for which a drive with this EDS cannot be driven as configured."""
+def compare_axis(path: Path, axis: "AxisConfig") -> list[tuple[str, str]]:
+    """Return the reasons for which a drive with this EDS cannot be driven as configured, each with its key."""
     options = canopen_options(axis)
     dictionary = load_eds(path, options.node)
-    return list(compare_eds(dictionary, Mode[axis.mode.upper()], options, is_compensated=axis.compensation.enabled))
+    reasons = compare_eds(dictionary, Mode[axis.mode.upper()], options, is_compensated=axis.compensation.enabled)
+    found = [("eds", reason) for reason in reasons]
+    return found if options.sidecar is not None else [*found, *necessary_keys(dictionary, options, axis.model.axis)]
