@@ -100,10 +100,10 @@ def _has_unit(dictionary: "ObjectDictionary", options: CanopenOptions, kind: Lit
     if (value := _value(variable)) is None:
         return True
     try:
-        measure = decode_position_unit(value).measure
+        unit = decode_position_unit(value)
     except ValueError:
         return False
-    return measure is (Measure.ANGLE if kind == "rotary" else Measure.LENGTH)
+    return unit is not None and unit.measure is (Measure.ANGLE if kind == "rotary" else Measure.LENGTH)
 
 
 def _unwatched(dictionary: "ObjectDictionary", options: CanopenOptions, has: Callable[[Object], bool]) -> str:
