@@ -106,6 +106,8 @@ class Learner:
         self._fresh = 0  # ticks that no estimate has used yet
         self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
         self._trial: Trial | None = None
+        self._owed: Used | None = None  # what to go back to: that it should be was refused
+        self._is_back = False  # the last proposal went back
         self._estimate: Estimate | None = None
         self._usual = 0.0  # torque that the estimate leaves unexplained, N m
         self._residual_torque = math.inf  # of the last estimate, whatever the motion
@@ -187,9 +189,18 @@ class Learner:
             return "resting", f"no further change within {self._motions.now.rest * WINDOW_TICKS * TICK_S:g} s of motion"
         return "watching", ""
 
+    @property
+    def has_trial(self) -> bool:
+        """True if something that is not proven is in force."""
+        return self._trial is not None or self._owed is not None
+
     def refuse(self) -> None:
-        """Take note that the last proposal was not handed over."""
-        if self._trial is None:
+        """Take note that the last proposal was not handed over; what is in force unproven is taken back next."""
+        back = self._used if self._is_back else self._former
+        if self._trial is not None:
+            back = self._trial.former
+        self._owed = None if back is self._former else back
+        if self._trial is None and self._owed is None:
             self._motions.now.used = self._former
         if not self._note_refused(self._trial, self._former, "refused"):
             self._wait(math.inf)
@@ -225,6 +236,8 @@ class Learner:
             self._motions.now.used = self._kept = self._resumed
             self._resumed = None
             return self._hand_over(Step.PARAMETERS, self._kept, "parameters that were kept in an earlier run")
+        if self._owed is not None:
+            return self._hand_over(Step.BACK, self._owed, "what came after it was refused")
         if (proposal := self._fall_back()) is not None:
             return proposal
         if self._stopped:
@@ -366,7 +379,7 @@ class Learner:
         return self._hand_over(step, self._used.towards(tried, _FIRST_PART), text)
 
     def _hand_over(self, step: Step, to: Used, text: str) -> Proposal:
-        self._former = self._used
+        self._former, self._owed, self._is_back = self._used, None, step is Step.BACK
         model = None if to.has_model_of(self._used) else to.model
         self._use(to)
         return Proposal(step, model, to.gain, text)

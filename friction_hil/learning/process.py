@@ -45,7 +45,7 @@ _IDLE = "the axis is not in compensated motion"
 _LATE = "too many rows are missing"
 _BUSY = "this process has used its share of the processor"
 _NO_TORQUE = "its drive does not report the torque"
-_FOREIGN = "the settings were changed by somebody else, or before its process began again"
+_FOREIGN = "the settings were changed by somebody else, or before its process began again"  # and trials taken back
 
 
 class AxisLearning:
@@ -342,7 +342,7 @@ class Learning:
 
     def _hand_over(self, values: Mapping[str, Any], text: str) -> None:
         try:
-            answer = ask(self._socket, {"do": "set", "values": values, "reason": text})
+            answer = ask(self._socket, {"do": "set", "values": values, "reason": text, "learning": self._own_words()})
             self._own = float(answer["change"])
         except DaemonGoneError:
             raise
@@ -352,9 +352,14 @@ class Learning:
                     axis.learner.refuse()
             self._tell(f"learning: refused: {error}")
 
+    def _own_words(self) -> dict[str, Any]:
+        """Return what the daemon has to know to take back what is on trial, should this process die."""
+        tried = [] if self._foreign else [each.name for each in self._axes.values() if each.learner.has_trial]
+        return {"process": os.getpid(), "upon": int(self._own), "axes": tried}
+
     def _tell(self, text: str) -> None:
         with contextlib.suppress(FrictionHilError):
-            ask(self._socket, {"do": "tell", "text": text})
+            ask(self._socket, {"do": "tell", "text": text, "learning": self._own_words()})
 
     def _is_too_busy(self) -> bool:
         """Return True if learning has taken more than its share: then it goes more slowly."""

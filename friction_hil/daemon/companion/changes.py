@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from friction_hil.daemon.control import journal
+from friction_hil.daemon.control.on_trial import PROVEN
 from friction_hil.recordings import columns
 from friction_hil.recordings.recording import CHANGE, Array
 
@@ -87,4 +88,6 @@ class FileChanges:
 
 
 def _entries(descriptor: int) -> dict[int, dict[str, Any]]:
-    return {} if descriptor < 0 else {entry["number"]: entry for entry in journal.entries(descriptor)}
+    """Return the entries of the journal, without what they say for now: when it is erased depends on the clock."""
+    known = [] if descriptor < 0 else journal.entries(descriptor)
+    return {entry["number"]: {key: value for key, value in entry.items() if key != PROVEN} for entry in known}

@@ -7,6 +7,7 @@ import sys
 import threading
 from typing import Any
 
+from friction_hil.daemon.control.journal import entries
 from friction_hil.daemon.control.server import serve
 
 _INPUT = 0
@@ -31,6 +32,13 @@ class _LazyDesk:
             return {"ok": False, "problems": [f"an error in friction-hil: {type(error).__name__}: {error}"]}
         return answer
 
+    def begin(self) -> None:
+        """Take back what the process before this one, which died, knew to be on trial: nobody watches over it."""
+        if entries(self._descriptors[2]):
+            with self._lock:
+                self._desk = self._desk or self._make()
+            self._desk.take_back("the process of the control socket died")
+
     def _make(self) -> Any:
         from friction_hil.daemon.control.desk import Desk
         from friction_hil.daemon.control.job import ControlJob
@@ -48,7 +56,9 @@ def main(descriptor: int, ring: int, mailbox: int, journal: int, job: int, learn
     if hasattr(os, "sched_setscheduler"):
         # the loop's real-time priority is not meant for checking values
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    serve(descriptor, _LazyDesk(ring, mailbox, journal, job, learning).answer, _INPUT)
+    desk = _LazyDesk(ring, mailbox, journal, job, learning)
+    threading.Thread(target=desk.begin, daemon=True).start()
+    serve(descriptor, desk.answer, _INPUT)
     os._exit(0)  # threads may wait for clients that never hang up
 
 

@@ -4,6 +4,8 @@ import json
 import math
 import os
 import pwd
+import select
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -15,6 +17,7 @@ from friction_hil.daemon.control import journal
 from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.mailbox import MailboxWriter
 from friction_hil.daemon.control.message import Action, Change, pack
+from friction_hil.daemon.control.on_trial import OnTrial, RefusedError, on_trial, settle, values_before
 from friction_hil.daemon.control.state import DaemonState
 from friction_hil.daemon.learning_board import read_report
 from friction_hil.daemon.safety import LoopState
@@ -30,13 +33,9 @@ _START_S = 20.0  # beyond enable_timeout_s: a first motion
 _RESET_S = 2.0
 LATEST_CYCLES = 500  # cycles over which another model finds the state in which it would be
 _KEYS = {"status": (), "observe": (), "set": ("values",), "tell": ("text",), "start": (), "stop": (), "reset": ()}
-_MAY_HAVE = {"set": ("reason",)}
+_MAY_HAVE = {"set": ("reason", "learning"), "tell": ("learning",)}
 _NEVER_REFUSED = ("status", "stop")  # however many requests are being answered
 _MOST_OTHERS = 16  # at once: half of the places that the server has
-
-
-class RefusedError(FrictionHilError):
-    """A request that is not carried out."""
 
 
 class Desk:
@@ -71,6 +70,7 @@ class Desk:
         self._sending = _Turn()  # a stop does not wait for what is being prepared
         self._others = threading.BoundedSemaphore(_MOST_OTHERS)
         self._looking = threading.Lock()
+        self._watched: set[int] = set()  # processes that have put something on trial
         self._waiting_stop = 0  # number of a stop that the loop has not answered
         self._do: dict[str, Callable[[Mapping[str, Any], str], dict[str, Any]]] = {
             "status": self._status,
@@ -173,11 +173,61 @@ class Desk:
         values = request["values"]
         if not isinstance(values, dict) or not values or not all(isinstance(key, str) for key in values):
             raise RefusedError('values must be a group of keys and values, e.g. {"x.gain": 0.8}')
+        learning = OnTrial.of(request.get("learning"), self._names)
+        shown = ", ".join(f"{key}={_shown(value)}" for key, value in values.items())
+        text = request.get("reason", f"{who} set {shown}")
+        if not isinstance(text, str):
+            raise RefusedError("reason must be a text")
+        if learning is not None and learning.axes:
+            self._watch(learning.process)
+        return self._change(values, text, learning)
+
+    def take_back(self, why: str) -> None:
+        """Take back what is on trial, if anything is: who would judge it has died."""
+        with self._looking:
+            self._state.look()
+        if self._state.has_ended or not self._on_trial():
+            return
+        try:
+            self._change({}, f"learning: {why}")
+        except FrictionHilError as error:
+            if not self._state.has_ended:
+                sys.stderr.write(f"friction-hil: what was on trial could not be taken back: {error}\n")
+
+    def _on_trial(self) -> dict[str, dict[str, Any]]:
+        """Return what is proven, `OnTrial.former`, of each axis on which something else is in force for a trial."""
+        return on_trial(self._journal, self._state.last_change())
+
+    def _watch(self, process: int) -> None:
+        """Take back what is on trial when a process dies, however it dies."""
+        if process in self._watched:
+            return
+        try:
+            descriptor = os.pidfd_open(process)
+        except OSError as error:
+            raise RefusedError(f"process {process}, which would judge the trial: {error.strerror}") from None
+        self._watched.add(process)
+        threading.Thread(target=self._await_death, args=(process, descriptor), daemon=True).start()
+
+    def _await_death(self, process: int, descriptor: int) -> None:
+        select.select([descriptor], [], [])
+        os.close(descriptor)
+        self._watched.discard(process)
+        self.take_back("its process died")
+
+    def _change(self, values: Mapping[str, Any], text: str, learning: OnTrial | None = None) -> dict[str, Any]:
+        """Change settings. Whoever is not learning takes back what is on trial by that: nobody would judge it."""
         # imported here: only what changes settings needs numba and the models
         from friction_hil.daemon.control.prepare import entry_of, latest_inputs, prepare
 
         with self._preparing:
             before, models_of, _ = self._present()
+            former = self._on_trial()
+            if learning is not None and learning.upon != self._state.last_change():
+                raise RefusedError("the settings were changed meanwhile")
+            if learning is None and former:
+                values = {**values_before(former, values, models_of), **values}
+                text = f"{text}; what was on trial of {', '.join(former)} is taken back"
             rows = self._state.rows(LATEST_CYCLES)
             latest = {
                 name: found
@@ -186,13 +236,11 @@ class Desk:
             }
             facts = [AxisFacts(**{**fact, "units": ()}) for fact in self._job.facts]
             prepared = prepare(before, self._job.source, values, facts, latest, has_network=self._job.has_network)
-            shown = ", ".join(f"{key}={_shown(value)}" for key, value in values.items())
-            text = request.get("reason", f"{who} set {shown}")
-            if not isinstance(text, str):
-                raise RefusedError("reason must be a text")
             with self._sending.taken():
                 number = self._next_number()
                 entry = entry_of(number, prepared, models_of, text)
+                if learning is not None:
+                    learning.mark(entry, before, models_of, former)
                 self._note({**entry, "files": prepared.models})
                 cycle = self._send(Change(number, Action.NONE, prepared.axes, text))
         return {"cycle": cycle, "change": number}
@@ -201,6 +249,10 @@ class Desk:
         """Put a notice into the record of the run."""
         if not isinstance(request["text"], str):
             raise RefusedError("text must be a text")
+        learning = OnTrial.of(request.get("learning"), self._names)
+        if learning is not None:
+            with self._preparing:
+                settle(self._journal, self._state.last_change(), learning.axes)
         with self._sending.taken():
             cycle = self._send(Change(self._next_number(), Action.NONE, [], request["text"]))
         return {"cycle": cycle}

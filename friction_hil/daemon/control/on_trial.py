@@ -1,0 +1,122 @@
+"""What learning has on trial: in force, but not proven, and taken back by whoever outlives the one who judges it.
+
+The journal says it, in the entry of the change that is in force: whoever opens it knows what to go back to.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from friction_hil.daemon.control import journal
+from friction_hil.errors import FrictionHilError, choices
+
+PROVEN = "proven"  # key of an entry of the journal
+_KEYS = ("process", "upon", "axes")
+
+
+class RefusedError(FrictionHilError):
+    """A request that is not carried out."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnTrial:
+    """What the process that learns says of itself in a request.
+
+    Attributes
+    ----------
+    process : int
+        Its number: its death ends the trial.
+    upon : int
+        Number of the change that it knows as the last one.
+    axes : list of str
+        Axes with something on trial from this request on.
+    """
+
+    process: int
+    upon: int
+    axes: list[str]
+
+    @classmethod
+    def of(cls, given: Any, names: Collection[str]) -> "OnTrial | None":
+        """Return what a request says; None if it is not from the process that learns.
+
+        Raises
+        ------
+        RefusedError
+            It is not as described above.
+        """
+        if given is None:
+            return None
+        if not isinstance(given, dict) or given.keys() != set(_KEYS):
+            raise RefusedError(f"learning must be a group of {', '.join(_KEYS)}")
+        process, upon, axes = (given[key] for key in _KEYS)
+        if not (type(process) is int and 0 < process < 1 << 31 and type(upon) is int and isinstance(axes, list)):
+            raise RefusedError("learning: process and upon must be whole numbers, axes a list")
+        for name in axes:
+            if name not in names:
+                raise RefusedError(f"learning: there is no axis {name!r}; {choices(str(name), names)}")
+        return cls(process, upon, axes)
+
+    def mark(
+        self,
+        entry: dict[str, Any],
+        before: Mapping[str, Any],
+        models_of: Mapping[str, int],
+        former: Mapping[str, Mapping[str, Any]],
+    ) -> None:
+        """Note in the entry of a change what to go back to.
+
+        Parameters
+        ----------
+        entry : dict
+        before : dict
+            Configuration before the change.
+        models_of : dict of int
+            Number of the change that brought the model of each axis before this one.
+        former : dict
+            What was on trial already, as `on_trial` returns it.
+        """
+        for name in self.axes:
+            axis = before["axes"][name]
+            now = {"gain": axis["compensation"]["gain"], "model_of": models_of[name], "model": axis["model"]}
+            entry.setdefault(PROVEN, {})[name] = former.get(name, now)
+
+
+def on_trial(descriptor: int, number: int) -> dict[str, dict[str, Any]]:
+    """Return gain and model to go back to, by axis, of what is on trial by the change in force."""
+    known = {entry["number"]: entry.get(PROVEN, {}) for entry in journal.entries(descriptor)}
+    return known.get(number, {})
+
+
+def settle(descriptor: int, number: int, still: Collection[str]) -> None:
+    """Note that what was on trial by the change in force is proven, but for the axes in ``still``."""
+    for entry in reversed(journal.entries(descriptor)):
+        if entry["number"] == number:
+            proven = entry.get(PROVEN, {})
+            if proven.keys() - set(still):
+                left = {name: axis for name, axis in proven.items() if name in still}
+                journal.append(descriptor, {**entry, PROVEN: left})
+            return
+
+
+def values_before(
+    former: Mapping[str, Mapping[str, Any]], values: Collection[str], models_of: Mapping[str, int]
+) -> dict[str, Any]:
+    """Return the values that take back what is on trial, without those that somebody gives anew.
+
+    Parameters
+    ----------
+    former : dict
+        As `on_trial` returns it.
+    values : collection of str
+        Keys of those that are given.
+    models_of : dict of int
+        Number of the change that brought the present model of each axis: one that stayed is not changed again.
+    """
+    given = {key.replace(".compensation.", ".", 1) for key in values}
+    return {
+        f"{name}.{key}": axis[key]
+        for name, axis in former.items()
+        for key in ("gain", "model")
+        if f"{name}.{key}" not in given and not (key == "model" and axis["model_of"] == models_of[name])
+    }
