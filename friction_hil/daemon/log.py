@@ -11,7 +11,8 @@ from friction_hil.drive.codes import FaultCode
 from friction_hil.numerics.jit import Array
 
 _MOST_FAULTS = 20
-_MOST_NOTICES = 100
+_MOST_NOTICES = 100  # of drives, and as many of requests; warnings likewise
+_BURST, _PER_S = 100.0, 8.0  # notices of drives: with more, a fault could be lost among the events of the ring
 _NAMED_S = 1.0  # after missed periods, in which a fault names them: it may be their consequence
 
 
@@ -38,7 +39,7 @@ class LoopResult:
         Lateness of the wake-ups, us.
     faults, warnings : list of str
     notices : list of str
-        What the drives said beside their feedback: emergencies, warnings.
+        What the drives said beside their feedback, e.g. emergencies, and what was asked for: the first of each kind.
     drive_states : list of DriveState
         State of each drive after the stop; empty after a dry run.
     leftovers : list of str
@@ -76,6 +77,10 @@ class RunLog:
         self._sink = sink
         self._period_s = period_s
         self._said: set[str] = set()  # faults, as they came
+        self._listed: set[str] = set()  # what drives said, in the result
+        self._acts = 0  # in the result
+        self._room, self._room_cycle = _BURST, 0  # for notices of drives
+        self._is_flooded = False
         self.has_fault = False
         self._missed = 0  # periods
         self._missed_cycle = -1  # that followed them
@@ -129,15 +134,26 @@ class RunLog:
     def act(self, cycle: int, text: str) -> None:
         """Keep what somebody asked for while the daemon runs; unlike `notice` each time."""
         self._sink.event(cycle, "notice", text)
-        if len(self.result.notices) < _MOST_NOTICES:
+        self._acts += 1
+        if self._acts <= _MOST_NOTICES:
             self.result.notices.append(text)
 
     def notice(self, cycle: int, text: str) -> None:
-        """Keep what a drive said; the same text counts once."""
-        notices = self.result.notices
-        if text not in notices and len(notices) < _MOST_NOTICES:
-            notices.append(text)
-            self._sink.event(cycle, "notice", text)
+        """Keep what a drive said; it counts each time, but for a drive that talks without end."""
+        if text not in self._listed and len(self._listed) < _MOST_NOTICES:
+            self._listed.add(text)
+            self.result.notices.append(text)
+        passed_s = (cycle - self._room_cycle) * self._period_s
+        self._room, self._room_cycle = min(self._room + _PER_S * max(passed_s, 0.0), _BURST), cycle
+        if self._room < 1.0:
+            return
+        self._is_flooded = self._is_flooded and self._room < 0.5 * _BURST
+        self._room -= 1.0
+        self._sink.event(cycle, "notice", text)
+        if self._room < 1.0 and not self._is_flooded:
+            self._is_flooded = True
+            more = f"the drives said {_BURST:g} things in a row: of the next ones, {_PER_S:g} a second are recorded"
+            self._sink.event(cycle, "notice", more)
 
     def drive_state(self, cycle: int, name: str, state: DriveState, *, is_read_back: bool) -> None:
         """Keep the state of a drive after the stop; one that may have power is a fault, however many there were before.
@@ -173,7 +189,8 @@ class RunLog:
 
     def warn(self, cycle: int, text: str) -> None:
         """Keep a warning."""
-        self.result.warnings.append(text)
+        if len(self.result.warnings) < _MOST_NOTICES:
+            self.result.warnings.append(text)
         self._sink.event(cycle, "warning", text)
 
 

@@ -80,7 +80,7 @@ class Feedback:
     # the command of the cycle before was not sent, or the drive cannot have taken it over: it keeps an earlier one. The
     # path then waits for it, and the torque goes on from what the drive may have
     is_setpoint_lost: bool = False
-    notices: list[str] = field(default_factory=list)  # to be recorded and shown once each; the loop empties it
+    notices: list[str] = field(default_factory=list)  # to be recorded and shown; the loop empties it
     # of drives that another controller moves (`Drives.is_follower`)
     position_demand: float = math.nan  # the drive's demand after `AxisFacts.setpoint_delay_s`; NaN where not known
     is_offset_wanted: bool = True  # mode and controlword are such that a torque offset compensates friction

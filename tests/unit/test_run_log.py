@@ -1,9 +1,12 @@
 """What a run keeps of its faults, and of the states of the drives at its end."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from friction_hil.daemon.figures import FeedbackGaps
 from friction_hil.daemon.log import RunLog
+from friction_hil.daemon.ring import EVENT_SLOTS
 from friction_hil.drive import DriveState
 
 
@@ -63,3 +66,49 @@ def test_the_first_fault_names_what_was_missing_before_it(missing, words):
     first, second = log.result.faults
     assert first == f"x: too fast; 3 periods were missed 2 ms before{words} [FH-107]"
     assert second == "x: too far [FH-108]"
+
+
+def test_what_was_asked_for_and_learned_leaves_room_for_what_a_drive_says():
+    sink = Events()
+    log = RunLog(sink, 1e-3)
+    for k in range(1000):
+        log.act(k, f"user 0: start {k}")
+        log.notice(k, f"x: told once {k}")
+    log.notice(20_000, "x: emergency 2310h overcurrent")
+    assert (20_000, "notice", "x: emergency 2310h overcurrent") in sink.events
+    log.notice(21_000, "x: told for the first time")
+    assert sink.events[-1] == (21_000, "notice", "x: told for the first time")
+    assert len(log.result.notices) < 300
+
+
+@given(st.lists(st.integers(0, 5000), max_size=60))
+def test_the_same_message_of_a_drive_counts_each_time(cycles):
+    sink = Events()
+    log = RunLog(sink, 1e-3)
+    cycles = sorted(cycles)
+    for cycle in cycles:
+        log.notice(cycle, "x: emergency 2310h overcurrent")
+    assert sink.events == [(cycle, "notice", "x: emergency 2310h overcurrent") for cycle in cycles]
+    assert log.result.notices == ["x: emergency 2310h overcurrent"] * bool(cycles)
+
+
+def test_a_drive_that_talks_without_end_leaves_room_for_a_fault():
+    """The ring holds as many events as a companion that stands still for seconds can take afterwards."""
+    sink = Events()
+    log = RunLog(sink, 1e-3)
+    for cycle in range(8000):
+        log.notice(cycle, f"x: emergency {cycle}")
+    log.fault(8000, "x: following error")
+    assert len(sink.events) < EVENT_SLOTS
+    assert any("of the next ones, 8 a second are recorded" in text for _, _, text in sink.events)
+    log.notice(60_000, "x: emergency 0")  # after a pause, each counts again
+    assert sink.events[-1] == (60_000, "notice", "x: emergency 0")
+
+
+def test_warnings_of_years_do_not_fill_the_memory():
+    sink = Events()
+    log = RunLog(sink, 1e-3)
+    for cycle in range(10_000):
+        log.warn(cycle, f"warning {cycle}")
+    assert len(log.result.warnings) == 100
+    assert len(sink.events) == 10_000

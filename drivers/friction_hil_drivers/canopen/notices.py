@@ -14,7 +14,7 @@ _BIT_TEXTS = (  # (bit, value that is told, text)
 
 
 class Notices:
-    """Notices of one axis, each kept once.
+    """Notices of one axis, each kept once, but emergencies each time.
 
     Attributes
     ----------
@@ -36,8 +36,9 @@ class Notices:
             self.waiting.append(text)
 
     def take_emergency(self, data: bytes) -> None:
-        """Keep an emergency message."""
-        self.add(emergency_text(data))
+        """Keep an emergency message; the same one again has happened again."""
+        if len(self.waiting) < _MOST:
+            self.waiting.append(emergency_text(data))
 
     def take_statusword(self, statusword: int, *, is_enabled: bool) -> None:
         """Keep changes of bits that matter while the drive is enabled."""

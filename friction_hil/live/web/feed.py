@@ -85,8 +85,8 @@ class Feed:
         with self._lock:
             watched = self._watched
             if watched is None:
-                return metrics_text(self._name, None, {})
-            return metrics_text(self._name, watched.figures.snapshot(), watched.faults)
+                return metrics_text(self._name, None, {}, {})
+            return metrics_text(self._name, watched.figures.snapshot(), watched.faults, watched.counts)
 
     def act(self, what: str, content: Mapping[str, Any]) -> dict[str, Any]:
         """Pass a request on to the daemon; return its answer, or why it is refused."""
@@ -175,6 +175,7 @@ class _Watched:
         facts = live.facts
         self.figures = LiveFigures(facts, live.faults)
         self.faults: Counter[str] = Counter()  # by code, since this was attached
+        self.counts: Counter[str] = Counter(dict.fromkeys(_SHOWN_EVENTS, 0))  # of events, by name
         self._strips = {axis: Strips(len(COLUMNS), facts.period_s) for axis in facts.axes}
         self._circle = circle_tracer(facts)
         self._events: deque[dict[str, Any]] = deque(maxlen=_MOST_EVENTS)
@@ -195,6 +196,7 @@ class _Watched:
             if event.name == "fault":
                 self.faults[event.code] += 1
             if event.name in _SHOWN_EVENTS:
+                self.counts[event.name] += 1
                 one = {"kind": event.name, "text": event.text, "remedy": plain_text(event.remedy)}
                 events.append({"time": f"{event.time_s:.3f} s", **one})
         if events:

@@ -25,7 +25,9 @@ class _Collected:
         return self._metrics
 
 
-def metrics_text(name: str, snapshot: Snapshot | None, faults: Mapping[str, int]) -> str:
+def metrics_text(
+    name: str, snapshot: Snapshot | None, faults: Mapping[str, int], events: Mapping[str, int] | None = None
+) -> str:
     """Return the metrics of a daemon as text.
 
     Parameters
@@ -36,13 +38,17 @@ def metrics_text(name: str, snapshot: Snapshot | None, faults: Mapping[str, int]
         None while no daemon of this name runs.
     faults : dict of int
         Number of faults by code, since the daemon is watched.
+    events : dict of int
+        Number of events by name, since then: what a drive says of itself is a notice.
     """
     registry = CollectorRegistry(auto_describe=False)
-    registry.register(_Collected(_metrics(name, snapshot, faults)))
+    registry.register(_Collected(_metrics(name, snapshot, faults, events or {})))
     return generate_latest(registry).decode()
 
 
-def _metrics(name: str, snapshot: Snapshot | None, faults: Mapping[str, int]) -> Iterator[Metric]:
+def _metrics(
+    name: str, snapshot: Snapshot | None, faults: Mapping[str, int], events: Mapping[str, int]
+) -> Iterator[Metric]:
     is_up = snapshot is not None and not snapshot.stands
     yield _gauge("up", "1 while the daemon runs and its loop writes rows", name, float(is_up))
     if snapshot is None:
@@ -57,6 +63,10 @@ def _metrics(name: str, snapshot: Snapshot | None, faults: Mapping[str, int]) ->
     for code, count in sorted(faults.items()):
         counted.add_metric([name, code], count)
     yield counted
+    told = CounterMetricFamily(f"{_P}events", "Events since the daemon is watched.", labels=["daemon", "event"])
+    for event, count in events.items():
+        told.add_metric([name, event], count)
+    yield told
     yield _histogram(name, snapshot)
     state = GaugeMetricFamily(f"{_P}state", "1 for the state of the run.", labels=["daemon", "state"])
     for each in LoopState:
