@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
 
 _FEEDBACK = (objects.STATUSWORD, objects.POSITION_ACTUAL)  # the drive may lack the rest
+_MOST_MAPPED = 64  # objects in a PDO, of a bit each
+_MULTIPLEXED = (254, 255)  # in the place of their number
 _WRITABLE = ("rw", "rww", "rwr", "wo")
 _RECEIVABLE = ("rw", "rww", "wo")
 _TRANSMITTABLE = ("ro", "rw", "rwr", "const")
@@ -40,6 +42,7 @@ def compare_eds(
         The mode needs the torque offset, where it uses one.
     """
     yield from _compare_modes(dictionary, mode, options)
+    yield from _compare_counts(dictionary, options)
     commands = list(COMMANDS[mode])
     if mode is not Mode.CST and not is_compensated and _variable(dictionary, objects.TORQUE_OFFSET, options) is None:
         commands.remove(objects.TORQUE_OFFSET)
@@ -136,6 +139,15 @@ def _compare_modes(dictionary: "ObjectDictionary", mode: Mode, options: CanopenO
     )
 
 
+def _compare_counts(dictionary: "ObjectDictionary", options: CanopenOptions) -> Iterator[str]:
+    for record in _records(options):
+        entry = record.mapping(0)
+        variable = _find(dictionary, entry)
+        count = None if variable is None else _value(variable)
+        if count is not None and not 0 <= count <= _MOST_MAPPED and count not in _MULTIPLEXED:
+            yield f"gives {count} as the {entry}; there are at most {_MOST_MAPPED}"
+
+
 def _compare_pdos(
     dictionary: "ObjectDictionary", options: CanopenOptions, entries: Sequence[Object], *, is_receive: bool
 ) -> Iterator[str]:
@@ -171,14 +183,22 @@ def _compare_pdos(
 
 def _pdos(dictionary: "ObjectDictionary", options: CanopenOptions, *, is_receive: bool) -> Iterator[FoundPdo]:
     """Yield the PDOs of one direction, with the mappings that the file gives them."""
-    for number in range(objects.PDOS_PER_AXIS):
-        record = PdoRecord(is_receive, number, options.node, options.axis_number)
+    for record in _records(options):
+        if record.is_receive is not is_receive:
+            continue
         cob_id, count = (_find(dictionary, entry) for entry in (record.cob_id, record.mapping(0)))
         if cob_id is None or count is None:
             continue
-        mapped = [_find(dictionary, record.mapping(position)) for position in range(1, (_value(count) or 0) + 1)]
+        most = value if (value := _value(count) or 0) <= _MOST_MAPPED else 0
+        mapped = [_find(dictionary, record.mapping(position)) for position in range(1, most + 1)]
         words = tuple(_value(word) or 0 for word in mapped if word is not None)
         yield FoundPdo(record, _value(cob_id) or 0, None, words)
+
+
+def _records(options: CanopenOptions) -> Iterator[PdoRecord]:
+    for is_receive in (True, False):
+        for number in range(objects.PDOS_PER_AXIS):
+            yield PdoRecord(is_receive, number, options.node, options.axis_number)
 
 
 def _is_writable(dictionary: "ObjectDictionary", pdo: FoundPdo) -> bool:

@@ -84,7 +84,9 @@ class OnTrial:
 
 def on_trial(descriptor: int, number: int) -> dict[str, dict[str, Any]]:
     """Return gain and model to go back to, by axis, of what is on trial by the change in force."""
-    known = {entry["number"]: entry.get(PROVEN, {}) for entry in journal.entries(descriptor)}
+    known: dict[int, dict[str, dict[str, Any]]] = {
+        entry["number"]: entry.get(PROVEN, {}) for entry in journal.entries(descriptor)
+    }
     return known.get(number, {})
 
 

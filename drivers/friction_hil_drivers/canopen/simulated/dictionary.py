@@ -1,22 +1,20 @@
 """Object dictionary of a simulated node: values, access rights, limits and abort codes."""
 
-import contextlib
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from canopen.objectdictionary import ODVariable
+from canopen.objectdictionary import ODArray, ODVariable
 
 from friction_hil.errors import UsageError
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
+from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, compact_arrays, load_eds
 from friction_hil_drivers.canopen.objects import DataType, Object
 from friction_hil_drivers.canopen.simulated.wire_types import Value, wire_type
 
 _FIRST_OBJECT = 0x1000
-_COMPACT = re.compile(r"^\[([0-9A-Fa-f]{4})\]\s*\n(?:[^\[\n]*\n)*?CompactSubObj\s*=\s*(\w+)", re.MULTILINE)
+_MOST_MS = 0xFFFF  # the lower half of a consumer entry
 _UNICODE_STRING, _DOMAIN = 0x0B, 0x0F
 
 
@@ -313,28 +311,18 @@ class Dictionary:
 
 def _entries(path: Path, node: int) -> Iterator[Entry]:
     dictionary = load_eds(path, node)
-    compact = _compact_arrays(path.read_text(encoding="utf-8", errors="replace"))
+    compact = compact_arrays(path)
     for item in dictionary.values():
         if item.index < _FIRST_OBJECT:
             continue  # data types, listed for dummy mapping
         if isinstance(item, ODVariable):
             yield _entry(item)
-        elif item.index in compact:
+        elif isinstance(item, ODArray) and item.index in compact:  # the entries of a record differ
             count = compact[item.index]
             item[0].default, item[0].access_type = count, "ro"
             yield from (_entry(item[subindex]) for subindex in range(count + 1))
         else:
             yield from (_entry(item[subindex]) for subindex in item)
-
-
-def _compact_arrays(text: str) -> dict[int, int]:
-    """Return the numbers of entries, by index, of the arrays that a file describes once for all entries (CiA 306)."""
-    found = {}
-    for section in _COMPACT.finditer(text):
-        number = section[2].lower()
-        with contextlib.suppress(ValueError):  # canopen refuses the file, or takes it as an array without entries
-            found[int(section[1], 16)] = min(int(number, 16 if number.startswith("0x") else 10), 254)
-    return {index: count for index, count in found.items() if count > 0}
 
 
 def _entry(variable: ODVariable) -> Entry:
@@ -368,6 +356,11 @@ def _is_integer(entry: Entry) -> bool:
 
 def _doubt(entry: Entry) -> str:
     """Cut a default that does not fit its type; return what to say about it, empty for nothing."""
+    if entry.index == objects.CONSUMER_HEARTBEAT.index and entry.subindex > 0 and entry.maximum <= _MOST_MS:
+        return (
+            f"{entry.index:04X}h:{entry.subindex:02X}: HighLimit={entry.maximum} leaves no room for a node "
+            "(node << 16 | ms): no heartbeat can be watched"
+        )
     value, fitting = entry.default, entry.type.fit(entry.default)
     entry.default = entry.value = fitting
     if entry.type.is_signed and isinstance(value, int) and value - (1 << entry.type.bits) == fitting:

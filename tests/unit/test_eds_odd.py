@@ -1,0 +1,162 @@
+"""EDS files that are odd on purpose: a message or a dictionary, within bounded work, never an error of another kind."""
+
+import os
+import re
+import signal
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
+from friction_hil_drivers.canopen.eds_check import compare_eds
+from friction_hil_drivers.canopen.options import CanopenOptions
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from friction_hil.drive import Mode
+from friction_hil.errors import UsageError
+
+TEXT = SIMULATED_SERVO.read_text()
+SECTIONS = re.findall(r"^\[(\w+)\]", TEXT, re.MULTILINE)
+KEYS = ("ParameterName", "ObjectType", "DataType", "AccessType", "DefaultValue", "ParameterValue", "PDOMapping")
+KEYS += (
+    "LowLimit",
+    "HighLimit",
+    "SubNumber",
+    "CompactSubObj",
+    "NrOfEntries",
+    "Denotation",
+    "StorageLocation",
+    "Factor",
+)
+ODD = (
+    "4000000000",
+    "-1",
+    "254",
+    "255",
+    "256",
+    "001",
+    "08",
+    "0x",
+    "",
+    "$NODEID+0x180",
+    "1e999",
+    "nan",
+    "9" * 5000,
+    "[x]",
+)
+
+
+@contextmanager
+def within(seconds):
+    """Fail where something takes far longer than it may: an endless loop must not hold up the tests."""
+
+    def stop(*_):
+        raise AssertionError(f"not done within {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def edited(section, key, value):
+    """The simulated servo's file with a key of a section set, or added; a section that it lacks follows at the end."""
+    head, start, rest = TEXT.partition(f"[{section}]\n")
+    if not start:
+        return f"{TEXT}\n[{section}]\n{key}={value}\n"
+    own, more = re.split(r"(?=^\[)|\Z", rest, maxsplit=1, flags=re.MULTILINE) if "\n[" in rest else (rest, "")
+    lines = [line for line in own.splitlines() if not line.startswith(f"{key}=")]
+    return "\n".join([head + f"[{section}]", f"{key}={value}", *lines, more])
+
+
+def used(path):
+    """What a configuration with the file is checked for, and a simulated drive made of it; the reasons against it."""
+    with within(20):
+        dictionary = load_eds(path, 5)
+        reasons = [
+            reason
+            for mode in (Mode.CSP, Mode.CST)
+            for reason in compare_eds(dictionary, mode, CanopenOptions(node=5), is_compensated=True)
+        ]
+        return reasons, Dictionary.from_eds(path, 5).notes
+
+
+def write(folder, text):
+    path = folder / "drive.eds"
+    path.write_text(text)
+    return path
+
+
+edits = st.tuples(
+    st.one_of(
+        st.sampled_from(SECTIONS),
+        st.from_regex(r"\A1[048A]0[0-3](sub[0-9A-F]{1,3}|Name|Value)?\Z"),
+        st.sampled_from(("DummyUsage", "DeviceInfo", "DeviceComissioning", "Comments", "FileInfo", "comments")),
+    ),
+    st.sampled_from((*KEYS, "Lines", "NodeID", "Dummy0002", "VendorNumber", "Baudrate")),
+    st.one_of(st.sampled_from(ODD), st.integers().map(str), st.text(st.characters(codec="utf-8"), max_size=8)),
+)
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(edits)
+@example(("1A00sub0", "DefaultValue", "4000000000"))
+@example(("1600", "CompactSubObj", "254"))
+@example(("1010Name", "NrOfEntries", "4000000000"))
+@example(("Comments", "Lines", "4000000000"))
+@example(("comments", "Lines", "x"))
+@example(("1600sub0", "ParameterValue", "-4000000000"))
+@example(("DeviceComissioning", "Baudrate", "x"))
+@example(("1003", "ObjectType", "8"))
+def test_every_edit_of_an_eds_is_a_message_or_a_drive(tmp_path, edit):
+    told = []
+    try:
+        used(write(tmp_path, edited(*edit)))
+    except UsageError as error:
+        told.append(str(error))
+    assert all("drive.eds" in each for each in told)
+
+
+def test_numbers_that_nobody_needs_and_zeros_in_front_make_no_difference(tmp_path):
+    own = "[DeviceInfo]\nVendorNumber=001\nProductNumber=0x\nRevisionNumber=08\nBaudRate_500=none\n"
+    text = re.sub(r"\[DeviceInfo\][^\[]*", own, edited("6041", "DataType", "0006"))
+    assert "=001" in text
+    assert used(write(tmp_path, text)) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("edit", "told"),
+    [
+        (("6041", "DataType", "x"), "[6041] DataType=x: must be a number from 0 to 65535"),
+        (("1010", "CompactSubObj", "4000000000"), "[1010] CompactSubObj=4000000000: must be a number from 0 to 254"),
+        (("7777sub1", "ParameterName", "x"), "[7777sub1] belongs to no object that the file describes"),
+    ],
+)
+def test_a_mistake_is_named_with_its_section(tmp_path, edit, told):
+    with pytest.raises(UsageError, match=re.escape(told)):
+        used(write(tmp_path, edited(*edit)))
+
+
+def test_a_count_that_no_pdo_has_is_a_reason_against_the_file(tmp_path):
+    reasons, _ = used(write(tmp_path, edited("1A00sub0", "DefaultValue", "4000000000")))
+    assert "gives 4000000000 as the 1A00h number of objects in TPDO 1; there are at most 64" in reasons
+
+
+def test_a_limit_that_makes_the_heartbeat_useless_is_told(tmp_path):
+    _, notes = used(write(tmp_path, edited("1016sub1", "HighLimit", "65535")))
+    assert [note for note in notes if "1016h:01: HighLimit=65535 leaves no room for a node (node << 16 | ms)" in note]
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.eds")
+    (tmp_path / "zero.eds").symlink_to("/dev/zero")
+    (tmp_path / "large.eds").write_bytes(b"")
+    os.truncate(tmp_path / "large.eds", 1 << 30)
+    for name in ("pipe", "zero", "large", "absent"):
+        with within(20), pytest.raises(UsageError, match=f"{name}.eds"):
+            load_eds(Path(tmp_path / f"{name}.eds"), 1)
