@@ -5,9 +5,10 @@ failures, such as a drive that does not answer or a truncated file.
 """
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+MOST_PRINTED = 20  # mistakes of a file
 _MOST_CHOICES = 100  # that a message lists
 
 
@@ -59,11 +60,17 @@ class Problem:
 
 
 class ConfigurationError(UsageError):
-    """A configuration or model file has mistakes; ``problems`` lists all of them."""
+    """A configuration or model file has mistakes; ``problems`` lists all of them, the message the first ones."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = tuple(problems)
-        super().__init__("\n".join(map(str, self.problems)))
+        super().__init__("\n".join([*map(str, self.problems[:MOST_PRINTED]), *more_problems(self.problems)]))
+
+
+def more_problems(problems: Sequence[Problem]) -> list[str]:
+    """Return the line that stands for the mistakes beyond the first ones, if there are more."""
+    more = len(problems) - MOST_PRINTED
+    return [f"{problems[0].path}: and {more} more mistake{'s' * (more > 1)}"] if more > 0 else []
 
 
 class OptionError(UsageError):

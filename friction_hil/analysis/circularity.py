@@ -307,7 +307,7 @@ def _circle(recordings: Mapping[str, Recording]) -> tuple[Configuration, Circle]
     first, second = recordings.values()
     if "configuration" not in first.metadata:
         raise RecordingError(f"{path}: there is no configuration in it: it is no recording of 'friction-hil run'")
-    configuration = from_dict(first.metadata["configuration"], f"{path} (configuration inside)")
+    configuration = from_dict(first.metadata["configuration"], f"{path} (configuration inside)", reads_files=False)
     paths = [configuration.axes[each.axis].trajectory for each in (first, second)]
     if not (isinstance(a := paths[0], Circle) and isinstance(b := paths[1], Circle)):
         kinds = ", ".join(f"{each.axis}: {p.kind}" for each, p in zip((first, second), paths, strict=True))

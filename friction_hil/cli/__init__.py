@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 import click
 
 from friction_hil import __version__
-from friction_hil.cli.colour import echo_labelled, echo_problem
+from friction_hil.cli.colour import echo_labelled, echo_problems
 from friction_hil.cli.quick_imports import keep_asammdf_out_of_can
 from friction_hil.errors import ConfigurationError, FrictionHilError, choices
 from friction_hil.interrupts import interruptible
@@ -155,8 +155,7 @@ def _exit_status(command: click.Command, arguments: Sequence[str] | None, progra
             result = command.main(arguments, prog_name=program, standalone_mode=False)
         sys.stdout.flush()
     except ConfigurationError as error:
-        for problem in error.problems:
-            echo_problem(problem)
+        echo_problems(error.problems)
         return error.exit_status
     except FrictionHilError as error:
         echo_labelled("Error:", str(error))

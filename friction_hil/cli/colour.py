@@ -4,11 +4,11 @@ import contextlib
 import os
 import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import click
 
-from friction_hil.errors import Problem
+from friction_hil.errors import MOST_PRINTED, Problem, more_problems
 from friction_hil.printable import own_style, printable
 
 _USUAL_WIDTH = 80
@@ -42,10 +42,14 @@ def echo_labelled(label: str, text: str, style: Callable[[str], str] = red) -> N
     click.echo(shown, err=True)
 
 
-def echo_problem(problem: Problem) -> None:
-    """Print a mistake in a file on stderr, with file and line number in red."""
-    where = f"{problem.path if problem.line is None else f'{problem.path}:{problem.line}'}:"
-    echo_labelled(where, str(problem).removeprefix(where).lstrip(" "))
+def echo_problems(problems: Sequence[Problem]) -> None:
+    """Print the mistakes in a file on stderr, with file and line number in red; of very many, the first ones."""
+    for problem in problems[:MOST_PRINTED]:
+        where = f"{problem.path if problem.line is None else f'{problem.path}:{problem.line}'}:"
+        echo_labelled(where, str(problem).removeprefix(where).lstrip(" "))
+    for line in more_problems(problems):
+        path = f"{problems[0].path}:"
+        echo_labelled(path, line.removeprefix(path).lstrip(" "))
 
 
 def _width() -> int:

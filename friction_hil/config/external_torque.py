@@ -52,6 +52,8 @@ def read_table(path: Path) -> list[tuple[float, float]]:
         The file cannot be read, or a line has no two finite numbers, or a time that does not rise.
     """
     try:
+        if path.exists() and not path.is_file():  # a pipe would be waited for
+            raise UsageError(f"mechanics.external.file: {path} is no file")
         if path.stat().st_size > _MOST_BYTES:
             raise UsageError(f"{path}: larger than {_MOST_BYTES // 1_000_000} MB; reduce its rate")
         lines = path.read_text(encoding="utf-8").splitlines()

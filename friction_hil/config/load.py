@@ -49,7 +49,7 @@ def load(path: str | Path, *, needs_models: bool = True) -> Configuration:
     return configuration
 
 
-def from_dict(data: Mapping[str, Any], source: str) -> Configuration:
+def from_dict(data: Mapping[str, Any], source: str, *, reads_files: bool = True) -> Configuration:
     """Create a configuration from plain values, e.g. those in a recording.
 
     Parameters
@@ -58,13 +58,15 @@ def from_dict(data: Mapping[str, Any], source: str) -> Configuration:
         Values as returned by `self_contained`, or as in a file.
     source
         Origin of the values, for messages.
+    reads_files
+        False for values inside a recording, which are whole: whoever made it must not choose which files are read.
 
     Raises
     ------
     ConfigurationError
         The values have mistakes.
     """
-    return _configuration(Document(source, dict(data)), Path(source).parent)
+    return _configuration(Document(source, dict(data)), Path(source).parent, reads_files=reads_files)
 
 
 def self_contained(configuration: Configuration) -> dict[str, Any]:
@@ -150,14 +152,16 @@ class _Origins(Origins):
         return self.locate(("axes", error.axis, *error.key.split(".")), error.text)
 
 
-def _configuration(document: Document, directory: Path, *, needs_models: bool = True) -> Configuration:
+def _configuration(
+    document: Document, directory: Path, *, needs_models: bool = True, reads_files: bool = True
+) -> Configuration:
     origins = _Origins(document)
     problems = list(document.problems)
     files: dict[FieldPath, Path] = {}
     value = document.value
     axes = value.get("axes") if isinstance(value, dict) else None
     if isinstance(axes, dict):
-        reader = _ModelReader(directory, origins, problems, files, needs_models)
+        reader = _ModelReader(directory, origins, problems, files, needs_models, reads_files)
         value = {**value, "axes": {name: reader.axis(name, axis) for name, axis in axes.items()}}
     configuration = validated(Configuration, value, origins, problems)
     axes = {name: _anchored(axis, directory.absolute()) for name, axis in configuration.axes.items()}
@@ -198,12 +202,13 @@ class _ModelReader:
         problems: list[Problem],
         files: dict[FieldPath, Path],
         needs_models: bool,
+        reads_files: bool,
     ) -> None:
         self._directory = directory
         self._origins = origins
         self._problems = problems
         self._files = files
-        self._needs_models = needs_models
+        self._needs_models, self._reads_files = needs_models, reads_files
 
     def axis(self, name: str, axis: Any) -> Any:
         """Return the plain values of an axis with its models inlined and the driver's keys under ``options``."""
@@ -236,6 +241,12 @@ class _ModelReader:
         return item
 
     def _read(self, name: str, steps: FieldPath) -> Any:
+        if not self._reads_files:
+            self._problems.append(
+                self._origins.locate(steps, f"must be the model itself: the file {name!r} is not read")
+            )
+            self._origins.broken.append(steps)
+            return None
         path = self._directory / name
         if not os.path.isfile(path):  # unlike Path.is_file it returns False for a name that is too long
             self._problems.append(self._origins.locate(steps, no_model_file(path, name)))

@@ -11,7 +11,7 @@ from friction_hil.daemon.companion.paths import series_name
 from friction_hil.daemon.realtime import RealClock, punctuality
 from friction_hil.doctor import disk, machine, timing
 from friction_hil.drive.finding import Finding, failure
-from friction_hil.errors import ConfigurationError, FrictionHilError, Problem
+from friction_hil.errors import MOST_PRINTED, ConfigurationError, FrictionHilError, Problem, more_problems
 from friction_hil.numerics.jit import cache_folder
 from friction_hil.recordings import columns
 
@@ -88,7 +88,9 @@ def _load(path: Path) -> tuple[Configuration | None, list[Problem]]:
 
 
 def _findings(path: Path, configuration: Configuration | None, problems: list[Problem]) -> Iterator[Finding]:
-    yield from map(_mistake, problems)
+    yield from map(_mistake, problems[:MOST_PRINTED])
+    for line in more_problems(problems):
+        yield Finding(CONFIGURATION, "fail", line, "correct those above first", "FH-402")
     if configuration is not None:
         yield from _missing_models(configuration)
     if not problems:

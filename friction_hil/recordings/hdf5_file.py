@@ -51,7 +51,7 @@ def read(source: Source, *, is_transposed: bool = False) -> list[Recording]:
     Raises
     ------
     RecordingError
-        The file was cut off, is not HDF5 or has no vector.
+        The file was cut off, is not HDF5 or has no vector, or something in it is the content of another file.
     UsageError
         h5py is not installed.
     OSError
@@ -103,6 +103,7 @@ def _library(path: Path) -> Any:
 
 
 def _read(source: Source, h5py: Any, file: Any, *, is_transposed: bool) -> Recording:
+    _refuse_other_files(source.path, h5py, file)
     recording = Recording(str(source.path), source.name, {})
     found = _vectors(h5py, file, is_transposed=is_transposed)
     last = {path: path.rpartition("/")[2] for path in found}
@@ -142,6 +143,41 @@ def _read(source: Source, h5py: Any, file: Any, *, is_transposed: bool) -> Recor
             if unit:
                 recording.units[name] = unit
     return recording
+
+
+def _refuse_other_files(path: Path, h5py: Any, file: Any) -> None:
+    """Refuse a file that has the library read others: whoever wrote it chooses which.
+
+    Raises
+    ------
+    RecordingError
+        A link leads to another file, or the values of a dataset are in one.
+    """
+
+    found: list[tuple[bytes, bytes]] = []  # the library does not pass on an error that a visitor raises
+
+    def check_link(name: bytes, info: Any) -> None:
+        if info.type not in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT):
+            is_known = info.type == h5py.h5l.TYPE_EXTERNAL
+            found.append((name, file.id.links.get_val(name)[0] if is_known else b"(a link of another kind)"))
+
+    def check_object(name: bytes, info: Any) -> None:
+        if info.type != h5py.h5o.TYPE_DATASET:
+            return
+        created = h5py.h5d.open(file.id, name).get_create_plist()
+        if created.get_external_count():
+            found.append((name, created.get_external(0)[0]))
+        if created.get_layout() == h5py.h5d.VIRTUAL:
+            others = map(created.get_virtual_filename, range(created.get_virtual_count()))
+            found.extend((name, other.encode()) for other in others if other != ".")
+
+    file.id.links.visit(check_link, info=True)
+    h5py.h5o.visit(file.id, check_object, info=True)
+    for where, target in found[:1]:
+        raise RecordingError(
+            f"{path}: {where.decode('utf-8', 'replace')!r} is in another file, {target.decode('utf-8', 'replace')!r}, "
+            "which is not read; copy the values into this one, e.g. with h5repack, or with h5py"
+        )
 
 
 def _vectors(h5py: Any, file: Any, *, is_transposed: bool) -> dict[str, _Place]:

@@ -3,6 +3,7 @@
 import io
 import math
 import zipfile
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from friction_hil.recordings.source import Source, as_column, damaged, open_new
 
 _LOCAL_MAGIC = b"PK\x03\x04"
 _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those of numpy; others expand without limit
+_NAMED = 20  # members in messages
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
@@ -39,6 +41,7 @@ def read(source: Source) -> list[Recording]:
         except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError) as error:
             raise _damaged(source.path, error) from None
         members = {name.removesuffix(".npy"): name for name in archive.namelist() if name.endswith(".npy")}
+        recording.problems += _not_arrays(archive)
         columns: dict[str, np.ndarray] = {}
         check_columns(source.path, members)
         recording.others = tuple(name for name in members if not source.wants_part_of(name))
@@ -84,6 +87,17 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
         for name, values in recording.columns.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, values, allow_pickle=False)
+
+
+def _not_arrays(archive: zipfile.ZipFile) -> list[str]:
+    """Return what is there beside the arrays, in words: the name of an array may be damaged, or there twice."""
+    names = [each for each in archive.namelist() if not each.endswith("/")]
+    others = [each for each in names if not each.endswith(".npy")]
+    problems = [f"{name!r} is no array (.npy): left out" for name in others[:_NAMED]]
+    if len(others) > _NAMED:
+        problems.append(f"{len(others) - _NAMED} more are no arrays (.npy): left out")
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    return problems + [f"{name!r} is there more than once: the last one counts" for name in twice[:_NAMED]]
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, memory: Memory) -> np.ndarray:

@@ -117,7 +117,7 @@ def _settings(
     if entry["model_of"]:
         values["axes"][name]["model"] = _entry(recording, entries, entry["model_of"])["model"]
     try:
-        return from_dict(values, f"{recording.path} (change {number})").axes[name]
+        return from_dict(values, f"{recording.path} (change {number})", reads_files=False).axes[name]
     except ConfigurationError as error:
         raise RecordingError(str(error)) from None
 

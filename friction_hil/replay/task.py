@@ -149,7 +149,7 @@ def _own_model(recording: Recording, configuration: Configuration | None) -> dic
     """Return the model that the daemon ran with, from the configuration in its recording."""
     if configuration is None and "configuration" in recording.metadata:
         inside = f"{recording.path} (configuration inside)"
-        configuration = from_dict(recording.metadata["configuration"], inside)
+        configuration = from_dict(recording.metadata["configuration"], inside, reads_files=False)
     if configuration is None or recording.axis not in configuration.axes:
         raise UsageError(f"{recording.path}: no model is known for axis {recording.axis!r}; give --model FILE_OR_NAME")
     model = configuration.axes[recording.axis].model

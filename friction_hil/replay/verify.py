@@ -80,7 +80,9 @@ def verify(recording: Recording, configuration: Configuration | None = None) -> 
             "compensator"
         )
     recording.require("compensation", "velocity_estimate", "checksum", "cycle", "position", "velocity")
-    configuration = configuration or from_dict(metadata["configuration"], f"{recording.path} (configuration inside)")
+    configuration = configuration or from_dict(
+        metadata["configuration"], f"{recording.path} (configuration inside)", reads_files=False
+    )
     if recording.axis not in configuration.axes:
         raise RecordingError(
             f"{recording.path}: its axis {recording.axis!r} is not in the configuration, which has "

@@ -99,7 +99,7 @@ def done(tmp_path_factory):
                 learner.upon += 1
                 learner.set({"x.model": OTHER}, ["x"])
                 learner.keep()
-            with pytest.raises(FrictionHilError, match="No such process"):
+            with pytest.raises(FrictionHilError, match="which would judge the trial"):
                 learner.set({"x.gain": 0.2}, ["x"])
             found["kept"] = settings()
             daemon.send_signal(signal.SIGINT)

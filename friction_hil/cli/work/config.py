@@ -6,7 +6,7 @@ from dataclasses import asdict
 import click
 
 from friction_hil.checked_yaml.text import dump
-from friction_hil.cli.colour import echo_problem
+from friction_hil.cli.colour import echo_problems
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.tables import say
 from friction_hil.config import Configuration, file_problems, json_schema, load, located, missing_models, self_contained
@@ -37,8 +37,7 @@ def check_files(files: Sequence[str], as_json: bool) -> int:
         print_json({"files": found})
     else:
         for file, problems in reports.items():
-            for problem in problems:
-                echo_problem(problem)
+            echo_problems(problems)
             if not problems:
                 click.echo(f"{file}: ok")
                 for note in notes[file]:

@@ -12,7 +12,7 @@ from friction_hil.cli.work.tables import say
 from friction_hil.daemon import learning_words
 from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.control.names import find, running
-from friction_hil.errors import ConfigurationError, FrictionHilError, UsageError, choices
+from friction_hil.errors import MOST_PRINTED, ConfigurationError, FrictionHilError, UsageError, choices
 from friction_hil.numerics.readable import quantity
 
 _UNPROVED = "unknown"
@@ -101,7 +101,7 @@ def _assignment(text: str) -> tuple[str, Any]:
     except ConfigurationError as error:
         raise UsageError(str(error)) from None
     if document.problems:
-        raise UsageError("; ".join(map(str, document.problems)))
+        raise UsageError("; ".join(map(str, document.problems[:MOST_PRINTED])))
     try:
         json.dumps(document.value, allow_nan=False)
     except ValueError:

@@ -91,7 +91,7 @@ def _inside(found: dict[str, Recording], notes: dict[str, list[str]]) -> Configu
         try:
             if not isinstance(content, Mapping):
                 raise ConfigurationError([Problem(str(recording.path), None, "configuration", "is no mapping")])
-            return from_dict(content, f"{recording.path} (configuration inside)")
+            return from_dict(content, f"{recording.path} (configuration inside)", reads_files=False)
         except FrictionHilError as error:
             notes[name].append(f"the configuration inside cannot be used; name one with --config: {error}")
             return None

@@ -178,17 +178,13 @@ class Desk:
         text = request.get("reason", f"{who} set {shown}")
         if not isinstance(text, str):
             raise RefusedError("reason must be a text")
-        if learning is not None and learning.axes:
-            self._watch(learning.process)
         return self._change(values, text, learning)
 
     def take_back(self, why: str) -> None:
         """Take back what is on trial, if anything is: who would judge it has died."""
-        with self._looking:
-            self._state.look()
-        if self._state.has_ended or not self._on_trial():
-            return
         try:
+            with self._looking:
+                self._state.look()
             self._change({}, f"learning: {why}")
         except FrictionHilError as error:
             if not self._state.has_ended:
@@ -199,13 +195,17 @@ class Desk:
         return on_trial(self._journal, self._state.last_change())
 
     def _watch(self, process: int) -> None:
-        """Take back what is on trial when a process dies, however it dies."""
-        if process in self._watched:
-            return
+        """Take back what is on trial when a process dies, however it dies; refuse one that has died already."""
         try:
             descriptor = os.pidfd_open(process)
         except OSError as error:
             raise RefusedError(f"process {process}, which would judge the trial: {error.strerror}") from None
+        has_died = bool(select.select([descriptor], [], [], 0.0)[0])
+        if has_died or process in self._watched:
+            os.close(descriptor)
+            if has_died:
+                raise RefusedError(f"process {process}, which would judge the trial, has died")
+            return
         self._watched.add(process)
         threading.Thread(target=self._await_death, args=(process, descriptor), daemon=True).start()
 
@@ -225,6 +225,10 @@ class Desk:
             former = self._on_trial()
             if learning is not None and learning.upon != self._state.last_change():
                 raise RefusedError("the settings were changed meanwhile")
+            if learning is not None and learning.axes:
+                self._watch(learning.process)  # within the lock: its death is dealt with after this change
+            if not values and (self._state.has_ended or not former):
+                return {}
             if learning is None and former:
                 values = {**values_before(former, values, models_of), **values}
                 text = f"{text}; what was on trial of {', '.join(former)} is taken back"

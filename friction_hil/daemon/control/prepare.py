@@ -19,7 +19,7 @@ from friction_hil.daemon.control.message import AxisChange
 from friction_hil.daemon.static_torque import static_torque
 from friction_hil.daemon.uncertainty import Table, uncertainty_table
 from friction_hil.drive import AxisFacts
-from friction_hil.errors import ConfigurationError, FrictionHilError, OptionError, UsageError, choices
+from friction_hil.errors import MOST_PRINTED, ConfigurationError, FrictionHilError, OptionError, UsageError, choices
 from friction_hil.models.files import load_model_file
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
@@ -113,7 +113,9 @@ def prepare(
     try:
         new = from_dict(wanted, source)
     except ConfigurationError as error:
-        raise UsageError("\n".join(_shortened(str(problem), source) for problem in error.problems)) from None
+        raise UsageError(
+            "\n".join(_shortened(str(problem), source) for problem in error.problems[:MOST_PRINTED])
+        ) from None
     changes: list[AxisChange | None] = []
     for fact in facts:
         after = new.axes[fact.name]
