@@ -18,7 +18,7 @@ from friction_hil_drivers.canopen.units import CanopenUnits
 
 import friction_hil as fh
 from friction_hil.cli import main
-from friction_hil.config import Configuration, load
+from friction_hil.config import Configuration, from_dict, load, self_contained
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode, Request
 from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 
@@ -360,3 +360,58 @@ axes:
       tpdos: {tpdos}
       offset: {{cob_id: 0x501, entries: [0x60B2]}}
 """
+
+
+def _second_axis(folder: Path, mode: Mode, *names: str) -> Configuration:
+    """Axes of node 1: ``x``, and ``y`` as its axis number 1."""
+    values = self_contained(load(machine(folder, mode)))
+    axis = values["axes"]["x"]
+    axes = {"x": axis, "y": {**axis, "axis_number": 1}}
+    return from_dict({**values, "axes": {name: axes[name] for name in names}}, "machine.yaml")
+
+
+def _with_second_axis(mode: Mode) -> list[can.Message]:
+    """The frames of both axes: the second one moves twice as far, on identifiers that the daemon wrote and restored."""
+    frames, _ = session(mode, start=0)
+    pdos = {0x181: (0x1840, 0x381), 0x281: (0x1841, 0x481), 0x201: (0x1440, 0x301)}
+
+    def written(index: int, subindex: int, value: int) -> can.Message:
+        return message(0x601, struct.pack("<BHBI", 0x23, index, subindex, value), 0.0)
+
+    begin = []
+    carried = (*FEEDBACK, COMMANDS[mode])
+    for (index, identifier), entries in zip(pdos.values(), carried, strict=True):
+        begin += [written(index, 1, 1 << 31 | 0x281), written(index + 0x200, 0, 0)]
+        begin += [written(index + 0x200, k, entry.of_axis(1).mapping) for k, entry in enumerate(entries, 1)]
+        begin += [written(index + 0x200, 0, len(entries)), written(index, 1, identifier)]
+    begin += [reported(0x688F, 1, 65536), reported(0x688F, 2, 1), reported(0x6876, 0, 500)]
+    end = [message(0x601, struct.pack("<BHBI", 0x23, 0x1840, 1, 0x181), 2.0)]
+    both = []
+    for frame in frames:
+        both.append(frame)
+        if frame.arbitration_id in pdos:
+            data = bytearray(frame.data)
+            if frame.arbitration_id == 0x181:
+                data[2:6] = struct.pack("<i", 2 * struct.unpack("<i", data[2:6])[0])
+            both.append(message(pdos[frame.arbitration_id][1], bytes(data), frame.timestamp - 1e9))
+    return [*begin, *both, *end]
+
+
+def test_the_axes_of_one_node_are_told_apart(tmp_path: Path, mode: Mode) -> None:
+    log = write(tmp_path / "both.log", _with_second_axis(mode))
+    x, y = fh.recordings.read_all(log, configuration=_second_axis(tmp_path, mode, "x", "y")).values()
+    told = ["the PDOs are decoded by the mapping in the SDO transfers of the log"]
+    assert (x.axis, y.axis, x.problems, y.problems) == ("x", "y", [], told)
+    np.testing.assert_allclose(y["position"], 2.0 * x["position"])
+    assert np.ptp(x["position"]) > 0.0
+    np.testing.assert_array_equal(x["command"], y["command"])
+
+
+def test_frames_of_another_axis_are_not_taken_for_those_of_a_second_one(tmp_path: Path, mode: Mode) -> None:
+    """Without the daemon's connecting, nobody knows the identifiers of a second axis."""
+    log = write(tmp_path / "one.log", session(mode)[0])
+    (x,) = fh.recordings.read_all(log, configuration=_second_axis(tmp_path, mode, "x", "y")).values()
+    assert x.axis == "x"
+    assert any("no frames of axis y: identifiers and mapping that the daemon writes" in each for each in x.problems)
+    with pytest.raises(RecordingError, match=r"no frame of an axis is in it\. Wanted: identifiers and mapping"):
+        fh.recordings.read_all(log, configuration=_second_axis(tmp_path, mode, "y"))

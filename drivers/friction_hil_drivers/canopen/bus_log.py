@@ -39,6 +39,7 @@ class LoggedObjects(ObjectReader):
     def __init__(self, log: FrameLog, axis: str, options: CanopenOptions, path: Path) -> None:
         self.axis = axis
         self.where = f"node {options.node} in {path}"
+        self._number = options.axis_number
         self._dictionary = None if options.eds is None else load_eds(options.eds, options.node)
         self._answers: dict[tuple[int, int], bytes] = {}
         for row in log.rows_of(objects.SDO_RESPONSE_BASE + options.node):
@@ -49,7 +50,7 @@ class LoggedObjects(ObjectReader):
 
     def bytes_of(self, entry: Object) -> bytes | None:
         """Return the content of an object that is in the log, None for others."""
-        return self._answers.get(entry.address)
+        return self._answers.get(entry.of_axis(self._number).address)
 
     def width(self, entry: Object) -> int:
         """Return the width of an object in bits: from the log, else from the EDS, else from the standard."""
@@ -64,7 +65,7 @@ class LoggedObjects(ObjectReader):
         if self._dictionary is None:
             return None
         try:
-            variable = self._dictionary.get_variable(entry.index, entry.subindex)
+            variable = self._dictionary.get_variable(*entry.of_axis(self._number).address)
         except KeyError:
             return None
         return None if variable is None else len(variable)
@@ -105,23 +106,25 @@ def read_bus_log(path: Path, axes: "Mapping[str, AxisConfig]") -> list[Recording
         if mapping is not None
     ]
     if not recordings:
-        wanted = ", ".join(f"{identifier:03X}h ({name})" for name, axis in axes.items() for identifier in _wanted(axis))
+        wanted = ", ".join(f"{_wanted(axis)} ({name})" for name, axis in axes.items())
         reasons = "".join(f"; {problem}" for problem in log.problems)
         raise RecordingError(
             f"{path}: no frame of an axis is in it. Wanted: {wanted}; there are: {_identifiers(log)}{reasons}"
         )
     missing = [name for name in axes if name not in {recording.axis for recording in recordings}]
     for recording in recordings:
-        recording.problems += [f"there are no frames of axis {name}" for name in missing]
+        recording.problems += [f"there are no frames of axis {name}: {_wanted(axes[name])}" for name in missing]
     return recordings
 
 
-def _wanted(axis: "AxisConfig") -> list[int]:
-    """Return the identifiers of which one shows that an axis is in the log."""
+def _wanted(axis: "AxisConfig") -> str:
+    """Return the identifiers of which one shows that an axis is in the log, in words."""
     options = canopen_options(axis)
     if options.sidecar is not None:
-        return [pdo.cob_id for pdo in options.sidecar.tpdos]
-    return [PdoRecord(False, 0, options.node).identifier]
+        return ", ".join(f"{pdo.cob_id:03X}h" for pdo in options.sidecar.tpdos)
+    if options.axis_number:
+        return "identifiers and mapping that the daemon writes for a further axis of a node, which are not in the log"
+    return f"{PdoRecord(False, 0, options.node).identifier:03X}h"
 
 
 def _identifiers(log: FrameLog) -> str:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 OWN = "that this driver sets up"
 _DOWNLOADS = {0x2F: 1, 0x2B: 2, 0x27: 3, 0x23: 4}  # expedited, by the bytes of the value
 _UPLOADS = {0x4F: 1, 0x4B: 2, 0x47: 3, 0x43: 4}
+_NO_COB_ID = -1  # of no frame
 _PDOS = 4  # of each direction
 _MOST_OBJECTS = 8
 _MOST_WORDS = 32  # different statuswords in a log
@@ -111,19 +112,21 @@ def mappings(
         given += [(f"RPDO {n}", pdo) for n, pdo in enumerate((*options.sidecar.rpdos, options.sidecar.offset), 1)]
         return [LogMapping(tuple(_stated(name, pdo) for name, pdo in given), "of sidecar in the configuration")]
     found = []
-    logged = tuple(_logged(log, options.node))
+    node, axis = options.node, options.axis_number
+    logged = tuple(_logged(log, node, axis))
     if any(pdo.name.startswith("TPDO") for pdo in logged):
         return [LogMapping(logged, "in the SDO transfers of the log")]
     pairs = [
-        *((PdoRecord(False, number, options.node), entries) for number, entries in enumerate(FEEDBACK)),
-        (PdoRecord(True, 0, options.node), COMMANDS[mode]),
+        *((PdoRecord(False, number, node, axis), entries) for number, entries in enumerate(FEEDBACK)),
+        (PdoRecord(True, 0, node, axis), COMMANDS[mode]),
     ]
     own = tuple(
-        LoggedPdo(record.name, record.identifier, tuple((entry, access.width(entry) or 0) for entry in entries))
+        LoggedPdo(record.name, identifier, tuple((entry, access.width(entry) or 0) for entry in entries))
         for record, entries in pairs
+        if (identifier := record.default_identifier) is not None  # a second axis of a node has none
     )
     found.append(LogMapping(own, OWN, is_assumed=True))
-    if dictionary is not None and (of_eds := tuple(_of_eds(dictionary, options.node))):
+    if dictionary is not None and (of_eds := tuple(_of_eds(dictionary, node, axis))):
         found.append(LogMapping(of_eds, f"of the EDS {options.eds}", is_assumed=True))
     return found
 
@@ -132,16 +135,19 @@ def _stated(name: str, pdo: SidecarPdo) -> LoggedPdo:
     return LoggedPdo(name, pdo.cob_id, _entries(mapping_words(pdo)))
 
 
-def _entries(words: Iterable[int]) -> tuple[tuple[Object | None, int], ...]:
-    return tuple((objects.TABLE.get((word >> 16, word >> 8 & 0xFF)), word & 0xFF) for word in words)
+def _entries(words: Iterable[int], axis: int = 0) -> tuple[tuple[Object | None, int], ...]:
+    return tuple(
+        (objects.TABLE.get((objects.first_axis_index(word >> 16, axis), word >> 8 & 0xFF)), word & 0xFF)
+        for word in words
+    )
 
 
-def _logged(log: FrameLog, node: int) -> Iterator[LoggedPdo]:
+def _logged(log: FrameLog, node: int, axis: int) -> Iterator[LoggedPdo]:
     """Yield the PDOs whose mapping was read or written while the log was made, each as it was for the most frames."""
     transfers = _transfers(log, node)
     for is_receive in (False, True):
         for number in range(_PDOS):
-            record = PdoRecord(is_receive, number, node)
+            record = PdoRecord(is_receive, number, node, axis)
             own = [each for each in transfers if each[1] in (record.mapping(0).index, record.cob_id.index)]
             candidates = [pdo for pdo in _in_force(record, own, len(log.times)) if pdo.frames(log).size]
             if candidates:
@@ -164,7 +170,7 @@ def _transfers(log: FrameLog, node: int) -> list[tuple[int, int, int, int]]:
 def _in_force(record: PdoRecord, transfers: Sequence[tuple[int, int, int, int]], end: int) -> Iterator[LoggedPdo]:
     """Yield each mapping of a PDO that was complete for a while."""
     words: dict[int, int] = {}
-    cob_id = record.identifier
+    cob_id = record.default_identifier or _NO_COB_ID
     began, current = 0, tuple[int, ...]()
     for row, index, subindex, value in [*transfers, (end, 0, 0, 0)]:
         before = (cob_id, current)
@@ -177,22 +183,23 @@ def _in_force(record: PdoRecord, transfers: Sequence[tuple[int, int, int, int]],
             current = tuple(words[place] for place in range(1, count + 1)) if is_complete else ()
         if (cob_id, current) != before or index == 0:
             if before[1]:
-                yield LoggedPdo(record.name, before[0], _entries(before[1]), began, row)
+                yield LoggedPdo(record.name, before[0], _entries(before[1], record.axis), began, row)
             began = row
 
 
-def _of_eds(dictionary: "ObjectDictionary", node: int) -> Iterator[LoggedPdo]:
+def _of_eds(dictionary: "ObjectDictionary", node: int, axis: int) -> Iterator[LoggedPdo]:
     """Yield the PDOs that an EDS or DCF maps."""
     for is_receive in (False, True):
         for number in range(_PDOS):
-            record = PdoRecord(is_receive, number, node)
+            record = PdoRecord(is_receive, number, node, axis)
             count = _value_in(dictionary, record.mapping(0)) or 0
             if not 0 < count <= _MOST_OBJECTS:
                 continue
             words = [_value_in(dictionary, record.mapping(place)) or 0 for place in range(1, count + 1)]
             given = _value_in(dictionary, record.cob_id)
             if all(words) and not (given or 0) & objects.PDO_INVALID:
-                yield LoggedPdo(record.name, (given or record.identifier) & 0x7FF, _entries(words))
+                cob_id = (given or 0) & 0x7FF or record.default_identifier or _NO_COB_ID
+                yield LoggedPdo(record.name, cob_id, _entries(words, axis))
 
 
 def _value_in(dictionary: "ObjectDictionary", entry: Object) -> int | None:
