@@ -29,7 +29,11 @@ _PORT = 8080
     help="Address at which the page is served. Beyond loopback, reading needs the token too.",
 )
 @click.option(
-    "--allow-host", "allow_hosts", multiple=True, metavar="NAME", help="Let browsers call the page by this name too."
+    "--allow-host",
+    "allow_hosts",
+    multiple=True,
+    metavar="NAME",
+    help="Let browsers call page and WebSocket by this name too, and the WebSocket from its pages.",
 )
 @click.option(
     "--token-file",

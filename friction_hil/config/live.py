@@ -28,7 +28,7 @@ class LiveConfig(Section):
         "address at which the page is served; beyond loopback, reading needs the token too", default=HOST, min_length=1
     )
     allow_hosts: list[str] = key(
-        "further names by which browsers may call the page, e.g. that of this machine", default=[]
+        "further names by which browsers may call page and WebSocket, and whose pages may use the WebSocket", default=[]
     )
     token_file: Path | None = key(
         "file with the token that changes need, relative to the directory in which 'run' starts; made if it is not "

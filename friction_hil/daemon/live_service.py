@@ -56,5 +56,5 @@ def _arguments(name: str, config: LiveConfig, token: int) -> Sequence[str]:
     if config.dashboard is not None:
         file = f"/proc/self/fd/{token}" if config.token_file is None else str(config.token_file)
         words += ["--port", str(config.dashboard), "--host", config.host, "--token-file", file]
-        words += [word for each in config.allow_hosts for word in ("--allow-host", each)]
+    words += [word for each in config.allow_hosts for word in ("--allow-host", each)]
     return words

@@ -1,6 +1,7 @@
 """Writing and removing the files of a service."""
 
 import os
+import shlex
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -80,6 +81,7 @@ def install(name: str, configuration: Path, root: Path, executable: str, *, over
         raise UsageError(f"{folder} exists already; --force replaces the service {name}, another name keeps it")
     document = yaml_text.read(configuration).value
     _check_recordings(checked)
+    secret = {folder / each for each in _named_files(_secrets(document), configuration.parent)}
     texts: dict[Path, bytes] = {
         root / UNITS / files.UNIT: files.unit(executable, f"/{CONFIGURATIONS}").encode(),
         root / UDEV_RULES: files.UDEV_RULES.encode(),
@@ -96,12 +98,12 @@ def install(name: str, configuration: Path, root: Path, executable: str, *, over
         former.unlink()
         done.removed.append(former)
     for path, text in texts.items():
-        _write(path, text)
+        _write(path, text, is_secret=path in secret)
         done.written.append(path)
     load(folder / "config.yaml")  # the copy has what it needs
-    _carry_out(
-        done, root, ["systemd-sysusers", "udevadm control --reload", "udevadm trigger", "systemctl daemon-reload"]
-    )
+    own = [f"chown {files.USER}: {shlex.quote(str(path))}" for path in sorted(secret)]  # its user is there by then
+    commands = ["udevadm control --reload", "udevadm trigger", "systemctl daemon-reload"]
+    _carry_out(done, root, ["systemd-sysusers", *own, *commands])
     return done
 
 
@@ -242,15 +244,25 @@ def _drop_in(root: Path, name: str) -> Path:
     return root / UNITS / f"friction-hil@{name}.service.d" / "devices.conf"
 
 
-def _write(path: Path, text: bytes) -> None:
+def _secrets(document: dict[str, Any]) -> Any:
+    """Return what names files that nobody but the service may read."""
+    live = document.get("live")
+    return live.get("token_file") if isinstance(live, dict) else None
+
+
+def _write(path: Path, text: bytes, *, is_secret: bool) -> None:
+    """Write a file that everybody may read, or the service alone; a secret never has a wider mode, not for a moment."""
     try:
         before = os.umask(0o022)  # the service, which is another user, reads them
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         finally:
             os.umask(before)
-        path.write_bytes(text)
-        path.chmod(0o644)
+        path.unlink(missing_ok=True)  # whoever has opened the former one does not see this one
+        mode = 0o600 if is_secret else 0o644
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+            os.fchmod(file.fileno(), mode)  # whatever the umask is
+            file.write(text)
     except PermissionError:
         raise UsageError(f"{path}: no permission to write; run this command with sudo") from None
     except OSError as error:
@@ -269,7 +281,7 @@ def _carry_out(done: Installation, root: Path, commands: list[str]) -> None:
         done.to_run += commands
         return
     for command in commands:
-        result = subprocess.run(command.split(), capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
+        result = subprocess.run(shlex.split(command), capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
         if result.returncode:
             raise UsageError(f"{command} failed with status {result.returncode}: {result.stderr.strip()}")
         done.commands.append(command)

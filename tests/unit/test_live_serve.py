@@ -11,6 +11,7 @@ import pytest
 
 from friction_hil.cli import main
 from friction_hil.cli.work import live
+from friction_hil.live.web import app, hub
 from friction_hil.live.web import serve as serving
 from friction_hil.live.web.feed import Feed
 from friction_hil.live.web.serve import Serving, serve
@@ -134,6 +135,43 @@ def test_a_stop_has_a_place_whatever_others_do_with_theirs(folder, sent):  # noq
 
     with beside(work, ending):
         serve(Serving("mill", port, None, "127.0.0.1", (), TOKEN), ending, lambda line: None)
+
+
+def streamed(port):
+    """The status of the answer to a page that opens."""
+    with socket.create_connection(("127.0.0.1", port), timeout=20.0) as client:
+        client.sendall(b"GET /api/stream HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        return int(client.recv(100).split()[1])
+
+
+@pytest.mark.parametrize("buffer", [2304, 16_384])
+def test_pages_that_read_nothing_give_their_places_to_others(folder, monkeypatch, buffer):  # noqa: F811
+    """All places are taken by clients that read nothing of what the server sends without end; the time is shortened."""
+    monkeypatch.setattr(app, "_MOST_SEND_S", 0.2)
+    port, ending, daemon = free_port(), threading.Event(), Daemon()
+    daemon.serve()
+
+    def work():
+        until(lambda: asked(port, "/"))
+        with contextlib.ExitStack() as stack:
+            for _ in range(hub._MOST_CLIENTS):
+                client = stack.enter_context(socket.socket())
+                client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
+                client.connect(("127.0.0.1", port))
+                client.sendall(b"GET /api/stream HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            until(lambda: streamed(port) == 503)
+            sent = 0
+            while streamed(port) == 503:
+                daemon.push(100)
+                sent += 1
+                time.sleep(0.02)
+                assert sent < 1000  # a few seconds of rows, and not the minutes that large buffers hold
+
+    try:
+        with beside(work, ending):
+            serve(Serving("mill", port, None, "127.0.0.1", (), TOKEN), ending, lambda line: None)
+    finally:
+        daemon.end()
 
 
 def test_a_page_beyond_loopback_is_read_with_the_token_only_and_says_how_it_is_reached(folder):  # noqa: F811

@@ -17,6 +17,7 @@ from friction_hil.cli import main
 from friction_hil.daemon.control.names import is_name
 from friction_hil.daemon.notify import NotifyingSink, ServiceManager
 from friction_hil.errors import ConfigurationError, UsageError
+from friction_hil.live.web.token import token_of
 from friction_hil.service import files, install, remove
 from friction_hil.service.install import services
 from friction_hil.service.state import parse
@@ -93,6 +94,28 @@ def test_a_service_has_unit_devices_user_and_a_copy_of_what_it_needs(configurati
         remove("table", root)
     assert remove("other", root).kept == [data]
     assert [path for path in root.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o022, 0o077])
+def test_nobody_else_reads_the_copy_of_a_token(configuration, tmp_path, umask):
+    values = yaml.safe_load(configuration.read_text())
+    values["live"] = {"dashboard": 8080, "token_file": "mill.token"}
+    configuration.write_text(yaml.safe_dump(values))
+    (tmp_path / "mill.token").write_text("abcdefghijklmnopqrstuvwxyz\n")
+    (tmp_path / "mill.token").chmod(0o600)
+    folder, before = tmp_path / "root/etc/friction-hil/table", os.umask(umask)
+    try:
+        installed(tmp_path / "root", configuration)
+        (folder / "mill.token").chmod(0o644)  # as an earlier version has left it
+        with (folder / "mill.token").open() as opened_before:
+            done = installed(tmp_path / "root", configuration, overwrite=True)
+            assert not os.path.samestat(os.fstat(opened_before.fileno()), (folder / "mill.token").stat())
+    finally:
+        os.umask(before)
+    modes = {path.name: path.stat().st_mode & 0o777 for path in done.written}
+    assert modes == dict.fromkeys(modes, 0o644) | {"mill.token": 0o600}
+    assert token_of(folder / "mill.token") == "abcdefghijklmnopqrstuvwxyz"
+    assert f"chown friction-hil: {folder / 'mill.token'}" in done.to_run
 
 
 def test_a_daemon_may_be_called_as_its_service(configuration, tmp_path):

@@ -32,8 +32,8 @@ def live(
     socket_path(name)  # a wrong name is reported at once
     if port is not None:
         _require("the page")
-    elif host != HOST or allow_hosts or token_file is not None:
-        raise UsageError("--host, --allow-host and --token-file are for the page: give --port too")
+    elif host != HOST or token_file is not None:
+        raise UsageError("--host and --token-file are for the page: give --port too")
     if foxglove is not None:
         _require("the Foxglove WebSocket")
     from friction_hil.live.web.serve import Serving, serve  # imported here: the extras may be missing

@@ -1,11 +1,12 @@
 """Foxglove WebSocket: each cycle of each axis as in an MCAP recording, and events as log messages.
 
-The protocol knows no token and clients call from pages of any origin, so it is served on loopback alone, and nothing
-can be changed through it. The library serves each client in threads of its own, and drops the oldest messages of one
+The protocol knows no token, so it is served on loopback alone, to those that `door.py` lets in, and nothing can be
+changed through it. The library serves each client in threads of its own, and drops the oldest messages of one
 that cannot follow.
 """
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from foxglove import Channel, Context, Schema, start_server
@@ -15,6 +16,8 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from friction_hil.errors import UsageError
 from friction_hil.live import LiveFacts, Reading
+from friction_hil.live.web.door import Door, hidden_host
+from friction_hil.live.web.gate import Gate
 from friction_hil.recordings import mcap_format as layout
 from friction_hil.recordings.columns import TIME
 
@@ -31,6 +34,8 @@ class FoxgloveFeed:
     ----------
     port : int
         0 for any that is free.
+    names : collection of str
+        Host names by which it may be called, and whose pages may connect.
 
     Attributes
     ----------
@@ -42,16 +47,20 @@ class FoxgloveFeed:
         The port cannot be used.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, names: Collection[str] = ()) -> None:
         self._context = Context()
+        host = hidden_host()
+        self._server = start_server(
+            name="friction_hil", host=host, port=0, context=self._context, message_backlog_size=_BACKLOG
+        )
         try:
-            self._server = start_server(
-                name="friction_hil", host=HOST, port=port, context=self._context, message_backlog_size=_BACKLOG
-            )
-        except (OSError, RuntimeError) as error:
-            text = f"the Foxglove WebSocket cannot be served at {HOST}:{port}: {error}"
+            gate = Gate("", frozenset(name.lower() for name in names), is_reading_free=True)
+            self._door = Door(HOST, port, (host, self._server.port), gate)
+        except OSError as error:
+            self._server.stop()
+            text = f"the Foxglove WebSocket cannot be served at {HOST}:{port}: {error.strerror or error}"
             raise UsageError(text, "take another port with --foxglove") from None
-        self.port = self._server.port
+        self.port = self._door.port
         self._channels: dict[str, Channel] = {}
         self._events: LogChannel | None = None
         self._stride = 1
@@ -97,6 +106,7 @@ class FoxgloveFeed:
 
     def close(self) -> None:
         """End the server."""
+        self._door.close()
         self._server.stop()
 
     def _unix_ns(self, time_s: float) -> int:

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Callable
 from typing import Any, TypeAlias
 
 _MOST_CLIENTS = 16
-_MOST_WAITING = 60  # messages for one client: about five seconds of them
+_MOST_WAITING = 60  # messages for one client
 _ALIVE_S = 1.0  # after which something is sent in any case
 _Queue: TypeAlias = "asyncio.Queue[tuple[int, bytes] | None]"  # None: the client is dropped
 

@@ -17,6 +17,7 @@ from friction_hil.printable import printable
 
 _LOOK_S = 0.1
 _MOST_CONNECTIONS = 64
+_SEND_BUFFER = 16384  # bytes in the kernel, for each connection
 _MOST_HEAD = 16384  # bytes of a request's head
 _MOST_HEAD_S = 10.0  # until the first request of a connection is there
 _END_S = 1  # for connections that are open when the server ends
@@ -35,7 +36,7 @@ class Serving:
     host : str
         Address of the page.
     allow_hosts : tuple of str
-        Further names by which the page may be called.
+        Further names by which the page and the WebSocket may be called; the WebSocket by their pages too.
     token : str
     token_file : Path or None
         File in which the user finds the token; None: it is printed.
@@ -64,7 +65,7 @@ def serve(serving: Serving, ending: threading.Event, report: Callable[[str], Non
         if serving.foxglove is not None:
             from friction_hil.live.web.foxglove_feed import HOST, FoxgloveFeed  # imported here: it is an extra
 
-            foxglove = FoxgloveFeed(serving.foxglove)
+            foxglove = FoxgloveFeed(serving.foxglove, (*serving.allow_hosts, socket.gethostname()))
             stack.callback(foxglove.close)
         if listening is not None:
             _announce_page(serving, listening, report)
@@ -131,7 +132,10 @@ async def _serve_page(
             return not waits, self.last_s if waits else -self.last_s  # pages and what takes long stay
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            # small buffers: a page that reads nothing is noticed when they are full
+            transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
             super().connection_made(transport)
+            transport.set_write_buffer_limits(high=0)
             self.last_s = self.loop.time()
             if len(self.connections) > _MOST_CONNECTIONS:
                 others = [each for each in self.connections if isinstance(each, Connection) and each is not self]

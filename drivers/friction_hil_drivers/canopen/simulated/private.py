@@ -77,6 +77,7 @@ def _with_drive(axis: "AxisConfig") -> "AxisConfig":
 
 
 def _filled(part: Any, **values: Any) -> Any:
-    """Return a section with ``values`` that are not None in place of those that the user has not given."""
-    new = {name: value for name, value in values.items() if value is not None and name not in part.model_fields_set}
+    """Return a section with ``values`` that are not None in place of those that the user has not given, or as null."""
+    given = {name for name in part.model_fields_set if getattr(part, name) is not None}
+    new = {name: value for name, value in values.items() if value is not None and name not in given}
     return part.model_copy(update=new)

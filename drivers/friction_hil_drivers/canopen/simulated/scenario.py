@@ -106,7 +106,8 @@ class Event(BaseModel):
     @model_validator(mode="after")
     def _check_fields(self) -> Self:
         needed, optional = _FIELDS[self.do]
-        given = self.model_fields_set - {"at_s", "do", "for_s"}
+        own = {"at_s", "do", "for_s"}
+        given = {name for name in type(self).model_fields if name not in own and getattr(self, name) is not None}
         if missing := [name for name in needed if name not in given]:
             raise ValueError(f"{self.do} needs {', '.join(missing)}")
         if extra := sorted(given - {*needed, *optional}):
