@@ -73,7 +73,11 @@ class Learner:
 
     Attributes
     ----------
+    belief : Belief
+        What is known now.
     figures : Figures
+    rows_per_tick : int
+        Number of rows that `take` expects.
     notes : list of str
         What is to be reported; whoever reports it removes it.
     """
@@ -94,19 +98,20 @@ class Learner:
     ) -> None:
         self._is_gain_fixed = is_gain_fixed
         self._period_s, self._resolution, self._least_gain = period_s, resolution, gain
-        self._belief: Belief = first_belief(model, mechanics, standard_errors)
+        self.belief: Belief = first_belief(model, mechanics, standard_errors)
         self._has_layer, self._residual = has_layer, Residual(model)
         self._is_turn_of_layer = False  # parameters and layer take turns
         self._finding: Finding | None = None  # what the last window shows of a residual layer
-        self._file = self._used = self._kept = self._former = Used(self._belief.x, gain, self._belief.coordinates)
+        self._file = self._used = self._kept = self._former = Used(self.belief.x, gain, self.belief.coordinates)
         self._motions = Motions(self._file, _FIRST_PAUSE, period_s)
         self._resumed: Used | None = None
         self._misled = 0  # ticks in which the model file explained the torque better, one after the other
         self._record = Record(period_s, resolution)
+        self.rows_per_tick = self._record.rows_per_tick
         self._fresh = 0  # ticks that no estimate has used yet
         self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
         self._trial: Trial | None = None
-        self._owed: Used | None = None  # what to go back to: that it should be was refused
+        self._owed: Used | None = None  # what to go back to, which was refused
         self._is_back = False  # the last proposal went back
         self._estimate: Estimate | None = None
         self._usual = 0.0  # torque that the estimate leaves unexplained, N m
@@ -118,11 +123,6 @@ class Learner:
         self.figures = Figures(gain=gain, family=FamilyFigures(model.name, model.name))
         self._has_families, self._families = has_families, Families(self.figures.family)
         self.notes: list[str] = []
-
-    @property
-    def rows_per_tick(self) -> int:
-        """Number of rows that `take` expects."""
-        return self._record.rows_per_tick
 
     def pause(self, reason: str) -> Proposal | None:
         """Forget the rows so far, after some that are not to be learned from; return what is taken back therefore."""
@@ -153,13 +153,13 @@ class Learner:
         is_fixed = self._is_gain_fixed or self._least_gain > 1.0
         gain = self._least_gain if is_fixed else min(max(gain, self._least_gain), 1.0)
         if model is not None:
-            self._resumed = replace(self._families.add(model, self._belief), gain=gain)
+            self._resumed = replace(self._families.add(model, self.belief), gain=gain)
             return
-        x = self._belief.x.copy()
-        names = self._belief.coordinates.names
-        x[: len(names)] = self._belief.coordinates.inverse(parameters)
-        self._belief = replace(self._belief, x=x)
-        self._resumed = Used(x, gain, self._belief.coordinates)
+        x = self.belief.x.copy()
+        names = self.belief.coordinates.names
+        x[: len(names)] = self.belief.coordinates.inverse(parameters)
+        self.belief = replace(self.belief, x=x)
+        self._resumed = Used(x, gain, self.belief.coordinates)
 
     @property
     def proven(self) -> tuple[dict[str, float], float, dict[str, Any] | None]:
@@ -196,9 +196,7 @@ class Learner:
 
     def refuse(self) -> None:
         """Take note that the last proposal was not handed over; what is in force unproven is taken back next."""
-        back = self._used if self._is_back else self._former
-        if self._trial is not None:
-            back = self._trial.former
+        back = self._trial.former if self._trial is not None else self._used if self._is_back else self._former
         self._owed = None if back is self._former else back
         if self._trial is None and self._owed is None:
             self._motions.now.used = self._former
@@ -206,11 +204,6 @@ class Learner:
             self._wait(math.inf)
         self._trial = None
         self._use(self._former)
-
-    @property
-    def belief(self) -> Belief:
-        """What is known now."""
-        return self._belief
 
     def take(
         self, rows: Mapping[str, Array], *, is_in_force: bool = True, may_estimate: bool = True
@@ -220,14 +213,14 @@ class Learner:
         They are older than the last change unless ``is_in_force``. Unless ``may_estimate``, the next estimate waits.
         """
         tick = {name: np.asarray(rows[name]) for name in COLUMNS}
-        self._belief = self._belief.older(_DRIFT, TICK_S)
+        self.belief = self.belief.older(_DRIFT, TICK_S)
         recent = [*list(self._record.ticks)[1 - oddity.FROZEN_TICKS :], tick]
-        if (reason := oddity.broken(joined(recent), self._belief.coordinates.model.level)) is not None:
+        if (reason := oddity.broken(joined(recent), self.belief.coordinates.model.level)) is not None:
             return self._stop(reason)
         if self._motions.take(tick["position_demand"], tick["velocity_demand"]):
             return self._change_motion()
-        own = None if self._estimate is None else replace(self._used, x=self._belief.x)
-        if reason := self._record.oddity(tick, self._same - self._settling, own, self._belief, self._usual):
+        own = None if self._estimate is None else replace(self._used, x=self.belief.x)
+        if reason := self._record.oddity(tick, self._same - self._settling, own, self.belief, self._usual):
             return self._stop(reason)
         self._record.ticks.append(tick)
         self._fresh += 1
@@ -254,7 +247,7 @@ class Learner:
 
     def _size(self, length: float) -> str:
         """Return a position or an error in words."""
-        return quantity(length, "rad" if self._belief.coordinates.model.axis == "rotary" else "m")
+        return quantity(length, "rad" if self.belief.coordinates.model.axis == "rotary" else "m")
 
     def _refine(self) -> None:
         """Refine the belief by the last window."""
@@ -262,18 +255,18 @@ class Learner:
         warm_s = self._record.warm_s
         if not any(np.any(tick["velocity_demand"]) for tick in self._record.ticks):
             return
-        window = self._record.window(self._used.layer, self._belief.model)
+        window = self._record.window(self._used.layer, self.belief.model)
         if self._has_families:
-            self._families.look(window, self._belief, self._resolution, warm_s)
+            self._families.look(window, self.belief, self._resolution, warm_s)
         try:
-            found = refine(window, self._belief, self._resolution, warm_s, self._residual_torque)
+            found = refine(window, self.belief, self._resolution, warm_s, self._residual_torque)
         except NUMERICAL:
             return
-        self._estimate, self._belief, self._residual_torque = found, found.belief, found.residual
-        self._usual = rms(self._record.unexplained(replace(self._used, x=self._belief.x), self._belief)[WARM_TICKS:])
-        self.figures.errors = self._belief.errors
+        self._estimate, self.belief, self._residual_torque = found, found.belief, found.residual
+        self._usual = rms(self._record.unexplained(replace(self._used, x=self.belief.x), self.belief)[WARM_TICKS:])
+        self.figures.errors = self.belief.errors
         if self._has_layer:
-            left = left_over(self._record.window(), self._belief, self._resolution, warm_s)
+            left = left_over(self._record.window(), self.belief, self._resolution, warm_s)
             self._finding = self._residual.look(left, self._used.layer)
 
     def _propose(self) -> Proposal | None:
@@ -281,8 +274,8 @@ class Learner:
         if self._estimate is None or self._same < WINDOW_TICKS or self._motions.now.ranges is None:
             return None
         before, now = self._record.work(self._same - self._settling), self._motions.now
-        level = self._belief.coordinates.model.level
-        refined = self._belief.shown(self._used.x)
+        level = self.belief.coordinates.model.level
+        refined = self.belief.shown(self._used.x)
         other = replace(self._used, x=refined)
         if now.rest and before.rms <= _WORSE * now.refused_error and not self._is_another(other, now.refused):
             now.rest -= 1
@@ -302,7 +295,7 @@ class Learner:
         # more torque than the friction will be makes an axis swing, which the torque of now does not show
         is_less = falls > 0.0 or not (is_other or gain > self._used.gain)
         if not is_less and not self._record.promises(
-            self._belief, replace(tried, gain=max(gain, self._used.gain)), self._used
+            self.belief, replace(tried, gain=max(gain, self._used.gain)), self._used
         ):
             self._is_gain_doubted = False
             return None
@@ -324,10 +317,8 @@ class Learner:
 
     def _is_another(self, found: Used, refused: Used | None) -> bool:
         """Return True if parameters are others than those that were refused: friction has changed since then."""
-        if refused is None:
-            return False
-        former, found_now = self._record.torques(refused, found)
-        return rms(found_now - former) > _OTHER * self._belief.coordinates.model.level
+        limit = _OTHER * self.belief.coordinates.model.level
+        return refused is not None and rms(np.subtract(*self._record.torques(refused, found))) > limit
 
     def _propose_layer(self) -> Proposal | None:
         """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
@@ -344,8 +335,8 @@ class Learner:
             return None
         tried = replace(self._used, layer=found.layer)
         if found.x is not None:
-            tried = replace(tried, x=replace(self._belief, x=found.x).shown(self._used.x))
-            if not self._record.promises(self._belief, tried, self._used):
+            tried = replace(tried, x=replace(self.belief, x=found.x).shown(self._used.x))
+            if not self._record.promises(self.belief, tried, self._used):
                 return None
         self._residual.was_tried(found, self._used.layer, figures, before.rms)
         return self._try(Step.LAYER, tried, before, found.text)
@@ -367,12 +358,12 @@ class Learner:
         At least that of the configuration, and 1 at most: more than the friction would drive the axis.
         """
         assert self._estimate is not None
-        level = self._belief.coordinates.model.level
+        level = self.belief.coordinates.model.level
         doubt = math.hypot(self._estimate.torque_error, self._estimate.residual) / level
         return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
 
     def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:
-        self._trial = Trial(step, tried, before, self._used, self._record.left(self._belief, self._used)[0], text)
+        self._trial = Trial(step, tried, before, self._used, self._record.left(self.belief, self._used)[0], text)
         self._is_turn_of_layer = step is not Step.LAYER
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
@@ -386,8 +377,8 @@ class Learner:
 
     def _use(self, to: Used) -> None:
         """Take note of what the compensator has; what is known of parameters is then that of its family."""
-        if to.coordinates is not self._belief.coordinates:
-            self._belief, self._estimate = self._families.swap(self._belief, to.coordinates), None
+        if to.coordinates is not self.belief.coordinates:
+            self.belief, self._estimate = self._families.swap(self.belief, to.coordinates), None
         self._used, self._same = to, 0
         self.figures.gain, self.figures.family.in_use = to.gain, to.family
 
@@ -403,7 +394,7 @@ class Learner:
         if not trial.is_whole:
             if trial.ticks < self._first_ticks:
                 return None
-            if (both := no_help(error, self._record.expected(self._belief, trial), self._period_s)) is not None:
+            if (both := no_help(error, self._record.expected(self.belief, trial), self._period_s)) is not None:
                 shown, part = " -> ".join(map(self._size, both)), "a third of " * (trial.step is not Step.FAMILY)
                 return self._take_back(f"error {shown} with {part}the change")
             trial.is_whole = True
@@ -416,12 +407,12 @@ class Learner:
         after = self._record.work(self._same - self._settling)
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
-        expected = self._record.expected(self._belief, trial)
+        expected = self._record.expected(self.belief, trial)
         why = objection(after, expected, self._resolution)
         shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
         if expected is not trial.before:
             shown += f" (without the change {self._size(expected.rms)} by now)"
-        if why and not (why == CHANCE and self._record.explains_more(self._belief, trial.tried, trial.former)):
+        if why and not (why == CHANCE and self._record.explains_more(self.belief, trial.tried, trial.former)):
             return self._take_back(f"error {shown}: {why}")
         self._trial, self._kept = None, trial.tried
         self._motions.keep(trial.tried)
@@ -490,7 +481,7 @@ class Learner:
         self._record.ticks.clear()
         self._motions.interrupt()
         self._estimate = None
-        self._belief = self._belief.doubted()
+        self.belief = self.belief.doubted()
         self._families.doubt()
         if is_layered := self._motions.drop_layers():  # their phase is lost where the position has jumped
             self._residual.end(self.figures.layer)
@@ -501,8 +492,8 @@ class Learner:
         if self._trial is not None or self._used.has_model_of(self._file) or len(self._record.ticks) < WARM_TICKS + 1:
             return None
         ticks = list(self._record.ticks)[-WARM_TICKS - 1 :]
-        used, file = (self._record.unexplained(each, self._belief, ticks)[-1] for each in (self._used, self._file))
-        level = self._belief.coordinates.model.level
+        used, file = (self._record.unexplained(each, self.belief, ticks)[-1] for each in (self._used, self._file))
+        level = self.belief.coordinates.model.level
         self._misled = self._misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
         if self._misled < _MISLED_TICKS:
             return None
