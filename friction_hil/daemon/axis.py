@@ -247,6 +247,11 @@ class AxisLoop:
             self._temperature_notices = TemperatureNotices(self.name, self.compensator, self._period_s)
 
     @property
+    def may_reset_fault(self) -> bool:
+        """True if the fault in which the drive is found is to be reset when the axis is enabled."""
+        return self._fault_reset.is_open
+
+    @property
     def is_first_motion_due(self) -> bool:
         """True if the unit of the velocity target is still to be confirmed by a first motion."""
         return self._first_motion is not None and not self._first_motion.is_done

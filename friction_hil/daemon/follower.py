@@ -111,6 +111,11 @@ class FollowerAxis(AxisLoop):
         self._faded_s = 0.0  # time for which the compensation has been enabled
         self._drive_notice = _DriveNotice(name, period_s)
 
+    def begin_again(self) -> None:
+        """Prepare for another time of compensation, which begins without it as the first one did."""
+        super().begin_again()
+        self._baseline_left_s, self._faded_s = self._configured_baseline_s, 0.0
+
     def enter_path(self) -> None:
         """Do nothing: the path is another controller's."""
 

@@ -135,7 +135,8 @@ class RunControl:
         for axis, heard in zip(self._axes, feedback, strict=True):
             if not heard.is_fresh or not heard.is_reachable:
                 return f"{axis.name}: the state of the drive is unknown: nothing was read back in this cycle"
-            if heard.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+            is_reset = heard.state is DriveState.FAULT and axis.may_reset_fault
+            if heard.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE) and not is_reset:
                 reason = heard.error or "it reports no error code"
                 return f"{axis.name}: the drive is in fault: {reason}; remove the cause and reset it first"
             try:

@@ -358,26 +358,32 @@ class FaultReset:
     ----------
     is_wanted : bool
         True if the user asked for it (``--reset-fault``).
+
+    Attributes
+    ----------
+    is_open : bool
+        The permission is still given.
     """
 
-    __slots__ = ("_is_open",)
+    __slots__ = ("_until_s", "is_open")
 
     def __init__(self, is_wanted: bool) -> None:
-        self._is_open = is_wanted
+        self.is_open = is_wanted
+        self._until_s = math.nan
 
     def take(self, feedback: Feedback) -> None:
         """Take one cycle's feedback: once the drive has no fault, the permission ends."""
         if feedback.is_fresh and feedback.state in _WITHOUT_FAULT:
-            self._is_open = False
+            self.is_open = False
 
     def is_due(self, feedback: Feedback, state: LoopState, time_s: float) -> bool:
         """Return True if the drive's fault is to be reset in this cycle."""
-        return (
-            self._is_open
-            and state in _NOT_YET_ENABLED
-            and feedback.state is DriveState.FAULT
-            and time_s < _FAULT_RESET_S
-        )
+        if state not in _NOT_YET_ENABLED:  # `run --wait`: its time begins once somebody starts the axes
+            self._until_s = math.nan
+            return False
+        if math.isnan(self._until_s):
+            self._until_s = time_s + _FAULT_RESET_S
+        return self.is_open and feedback.state is DriveState.FAULT and time_s < self._until_s
 
 
 _WITHOUT_FAULT = (

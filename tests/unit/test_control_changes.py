@@ -368,6 +368,31 @@ def test_a_stop_takes_the_power_of_a_drive_that_a_waiting_daemon_found_with_powe
     assert run.result.drive_states == [DriveState.SWITCH_ON_DISABLED]
 
 
+@pytest.mark.parametrize("is_wanted", [True, False])
+def test_a_waiting_daemon_resets_the_fault_that_it_found_only_on_the_users_word(is_wanted):
+    """`run --wait --reset-fault`: however late somebody starts the axes, and only once."""
+
+    class Found(Changed):
+        def before(self, drives):
+            if drives.cycle in (0, 1900):
+                drives.states[0] = DriveState.FAULT
+            super().before(drives)
+
+    plan = {1500: Action.START, 2200: Action.START}
+    run = Found(configuration(x=quick()), plan, until=2300, is_waiting=True, is_fault_reset_wanted=is_wanted)
+    requests = {cycle for cycle, command in enumerate(run.drives.commands[0]) if command.request is Request.RESET_FAULT}
+    drive = run.column("drive_state")
+    assert run.answers[-1][1] != ""
+    if not is_wanted:
+        assert "it has a fault" in run.answers[0][1]
+        assert not requests
+        return
+    assert run.answers[0][1] == ""
+    assert requests <= set(range(1500, 1510))
+    assert np.all(drive[1550:1890] == DriveState.OPERATION_ENABLED)
+    assert not np.any(drive[1910:] == DriveState.OPERATION_ENABLED)
+
+
 def test_a_stop_before_the_last_start_proves_nothing_about_the_power_now():
     def breaks(cycle, feedback):
         if cycle == 400:

@@ -158,6 +158,25 @@ def test_a_stop_and_a_start_at_the_control_socket_fade_the_offset_and_leave_the_
     assert set(machine.states) == {ENABLED}
 
 
+def test_a_sidecar_that_is_started_again_begins_without_compensation_again():
+    mailbox = MailboxReader(room(1))
+    writer = MailboxWriter(mailbox.descriptor)
+    asked = {900: Action.STOP, 1300: Action.START}
+
+    def disturb(cycle, heard):
+        if cycle in asked:
+            writer.post(pack(Change(cycle, asked[cycle])))
+
+    machine = Machine(disturb=disturb)
+    config = configuration(compensation={"fade_s": 0.1, "baseline_s": 0.7})
+    result, _sink, axis = run(machine, config=config, mailbox=mailbox, duration_s=1.5)
+    assert result.faults == []
+    assert max(map(abs, machine.sent[800:900])) > 0.05
+    assert set(machine.sent[1100:2000]) == {0.0}  # 0.7 s from the start on
+    assert max(map(abs, machine.sent[2100:2500])) > 0.05
+    assert axis.following_errors.figures(Condition.WITHOUT).counted > 0.1 / PERIOD_S
+
+
 def test_gravity_is_left_to_the_master_whose_loops_carry_it_already():
     """Nor would the fade-out ever end: it waits for an offset of zero."""
     mechanics = {"inertia": 2e-4, "torque_lag_s": 3e-4, "offset": 0.1, "gravity": {"constant": 0.05, "sine": 0.1}}
