@@ -78,6 +78,8 @@ class AxisLoop:
         Its computation has failed: it gets no torque any more.
     taken_back : str
         Why the compensation was taken back in this run; empty if it was not.
+    lacks_demand : bool
+        Another controller moves the axis, and no demanded position has been heard of it so far.
     """
 
     # slots here and in its parts: with a __dict__, the deep copy that warms the caches would be laid out differently,
@@ -115,6 +117,7 @@ class AxisLoop:
         "gaps",
         "is_broken",
         "is_stopped_by_gaps",
+        "lacks_demand",
         "lead_s",
         "load_errors",
         "motion",
@@ -164,6 +167,7 @@ class AxisLoop:
         self.following_errors = FollowingErrors(period_s, path_time.ramp_s, motion_s)
         self._worsening = WorseningJudge(period_s, motion_s, facts.position_resolution)
         self.taken_back = self._news = ""
+        self.lacks_demand = False
         self.stale_cycles = 0  # without usable feedback
         self.gaps = FeedbackGaps()
         self._has_offset = config.compensation.transmission is not None
@@ -194,6 +198,7 @@ class AxisLoop:
         self.state_width = sum(state.size for state in self._states)
         self.row_width = row_width(shadow_names) + self.state_width
         self._command.compile()
+        self.following_errors.compile()
         for one in (self.compensator, *self.shadows.values()):
             one.compile()
 
@@ -375,11 +380,13 @@ class AxisLoop:
             if running_s < self._baseline_s and compensator.is_faded_out:
                 condition = _WITHOUT
             error = setpoint.position - position
-            if self.following_errors.take(condition, error, missed, is_usable):
+            velocity, acceleration = inputs.velocity_demand, inputs.acceleration_demand_ahead
+            if self.following_errors.take(condition, error, missed, is_usable, velocity, acceleration):
                 self._judge(condition, inputs, error)
             if self.load_errors is not None:
                 error = inputs.position_demand - load_position
-                self.load_errors.take(condition, error, missed, is_usable and math.isfinite(error))
+                is_known = is_usable and math.isfinite(error)
+                self.load_errors.take(condition, error, missed, is_known, velocity, acceleration)
             if self._follow_check is not None:
                 take = self._follow_check.take
                 for _ in range(missed):

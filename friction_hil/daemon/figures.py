@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from friction_hil.compensator import Compensator, adaptation
+from friction_hil.daemon.delay_fit import DelaySums
 from friction_hil.friction.network_model import beyond_speed
 
 _LONGEST_GAP = 10_000  # cycles; a longer one is a fault in any configuration
@@ -87,6 +88,11 @@ class AxisFigures:
         The same of the load, against the path; None where it has no encoder.
     taken_back : str
         What the compensation was taken back for; empty if it was not.
+    configured_delay, delay : float
+        Periods until the drive's demand equals a set-point: as configured, and as the errors fit it, which are then
+        given without it; NaN where they show no other one.
+    lacks_demand : bool
+        Another controller moves the axis, and no demanded position was heard of it.
     """
 
     unit: str
@@ -98,6 +104,9 @@ class AxisFigures:
     bridged_reasons: dict[str, int] = field(default_factory=dict)
     load: "AxisFigures | None" = None
     taken_back: str = ""
+    configured_delay: float = math.nan
+    delay: float = math.nan
+    lacks_demand: bool = False
 
     @property
     def reduction(self) -> Figures | None:
@@ -117,6 +126,7 @@ class _Part:
     left_out: int = 0
     square: float = 0.0
     peak: float = 0.0
+    sums: DelaySums = field(default_factory=DelaySums)
 
     def add(self, other: "_Part") -> None:
         """Add the cycles of another part, which may follow at any time."""
@@ -125,6 +135,7 @@ class _Part:
         self.left_out += other.left_out
         self.square += other.square
         self.peak = max(self.peak, other.peak)
+        self.sums.join(other.sums)
 
 
 class _Parts:
@@ -174,6 +185,7 @@ class FollowingErrors:
         "_recovery",
         "_settle",
         "_square",
+        "_sums",
     )
 
     def __init__(self, period_s: float, start_s: float, motion_s: float) -> None:
@@ -190,12 +202,25 @@ class FollowingErrors:
         # of the period that has not ended yet: plain numbers, because every cycle adds to them
         self._count = self._left_out = 0
         self._square = self._peak = 0.0
+        self._sums = DelaySums()
+
+    def compile(self) -> None:
+        """Compile the kernel that `take` runs."""
+        DelaySums().add(0.0, 0.0, 0.0)
 
     def anew(self) -> "FollowingErrors":
         """Return an accumulator for another motion of the same kind."""
         return FollowingErrors(*self._given)
 
-    def take(self, condition: Condition, error: float, missed: int, is_usable: bool) -> bool:
+    def take(
+        self,
+        condition: Condition,
+        error: float,
+        missed: int,
+        is_usable: bool,
+        velocity: float = 0.0,
+        acceleration: float = 0.0,
+    ) -> bool:
         """Take one cycle of the motion; return True if it counts as settled.
 
         Parameters
@@ -207,6 +232,8 @@ class FollowingErrors:
             Number of periods between the cycle before and this one.
         is_usable : bool
             True if the feedback of this cycle is fresh.
+        velocity, acceleration : float
+            Demanded, SI, from which a delay of the demand follows; a velocity of 0 shows none.
         """
         self._cycle = cycle = self._cycle + 1 + missed
         if condition is not self._condition:
@@ -222,6 +249,8 @@ class FollowingErrors:
         if is_counted:
             self._count += 1
             self._square += error * error
+            if velocity:
+                self._sums.add(error, velocity * self._given[0], acceleration)
             if error > self._peak:
                 self._peak = error
             elif -error > self._peak:
@@ -254,7 +283,8 @@ class FollowingErrors:
             self._period_begin = end
 
     def _take_sum(self, end: float) -> _Part:
-        part = _Part(self._period_begin, end, self._count, self._left_out, self._square, self._peak)
+        part = _Part(self._period_begin, end, self._count, self._left_out, self._square, self._peak, self._sums)
+        self._sums = DelaySums()
         self._count = self._left_out = 0
         self._square = self._peak = 0.0
         return part
@@ -268,14 +298,29 @@ class FollowingErrors:
         kept = [len(self._parts[each].last) for each in (Condition.WITHOUT, Condition.WITH)]
         return list(found.last)[-min(kept) :] if all(kept) else [found.whole]
 
-    def figures(self, condition: Condition) -> ConditionFigures | None:
-        """Return the figures of a condition, after the last cycle; None if no cycle of it counts."""
+    def _total(self, condition: Condition) -> _Part:
         total = _Part(math.inf, -math.inf)
         for part in self._counted(condition):
             total.add(part)
+        return total
+
+    def delay(self, configured: float) -> float:
+        """Return by how many periods the drive's demand is later than the ``configured`` ones; 0 if nothing shows it.
+
+        After the last cycle. Where there is compensation, its errors show it: friction hides less there.
+        """
+        totals = [self._total(each) for each in (Condition.WITH, Condition.WITHOUT)]
+        return next((each.sums.delay(configured) for each in totals if each.count), 0.0)
+
+    def figures(self, condition: Condition, delay: float = 0.0) -> ConditionFigures | None:
+        """Return the figures of a condition without a delay, periods, after the last cycle; None if no cycle counts."""
+        total = self._total(condition)
         if not total.count:
             return None
-        return ConditionFigures(math.sqrt(total.square / total.count), total.peak, total.count, total.left_out)
+        rms, peak = math.sqrt(total.square / total.count), total.peak
+        if delay:
+            rms, peak = total.sums.rms(delay), total.sums.peak(delay)
+        return ConditionFigures(rms, peak, total.count, total.left_out)
 
     def intervals(self, condition: Condition) -> list[tuple[int, int]]:
         """Return the first cycle of what counts, from the begin of the motion, and the first one after it."""

@@ -86,7 +86,7 @@ class FollowerAxis(AxisLoop):
     Its following error counts while the drive operates. The motion is the other controller's: its period is not known.
     """
 
-    __slots__ = ("_baseline_left_s", "_demand", "_drive_notice", "_faded_s")
+    __slots__ = ("_baseline_left_s", "_demand", "_drive_notice", "_faded_s", "_has_demand")
 
     supervisor: FollowerSupervisor
 
@@ -108,6 +108,7 @@ class FollowerAxis(AxisLoop):
         self._worsening = WorseningJudge(period_s, math.inf, facts.position_resolution)
         self._demand = DemandEstimator(period_s, facts.setpoint_delay_s, self.lead_s)
         self._baseline_left_s = config.compensation.baseline_s
+        self._has_demand = False
         self._faded_s = 0.0  # time for which the compensation has been enabled
         self._drive_notice = _DriveNotice(name, period_s)
 
@@ -189,7 +190,11 @@ class FollowerAxis(AxisLoop):
         elif is_counted and self.compensator.is_faded_out:
             condition = Condition.WITHOUT
         error = inputs.position_demand - inputs.position
-        if self.following_errors.take(condition, error, missed, inputs.is_fresh and math.isfinite(error)):
+        is_known = inputs.is_fresh and math.isfinite(error)
+        self._has_demand = self._has_demand or is_known
+        self.lacks_demand = not self._has_demand and (self.lacks_demand or (is_counted and inputs.is_fresh))
+        velocity, acceleration = inputs.velocity_demand, inputs.acceleration_demand_ahead
+        if self.following_errors.take(condition, error, missed, is_known, velocity, acceleration):
             self._judge(condition, inputs, error)
 
 

@@ -180,7 +180,7 @@ def run_session(
         unit = "rad" if configuration.axes[axis.name].model.axis == "rotary" else "m"
         if notice := adaptation_notice(axis.name, unit, axis.compensator):
             result.notices.append(notice)
-    figures = {axis.name: _figures(axis, configuration.axes[axis.name]) for axis in axes}
+    figures = {axis.name: _figures(axis, configuration.axes[axis.name], configuration.period_s) for axis in axes}
     return SessionResult(result, figures, recorded, learned)
 
 
@@ -367,24 +367,29 @@ def _close(drives: Drives, report: Callable[[str], None]) -> None:
         report(line)
 
 
-def _figures(axis: AxisLoop, config: "AxisConfig") -> AxisFigures:
+def _figures(axis: AxisLoop, config: "AxisConfig", period_s: float) -> AxisFigures:
     """Return the figures of the axis, with those of its load where that has an encoder."""
     return replace(
-        _figures_of(axis.following_errors, axis, config),
+        _figures_of(axis.following_errors, axis, config, period_s),
         bridged=axis.gaps.bridged,
         bridged_reasons=axis.gaps.reasons,
-        load=None if axis.load_errors is None else _figures_of(axis.load_errors, axis, config),
+        load=None if axis.load_errors is None else _figures_of(axis.load_errors, axis, config, period_s),
     )
 
 
-def _figures_of(errors: FollowingErrors, axis: AxisLoop, config: "AxisConfig") -> AxisFigures:
+def _figures_of(errors: FollowingErrors, axis: AxisLoop, config: "AxisConfig", period_s: float) -> AxisFigures:
+    configured = axis.setpoint_delay_s / period_s
+    later = 0.0 if config.mode == "cst" else errors.delay(configured)  # in cst no set-point is sent
     return AxisFigures(
         unit="rad" if config.model.axis == "rotary" else "m",
-        without=errors.figures(Condition.WITHOUT),
-        compensated=errors.figures(Condition.WITH),
+        without=errors.figures(Condition.WITHOUT, later),
+        compensated=errors.figures(Condition.WITH, later),
         is_comparable=config.trajectory.kind not in ("experiment", "multisine", "sequence"),
         stale=axis.stale_cycles,
         taken_back=axis.taken_back,
+        configured_delay=configured,
+        delay=configured + later if later else math.nan,
+        lacks_demand=axis.lacks_demand,
     )
 
 

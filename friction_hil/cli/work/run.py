@@ -126,6 +126,7 @@ def _axis_summary(figures: "AxisFigures") -> dict[str, Any]:
         "compensated": _condition(figures.compensated),
         "reduction": None if figures.reduction is None else asdict(figures.reduction),
         "taken_back": figures.taken_back or None,
+        "setpoint_delay_cycles": {"configured": figures.configured_delay, "fitted": figures.delay},
         "stale": figures.stale,
         "bridged": figures.bridged,
         "bridged_reasons": figures.bridged_reasons,
@@ -197,8 +198,20 @@ def _print_errors(axes: "dict[str, AxisFigures]", configuration: "Configuration"
             of = left_out + sum(each.counted for each in counted)
             reason = "a period was missed or feedback was late"
             say(f"{name}: {left_out} of {of} cycles are left out: {reason}", stderr=False)
+        if math.isfinite(figures.delay):
+            say(f"{name}: {_delay_text(figures)}", stderr=False)
         if hint := _hint(figures, configuration.axes[name]):
             say(f"{name}: {hint}", stderr=False)
+
+
+def _delay_text(figures: "AxisFigures") -> str:
+    """Say which delay of the set-points the following error fits."""
+    whole, _, part = f"{figures.delay:.2f}".partition(".")
+    fit = f"{whole}.{part.rstrip('0') or '0'}"
+    return (
+        "the following error is in proportion to the speed, which is a delay of the set-points, not friction: it fits "
+        f"{fit} periods; setpoint_delay_cycles: {fit} (now {figures.configured_delay:g}). Compared without it"
+    )
 
 
 def _hint(figures: "AxisFigures", axis: "AxisConfig") -> str:
@@ -210,6 +223,8 @@ def _hint(figures: "AxisFigures", axis: "AxisConfig") -> str:
         return ""
     if figures.without is not None and figures.compensated is not None:
         return f"a motion of kind {trajectory.kind} does not repeat itself, so that the two do not compare"
+    if figures.lacks_demand:
+        return f"no position demand in {axis.mode}: no following error can be given"
     if figures.without is None and figures.compensated is None:
         return f"nothing to compare: the run ended before the motion was steady, {SETTLE_S:g} s after its ramp"
     if not given.enabled:
