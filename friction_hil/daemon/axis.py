@@ -123,6 +123,7 @@ class AxisLoop:
         "motion",
         "name",
         "row_width",
+        "setpoint_age_s",
         "setpoint_delay_s",
         "shadow_names",
         "shadows",
@@ -147,7 +148,7 @@ class AxisLoop:
         self.name = name
         self._period_s, self._unit = period_s, unit
         self.lead_s = lead_s(config.model, facts, period_s)
-        self.setpoint_delay_s = facts.setpoint_delay_s
+        self.setpoint_delay_s, self.setpoint_age_s = facts.setpoint_delay_s, facts.setpoint_age_s
         self.shadow_names = list(shadow_names)
         self.compensator = make_compensator(config, config.model, facts, period_s)
         self.shadows = make_shadows(config, facts, period_s)

@@ -378,8 +378,10 @@ def _figures(axis: AxisLoop, config: "AxisConfig", period_s: float) -> AxisFigur
 
 
 def _figures_of(errors: FollowingErrors, axis: AxisLoop, config: "AxisConfig", period_s: float) -> AxisFigures:
-    configured = axis.setpoint_delay_s / period_s
-    later = 0.0 if config.mode == "cst" else errors.delay(configured)  # in cst no set-point is sent
+    age_s = axis.setpoint_age_s
+    configured = (axis.setpoint_delay_s + (age_s or 0.0)) / period_s
+    # in cst no set-point is sent
+    later = 0.0 if config.mode == "cst" or age_s is None else errors.delay(configured)
     return AxisFigures(
         unit="rad" if config.model.axis == "rotary" else "m",
         without=errors.figures(Condition.WITHOUT, later),

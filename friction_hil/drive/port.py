@@ -134,6 +134,9 @@ class AxisFacts:
         Units of the drive, for the table before anything is enabled.
     has_load_encoder : bool
         `Feedback.load_position` is filled.
+    setpoint_age_s : float, optional
+        Part of the key ``setpoint_delay_cycles`` that has passed when `Feedback.position_demand` is heard; None: that
+        is the drive's own demand, which no key delays.
     takes_torque : bool
         False: the drive has nothing by which it takes a torque in this mode, and runs without compensation.
     """
@@ -150,6 +153,7 @@ class AxisFacts:
     units: tuple[UnitRow, ...] = ()
     has_load_encoder: bool = False
     takes_torque: bool = True
+    setpoint_age_s: float | None = 0.0
 
 
 class Clock(Protocol):

@@ -165,11 +165,12 @@ class SidecarDrives:
         assert options.sidecar is not None  # the options have checked it
         mode = Mode[config.mode.upper()]
         units = _units(options)
-        delay_cycles = 0.0
+        delay_cycles, age_s = 0.0, None
         if demand_object(options.sidecar) is objects.TARGET_POSITION:
             given = options.setpoint_delay_cycles
             # the sidecar uses a set-point one cycle later
             delay_cycles = (SETPOINT_CYCLES[mode] if given is None else given) - 1.0
+            age_s = period_s
         actuation_cycles = _REAL_ACTUATION_CYCLES if self._clock.is_real else _STEPPED_ACTUATION_CYCLES
         facts = AxisFacts(
             name=name,
@@ -177,6 +178,7 @@ class SidecarDrives:
             position_resolution=1.0 / abs(units.counts_per_unit),
             torque_resolution=abs(units.rated_torque) / PER_MILLE,
             setpoint_delay_s=delay_cycles * period_s,
+            setpoint_age_s=age_s,
             actuation_delay_s=actuation_cycles * period_s,
             notes=(*self._sending(options.sidecar), *_notes(options.sidecar), *_frozen(config)),
             torque_delay_s=0.0 if _has(options.sidecar, objects.TORQUE_ACTUAL) else None,
