@@ -17,6 +17,7 @@ _COUNT = round(2.0 * _REACH / _STEP) + 1
 _TERMS = 5  # error; way in a period, direction, acceleration, constant
 _LEAST = 0.05  # periods: less is no finding
 _MOST_ALIKE = 50.0  # 1 / (1 - R^2) of the way, explained by direction, acceleration and constant
+_ALIKE = 0.15  # periods
 _MOST_LEFT = 0.5  # of the square of the error, if a delay is to explain it
 _LONGEST = 10.0  # periods that can be configured
 
@@ -74,6 +75,10 @@ class DelaySums:
         if inverse[0, 0] > _MOST_ALIKE:  # one speed in both directions: friction would look the same
             return 0.0
         found = float((inverse @ (self.moments[1:, 0] / scale) / scale)[0])
+        # what is left of friction after reversals pulls at the other terms: where both agree, the plain fit is closer
+        m = self.moments
+        plain = float((m[0, 1] - m[0, 4] * m[1, 4] / m[4, 4]) / (m[1, 1] - m[1, 4] ** 2 / m[4, 4]))
+        found = plain if abs(plain - found) <= _ALIKE else found
         is_clear = _LEAST <= abs(found) <= _REACH and self._left(found) < _MOST_LEFT * self._left(0.0)
         return found if is_clear and 0.0 <= configured + found <= _LONGEST else 0.0
 

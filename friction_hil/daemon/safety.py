@@ -369,7 +369,7 @@ class FaultReset:
 
     def __init__(self, is_wanted: bool) -> None:
         self.is_open = is_wanted
-        self._until_s = math.nan
+        self._until_s = _FAULT_RESET_S
 
     def take(self, feedback: Feedback) -> None:
         """Take one cycle's feedback: once the drive has no fault, the permission ends."""
