@@ -18,7 +18,15 @@ from tools.benchmarks import exchange, export, health, latency, loop, models, ne
 from tools.benchmarks.report import Row, compare, percentile, show
 
 PROJECT = Path(__file__).parents[2]
-SHELL_TOOLS = (".ci/run", "tools/demo", "tools/test", "tools/bench", "tools/campaign", "tools/_environment")
+SHELL_TOOLS = (
+    ".ci/run",
+    "tools/demo",
+    "tools/test",
+    "tools/bench",
+    "tools/campaign",
+    "tools/mutants",
+    "tools/_environment",
+)
 CANDIDATES = ("python3", "python3.11", "python3.12", "python3.13", "python3.14")
 
 # Stands in for python3 where an environment is made: puts the interpreter below into it.

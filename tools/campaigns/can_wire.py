@@ -23,10 +23,11 @@ from tools.campaigns.witness import Witness
 
 SYNC = 0x080
 CONTROLWORD, STATUSWORD, TARGET_TORQUE, TORQUE_OFFSET = 0x6040, 0x6041, 0x6071, 0x60B2
-POSITION, TARGET_POSITION = 0x6064, 0x607A
+POSITION, TARGET_POSITION, TARGET_VELOCITY = 0x6064, 0x607A, 0x60FF
 _RPDOS = (0x200, 0x300, 0x400, 0x500)
 _TORQUES = (TARGET_TORQUE, TORQUE_OFFSET)
 _BUFFER_BYTES = 4 << 20
+_SO_TIMESTAMPNS, _STAMP = 35, struct.Struct("@qq")  # asm-generic/socket.h; timespec
 _PATIENCE_S = 0.02  # for the answer to a question of the campaign
 
 
@@ -59,6 +60,7 @@ class _End:
         self._receiver.bind((bus.group, bus.port))
         member = struct.pack("@4sI", socket.inet_aton(bus.group), socket.INADDR_ANY)
         self._receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+        self._receiver.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self._receiver.setblocking(False)
 
     def fileno(self) -> int:
@@ -68,13 +70,13 @@ class _End:
         """Return the next frame of somebody else; None if there is none."""
         while True:
             try:
-                data, source = self._receiver.recvfrom(4096)
+                data, told, _, source = self._receiver.recvmsg(4096, socket.CMSG_SPACE(_STAMP.size))
             except BlockingIOError:
                 return None
             if source[1] != self._own_port:
                 with contextlib.suppress(Exception):  # a datagram that is no frame
                     message = unpack_message(data, check=True)
-                    return Frame(time.monotonic(), message.arbitration_id, bytes(message.data), message.is_remote_frame)
+                    return Frame(_arrived_s(told), message.arbitration_id, bytes(message.data), message.is_remote_frame)
 
     def send(self, frame: Frame) -> None:
         message = can.Message(
@@ -129,6 +131,7 @@ class CanWire:
         self._turns = turns
         self._recorder = Recorder(grace=1 << 30)
         self._known: dict[int, list[int]] = {}  # mappings by identifier, kept over a reboot of the drive
+        self._torques: dict[int, dict[int, int]] = {}  # node: objects that make its torque
         self._due: list[tuple[float, int, str, Frame]] = []
         self._number = itertools.count()
         self._asked: dict[int, tuple[int, bytes, float]] = {}  # node: index, request, time
@@ -194,19 +197,26 @@ class CanWire:
                 witness.emergencies.append(code)
             return
         values = self._values(frame)
-        torque = next((values[index] for index in _TORQUES if index in values), None)
+        torque = self._torque(node, values)
         if of_daemon and function in _RPDOS and not values:
             witness.unread += 1
-        if of_daemon:
+        if of_daemon and (torque is not None or CONTROLWORD in values):
             controlword = values.get(CONTROLWORD, witness.controlword)
-            if torque is not None:
-                witness.command(frame.time_s, float(torque), controlword)
-            elif CONTROLWORD in values:
-                witness.controlword = controlword
-        elif torque is not None and function == 0x600:  # a master on the drives' bus writes it
-            witness.took(frame.time_s, float(torque))
+            position, velocity = values.get(TARGET_POSITION), values.get(TARGET_VELOCITY)
+            witness.command(frame.time_s, torque, controlword, position, velocity)
+        elif torque is not None and function in (0x580, 0x600):  # the drive says it, or a master on its bus writes it
+            witness.took(frame.time_s, torque)
+        if not of_daemon and POSITION in values:
+            witness.feedback(frame.time_s, values[POSITION])
         if not of_daemon and STATUSWORD in values:
             witness.status(frame.time_s, values[STATUSWORD])
+
+    def _torque(self, node: int, values: dict[int, int]) -> float | None:
+        """Return the torque of a drive: target and offset, of which one may be written or read at a time."""
+        known = self._torques.setdefault(node, {})
+        given = {index: values[index] for index in _TORQUES if index in values}
+        known.update(given)
+        return float(sum(known.values())) if given else None
 
     def _values(self, frame: Frame) -> dict[int, int]:
         """Return the objects in a PDO or an expedited SDO transfer, by index."""
@@ -306,6 +316,17 @@ class CanWire:
         """Leave both buses."""
         self._daemon.close()
         self._drives.close()
+
+
+def _arrived_s(told: list[tuple[int, int, bytes]]) -> float:
+    """Return when the kernel took a datagram, on the campaign's clock: this process may look later."""
+    now_s = time.monotonic()
+    for level, kind, data in told:
+        if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS):
+            seconds, ns = _STAMP.unpack(data[: _STAMP.size])
+            arrived_s: float = seconds + 1e-9 * ns
+            return now_s - max(0.0, time.time() - arrived_s)
+    return now_s
 
 
 def _number(index: int, data: bytes) -> int:

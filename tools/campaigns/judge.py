@@ -20,6 +20,7 @@ _NAMES_MISSED = re.compile(r"; \d+ periods? (was|were) missed ")
 _FROM_GAPS = ("FH-107", "FH-108")
 _NAMES_GAPS = re.compile(r"; feedback was missing in \d+ of the \d+ cycles before")
 _BUSY = (_LATE, "FH-101", "FH-103", "FH-114", "FH-230", "FH-235", "FH-248")  # daemon or drives were
+_SAYS_TORQUE = re.compile(r"torque offset|FH-222|FH-128")  # what was not set to zero
 _ROWS_LOST = re.compile(r"rows?\b.*\blost\b|\blost\b.*\brows?\b")
 _POWERED = {state.words for state in DriveState if state.is_powered}
 
@@ -76,7 +77,7 @@ def judge(fault: Fault, seen: Seen) -> Verdict:
     if unread := seen.witness.unread:
         verdict.unsafe.append(f"{unread} commands could not be read, and were not judged")
     if fault.killed != "drives" or seen.drives_status != -signal.SIGKILL:
-        _judge_end(seen, verdict)
+        _judge_end(fault, seen, verdict)
     _judge_exit(fault, seen, faults, verdict)
     _judge_cause(fault, seen, faults, verdict)
     _judge_rows(fault, seen, verdict)
@@ -85,13 +86,15 @@ def judge(fault: Fault, seen: Seen) -> Verdict:
     return verdict
 
 
-def _judge_end(seen: Seen, verdict: Verdict) -> None:
+def _judge_end(fault: Fault, seen: Seen, verdict: Verdict) -> None:
     """Judge the end that the drive shows, and that the daemon claims."""
     witness = seen.witness
     if seen.arena == SIDECAR:
         if witness.zero_since_s is None:
             verdict.unsafe.append(f"an offset of {witness.torque:g} per mille is left in the drive")
         return
+    if witness.zero_since_s is None and fault.killed != "daemon" and not _SAYS_TORQUE.search(seen.errors):
+        verdict.unsafe.append(f"a torque of {witness.torque:g} per mille is left in the drive, and nobody says so")
     claimed = str(seen.result.get("drive_states", {}).get("x", ""))
     first, is_claimed_off = seen.end_statusword, claimed and claimed not in (*_POWERED, DriveState.UNKNOWN.words)
     if is_claimed_off and first is not None and is_powered(first):  # also if its watchdog has taken it since

@@ -19,6 +19,11 @@ RATED_TORQUE = 0.64  # N m
 COUNTS = 1 << 20  # per revolution
 MAX_MISSED = 20
 TORQUE, TORQUE_SLEW = 0.2, 10.0  # N m, N m/s: both are reached at a reversal
+GAIN = 0.9
+SPEED = 12.0  # rad/s
+# rad/s^2, of the set-points: (2 pi 1.6 Hz)^2 times 0.4 rad by the sine, as much by its ramp, and twice for what the
+# position controller of csv adds to it
+ACCELERATION = 160.0
 PERIODS_S = {CAN: 5e-3, SIDECAR: 5e-3, SERIAL: 1e-2}
 WATCHDOG_S = 0.2  # of the serial drive
 OFFSET_ID, FEEDBACK_ID, MODE_ID, TARGET_ID = 0x501, 0x181, 0x281, 0x201
@@ -80,7 +85,7 @@ def make_machine(folder: Path, arena: str, mode: str, events: list[dict[str, Any
         arena,
         mode,
         period_s,
-        Limits(1e3 * TORQUE / RATED_TORQUE, 1e3 * TORQUE_SLEW * period_s / RATED_TORQUE),
+        _limits(mode, period_s),
         paths[0],
         paths[1],
         daemon_bus,
@@ -88,6 +93,18 @@ def make_machine(folder: Path, arena: str, mode: str, events: list[dict[str, Any
         daemon_line,
         drive_line,
         folder / "disk" / "run.mcap",
+    )
+
+
+def _limits(mode: str, period_s: float) -> Limits:
+    counts = COUNTS / math.tau
+    return Limits(
+        1e3 * TORQUE / RATED_TORQUE,
+        1e3 * TORQUE_SLEW * period_s / RATED_TORQUE,
+        period_s,
+        SPEED * counts,
+        ACCELERATION * counts,
+        math.inf if mode == "cst" else 1e3 * GAIN * _FRICTION["coulomb"] / RATED_TORQUE,
     )
 
 
@@ -99,13 +116,13 @@ def _axis(arena: str, mode: str, events: list[dict[str, Any]], line: Path, rando
         "mode": mode,
         "rated_torque": RATED_TORQUE,
         "counts_per_unit": COUNTS / math.tau,
-        "limits": {"torque": TORQUE, "torque_slew": TORQUE_SLEW, "velocity": 12.0, "following_error": 1.0},
+        "limits": {"torque": TORQUE, "torque_slew": TORQUE_SLEW, "velocity": SPEED, "following_error": 1.0},
         "model": {
             "axis": "rotary",
             "friction": {"model": "lugre", "parameters": dict(_FRICTION)},
             "mechanics": {"inertia": 1.7e-4, "torque_lag_s": 3.45e-4},
         },
-        "compensation": {"gain": 0.9, "fade_s": 0.1},
+        "compensation": {"gain": GAIN, "fade_s": 0.1},
         "trajectory": {**path, "ramp_s": 0.15},
     }
     simulation: dict[str, Any] = {"encoder": {"counts": COUNTS}, "motor": {"rated_torque": RATED_TORQUE}}

@@ -18,6 +18,7 @@ from tools.campaigns.disturbance import TO_DAEMON, TO_DRIVE, Disturbance
 from tools.campaigns.witness import Witness
 
 STATUS, POSITION, TORQUE_COMMAND, CONTROL, MODE = 0x0000, 0x0003, 0x0102, 0x0105, 0x0106
+VELOCITY_COMMAND, POSITION_COMMAND = 0x0100, 0x0103  # two registers each
 READ, WRITE_ONE, WRITE, READ_WRITE = 3, 6, 16, 23
 _LENGTHS = {READ: (8, None), WRITE_ONE: (8, 8), WRITE: (None, 8), READ_WRITE: (None, None)}  # request, reply
 _PATIENCE_S = 0.05
@@ -108,6 +109,7 @@ class SerialWire:
         self._due: list[tuple[float, int, str, bytes]] = []
         self._number = itertools.count()
         self.disturbances: list[Disturbance] = []
+        self._looked_s = 0.0
         self.frozen: bytes | None = None  # position that the daemon goes on seeing
         self.is_freezing = False
         self.jump = 0
@@ -120,7 +122,11 @@ class SerialWire:
         """Pass on what has arrived or becomes due within ``timeout_s``."""
         if self._due:
             timeout_s = max(0.0, min(timeout_s, self._due[0][0] - time.monotonic()))
+        began_s = time.monotonic()
+        if began_s - self._looked_s > _STALE_S:  # telegrams that wait are of different times
+            self._witness.forget_times()
         ready, _, _ = select.select([self._master, self._drive], [], [], timeout_s)
+        self._looked_s = time.monotonic()
         for descriptor in (self._master, self._drive):
             data = b""
             if descriptor in ready:
@@ -160,10 +166,11 @@ class SerialWire:
             if controlword is not None and controlword & 0x0F in (0x06, 0x07, 0x0F):
                 self.began_s = now_s if self.began_s is None else self.began_s
             self.cycles += self.began_s is not None
-            torque = struct.unpack(">h", struct.pack(">H", values[TORQUE_COMMAND]))[0]
-            self._witness.command(now_s, float(torque), controlword)
+            torque = float(struct.unpack(">h", struct.pack(">H", values[TORQUE_COMMAND]))[0])
+            position, velocity = (_long(values, at) for at in (POSITION_COMMAND, VELOCITY_COMMAND))
+            self._witness.command(now_s, torque, controlword, position, velocity)
         elif CONTROL in values:
-            self._witness.controlword = controlword
+            self._witness.command(now_s, None, controlword)
         self._pass(TO_DRIVE, self._turned_request(telegram))
 
     def _reply(self, telegram: bytes) -> None:
@@ -183,7 +190,10 @@ class SerialWire:
                 at = 3 + 2 * (STATUS - self._read_from)
                 self._witness.status(time.monotonic(), struct.unpack_from(">H", telegram, at)[0])
             if self._read_from <= POSITION <= self._read_from + count - 2:
-                telegram = self._turned_reply(telegram, 3 + 2 * (POSITION - self._read_from))
+                at = 3 + 2 * (POSITION - self._read_from)
+                telegram = self._turned_reply(telegram, at)
+                if crc(telegram[:-2]) == telegram[-2:]:
+                    self._witness.feedback(time.monotonic(), struct.unpack_from(">i", telegram, at)[0])
         self._pass(TO_DAEMON, telegram)
 
     def _written(self, telegram: bytes) -> dict[int, int]:
@@ -276,3 +286,11 @@ class SerialWire:
         """Close both lines."""
         for descriptor in (self._master, self._slave, self._drive):
             os.close(descriptor)
+
+
+def _long(values: dict[int, int], address: int) -> int | None:
+    """Return what two registers hold together; None where they are not written."""
+    if not {address, address + 1} <= set(values):
+        return None
+    long: int = struct.unpack(">i", struct.pack(">HH", values[address], values[address + 1]))[0]
+    return long

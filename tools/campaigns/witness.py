@@ -1,16 +1,30 @@
 """What the frames on the wire say of one axis: torque and its steps, power, and when each of them ended.
 
 The wire decodes frames; the witness sees values alone, so that CAN and serial lines are judged by the same rules.
-Torque is in per mille of the rated torque as on the wire, time in seconds of the campaign's clock.
+Torque is in per mille of the rated torque and positions in counts as on the wire, time in seconds of the campaign's
+clock.
+
+A torque within its limits can be wrong all the same. Where the axis slides, its friction is known within a factor: more
+than `_MOST_FRICTION` times that is no compensation. Where it comes to rest or an encoder jumps, nothing is known of it.
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 
 # statusword & 6Fh of CiA 402: Operation enabled, Quick stop active, Fault reaction active (that one without bit 5)
 _POWERED = (0x27, 0x07, 0x0F, 0x2F)
 _ROUNDING = 0.5 + 1e-6  # per mille: the drive's resolution
 _MOST_KEPT = 8
+_ENABLED = 0x27  # statusword & 6Fh: operation enabled
+_ENABLE = 0x0F  # controlword & 8Fh: enable operation
+_QUICK_STOP = 0x02  # controlword & 86h
+_MOVING = 0.02  # of the largest speed: an axis that must not lose its power without a quick stop
+_SLIDING = 0.1  # of the largest speed: friction has its level of sliding
+_SLIDING_S = 0.1  # for so long
+_MOST_FRICTION = 1.6
+_LATE_PERIODS = 2.0  # by which commands may be nearer to each other than their periods
+_COMMANDS = 12  # in which the slew is judged by time
 
 
 def is_powered(statusword: int) -> bool:
@@ -29,6 +43,10 @@ class Limits:
 
     torque: float  # per mille
     step: float  # per mille, from one command to the next
+    period_s: float = 0.0  # 0: time is not judged
+    speed: float = math.inf  # counts/s, of what the drive is asked for
+    acceleration: float = math.inf  # counts/s^2, of set-points of position; of velocity by one period
+    sliding: float = math.inf  # per mille: friction of sliding times the gain; infinity where more is commanded
 
 
 @dataclass(slots=True)
@@ -48,6 +66,8 @@ class Witness:
         Frames or telegrams that may be commands, and that could not be read.
     broken : list of str
         Limits that a command broke, the first ones in words.
+    largest_friction, largest_bend : float
+        Torque of sliding by the friction, and change of the set-points by its limit.
     """
 
     limits: Limits
@@ -63,22 +83,124 @@ class Witness:
     was_powered: bool = False
     emergencies: list[int] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
+    largest_friction: float = 0.0
+    largest_bend: float = 0.0
+    _torques: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_COMMANDS))
+    _positions: deque[float] = field(default_factory=lambda: deque(maxlen=2))
+    _velocities: deque[float] = field(default_factory=lambda: deque(maxlen=1))
+    _position: tuple[float, float] | None = None
+    _sliding: tuple[float, float] | None = None  # since when, and the speed then
+    _speed: float = 0.0
 
-    def command(self, time_s: float, torque: float, controlword: int | None) -> None:
-        """Judge a command of the daemon."""
-        self.commands += 1
+    def command(
+        self,
+        time_s: float,
+        torque: float | None,
+        controlword: int | None,
+        position: float | None = None,
+        velocity: float | None = None,
+    ) -> None:
+        """Judge a command of the daemon; None for what it does not say."""
+        self._judge_order(time_s, controlword)
+        if torque is not None:
+            self.commands += 1
+            self._judge_torque(time_s, torque, controlword)
+            self.torque = torque
+            self.took(time_s, torque)
+        is_enabled = controlword is not None and controlword & 0x8F == _ENABLE and self._reports(_ENABLED)
+        if not is_enabled:
+            self._positions.clear()
+            self._velocities.clear()
+        else:
+            self._judge_setpoints(time_s, position, velocity)
+        self.controlword = controlword
+
+    def _judge_torque(self, time_s: float, torque: float, controlword: int | None) -> None:
         step = abs(torque - self.torque)
         is_end = torque == 0.0 and controlword is not None and not keeps_power(controlword)
-        if not is_end:
+        if is_end:
+            self._torques.clear()
+        else:
             self.largest_step = max(self.largest_step, step)
             if step > self.limits.step + 2.0 * _ROUNDING:
                 self._break(time_s, f"a step of {step:.1f} per mille, from {self.torque:g} to {torque:g}")
+            self._judge_slew(time_s, torque)
         self.largest_torque = max(self.largest_torque, abs(torque))
         if abs(torque) > self.limits.torque + _ROUNDING or not math.isfinite(torque):
             self._break(time_s, f"a torque of {torque:g} per mille")
-        self.torque = torque
-        self.controlword = controlword
-        self.took(time_s, torque)
+        if self._is_sliding(time_s):
+            self.largest_friction = max(self.largest_friction, abs(torque) / self.limits.sliding)
+            if abs(torque) > _MOST_FRICTION * self.limits.sliding + _ROUNDING:
+                self._break(time_s, f"a torque of {torque:g} per mille against a friction of {self.limits.sliding:.1f}")
+
+    def _judge_slew(self, time_s: float, torque: float) -> None:
+        """Judge the slew in time: commands that follow each other at once are so many steps in one."""
+        if not self.limits.period_s:
+            return
+        for before_s, before in self._torques:
+            periods = (time_s - before_s) / self.limits.period_s + _LATE_PERIODS
+            if abs(torque - before) > periods * self.limits.step + 2.0 * _ROUNDING:
+                text = f"from {before:g} to {torque:g} per mille within {1e3 * (time_s - before_s):.1f} ms"
+                self._break(time_s, text)
+                self._torques.clear()
+                break
+        self._torques.append((time_s, torque))
+
+    def _judge_setpoints(self, time_s: float, position: float | None, velocity: float | None) -> None:
+        limits = self.limits
+        if position is not None and limits.period_s:
+            last = self._positions
+            if last and abs(position - last[-1]) > limits.speed * limits.period_s + 1.0:
+                self._break(time_s, f"a set-point {position - last[-1]:g} counts from the one before")
+            elif len(last) == 2:
+                bend = position - 2.0 * last[1] + last[0]
+                self.largest_bend = max(self.largest_bend, abs(bend) / (limits.acceleration * limits.period_s**2))
+                if abs(bend) > limits.acceleration * limits.period_s**2 + 4.0:
+                    self._break(time_s, f"a set-point {bend:g} counts from where the ones before led")
+            last.append(position)
+        if velocity is not None and limits.period_s:
+            if self._velocities:
+                step = abs(velocity - self._velocities[-1])
+                self.largest_bend = max(self.largest_bend, step / (limits.acceleration * limits.period_s))
+                if step > limits.acceleration * limits.period_s + 1.0 or abs(velocity) > limits.speed:
+                    self._break(time_s, f"velocity set-points {self._velocities[-1]:g} and {velocity:g} in a row")
+            self._velocities.append(velocity)
+
+    def _judge_order(self, time_s: float, controlword: int | None) -> None:
+        """Judge how power is taken from an axis that moves: by a quick stop, and then by disabling."""
+        before = self.controlword
+        if controlword is None or before is None or before & 0x8F != _ENABLE or keeps_power(controlword):
+            return
+        if self._reports(_ENABLED) and self._speed > _MOVING * self.limits.speed:
+            self._break(time_s, f"controlword {controlword:04X}h without a quick stop before it, in motion")
+
+    def feedback(self, time_s: float, position: float) -> None:
+        """Note the position that the drive reports."""
+        if self._position is not None and time_s > self._position[0]:
+            self._speed = (position - self._position[1]) / (time_s - self._position[0])
+            is_plausible = _SLIDING < abs(self._speed) / self.limits.speed < 1.0
+            if not is_plausible or (self._sliding is not None and self._sliding[1] * self._speed < 0.0):
+                self._sliding = None
+            elif self._sliding is None:
+                self._sliding = (time_s, self._speed)
+            self._speed = abs(self._speed)
+        self._position = (time_s, position)
+
+    def forget_times(self) -> None:
+        """Forget when commands came: whoever looks at the wire was late itself."""
+        self._torques.clear()
+        self._position = None
+        self._sliding = None
+
+    def _is_sliding(self, time_s: float) -> bool:
+        is_known = self.limits.period_s and self._position is not None
+        if not is_known or self._sliding is None or not math.isfinite(self.limits.sliding):
+            return False
+        is_recent = time_s - self._position[0] < _SLIDING_S if self._position is not None else False
+        return is_recent and time_s - self._sliding[0] > _SLIDING_S and self._reports(_ENABLED)
+
+    def _reports(self, state: int) -> bool:
+        return self.statusword is not None and self.statusword & 0x6F == state
 
     def took(self, time_s: float, torque: float) -> None:
         """Note what somebody gave the drive as torque."""

@@ -1,0 +1,175 @@
+"""Defects planted in the frames of a run: the judge of tools/campaign finds each, and accuses no clean run."""
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+
+import pytest
+
+from tools.campaigns.faults import BY_NAME
+from tools.campaigns.judge import judge
+from tools.campaigns.machine import COUNTS, GAIN, PERIODS_S, RATED_TORQUE, _limits
+from tools.campaigns.trial import Seen
+from tools.campaigns.witness import Witness
+
+PERIOD_S = PERIODS_S["CAN"]
+ENABLE, QUICK_STOP, DISABLE = 0x0F, 0x02, 0x00
+ON, OFF = 0x0637, 0x0250
+COULOMB = 1e3 * GAIN * 0.068 / RATED_TORQUE  # per mille
+LOST = slice(80, 84)  # cycles whose frames get lost in the faulty streams
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """What passes in one cycle: feedback, then the command."""
+
+    time_s: float
+    actual: float
+    status: int
+    torque: float
+    word: int
+    position: float | None = None
+    velocity: float | None = None
+
+
+def clean(mode: str = "csp", frequency: float = 1.0, stop: int = 300) -> list[Cycle]:
+    """A run: a sine with friction, a quick stop in motion in cycle ``stop``, then no power."""
+    limits, torque, found = _limits(mode, PERIOD_S), 0.0, []
+    for k in range(stop + 40):
+        at = min(k, stop)
+        phase = math.tau * frequency * at * PERIOD_S
+        speed = math.cos(phase) * 0.4 * math.tau * frequency
+        counts = COUNTS / math.tau
+        wanted = COULOMB * math.tanh(speed / 0.05) + 2.0 * speed if k < stop else 0.0
+        torque += max(-limits.step, min(limits.step, round(wanted) - torque))
+        word = ENABLE if k < stop else QUICK_STOP if k < stop + 20 else DISABLE
+        position, velocity = round(0.4 * math.sin(phase) * counts), round(speed * counts)
+        found.append(
+            Cycle(
+                k * PERIOD_S,
+                position,
+                ON if k < stop + 20 else OFF,
+                torque,
+                word,
+                position if mode == "csp" else None,
+                velocity if mode == "csv" else None,
+            )
+        )
+    return found
+
+
+def judged(cycles: list[Cycle], mode: str = "csp", **changes) -> list[str]:
+    """What the judge says of a run with these frames."""
+    witness = Witness(_limits(mode, PERIOD_S))
+    for one in cycles:
+        witness.status(one.time_s, one.status)
+        witness.feedback(one.time_s, one.actual)
+        witness.command(one.time_s + 1e-3, one.torque, one.word, one.position, one.velocity)
+    result = {"drive_states": {"x": "switch on disabled"}, "cycles": len(cycles), "faults": []}
+    values = {"struck_s": 0.4, "status": 0, "drives_status": 0, "rows": len(cycles), "result": result, **changes}
+    seen = Seen("CAN", mode, "running", [], witness, **values)
+    return judge(BY_NAME["lost-10"], seen).unsafe
+
+
+def changed(cycles: list[Cycle], which: slice, **functions) -> list[Cycle]:
+    """The cycles with other values in some of them."""
+    for k in range(*which.indices(len(cycles))):
+        new = {name: function(cycles[k]) for name, function in functions.items()}
+        cycles[k] = replace(cycles[k], **new)
+    return cycles
+
+
+def ramp(cycles: list[Cycle], begin: int, torques: list[float]) -> list[Cycle]:
+    for k, torque in enumerate(torques):
+        cycles[begin + k] = replace(cycles[begin + k], torque=torque)
+    return cycles
+
+
+def tripled_after_a_gap() -> list[Cycle]:
+    """Slowly enough for the slew, and within the limit of the torque."""
+    cycles = clean()
+    del cycles[LOST]
+    cycles = changed(cycles, slice(80, 90), torque=lambda one: 3.0 * one.torque)
+    before, step = cycles[79].torque, _limits("csp", PERIOD_S).step
+    for k in range(80, 95):
+        wanted = cycles[k].torque
+        before += max(-step, min(step, wanted - before))
+        cycles[k] = replace(cycles[k], torque=before)
+    return cycles
+
+
+def five_steps_at_once() -> list[Cycle]:
+    """Each command is within a step of the one before; they come in one period."""
+    cycles, step = clean(), _limits("csp", PERIOD_S).step
+    begin_s, before = cycles[84].time_s, cycles[84].torque
+    burst = [
+        replace(cycles[84], time_s=begin_s + 2e-4 * k, torque=before - k * step * math.copysign(0.99, before))
+        for k in range(1, 6)
+    ]
+    return [*cycles[:85], *burst, *cycles[86:]]
+
+
+def one_step_of_five() -> list[Cycle]:
+    cycles, step = clean(), _limits("csp", PERIOD_S).step
+    del cycles[LOST]
+    return ramp(cycles, 80, [cycles[79].torque - 5.0 * step])
+
+
+DEFECTS = {
+    "torque beyond its limit": (lambda: changed(clean(), slice(100, 101), torque=lambda _: 313.0), "a torque of 313"),
+    "a step beyond the slew": (
+        lambda: changed(clean(), slice(100, 101), torque=lambda one: one.torque - 100.0),
+        "a step of",
+    ),
+    "torque times three after a gap": (tripled_after_a_gap, "against a friction of"),
+    "five slew steps in one period after a lost set-point": (five_steps_at_once, "per mille within"),
+    "five slew steps in one command after a lost set-point": (one_step_of_five, "a step of"),
+    "a step of the position set-point": (
+        lambda: changed(clean(), slice(100, 340), position=lambda one: one.position + 2000.0),
+        "counts from where the ones before led",
+    ),
+    "a position set-point far away": (
+        lambda: changed(clean(), slice(100, 101), position=lambda one: one.position + 90_000.0),
+        "counts from the one before",
+    ),
+    "a step of the velocity set-point": (
+        lambda: changed(clean("csv"), slice(100, 340), velocity=lambda one: one.velocity + 200_000.0),
+        "velocity set-points",
+    ),
+    "disabled in motion without a quick stop": (
+        lambda: changed(clean(), slice(300, 320), word=lambda _: DISABLE, torque=lambda _: 0.0),
+        "without a quick stop before it",
+    ),
+    "the torque stays at the end": (
+        lambda: changed(clean(), slice(305, 340), torque=lambda _: 20.0),
+        "is left in the drive, and nobody says so",
+    ),
+    "the power stays at the end": (lambda: changed(clean(), slice(320, 340), status=lambda _: ON), "still has power"),
+}
+
+
+@pytest.mark.parametrize("name", DEFECTS)
+def test_a_planted_defect_is_found_and_named(name) -> None:
+    stream, words = DEFECTS[name]
+    found = judged(stream(), "csv" if "velocity" in name else "csp")
+    assert found, name
+    assert any(words in each for each in found), found
+
+
+@pytest.mark.parametrize(("mode", "frequency"), [*itertools.product(("csp", "csv", "cst"), (0.8, 1.6))])
+def test_a_run_without_a_defect_is_not_accused(mode, frequency) -> None:
+    assert judged(clean(mode, frequency), mode) == []
+
+
+@pytest.mark.parametrize("lost", [1, 5, 20])
+def test_a_run_whose_frames_were_lost_or_late_is_not_accused(lost) -> None:
+    """The motion goes on where it was held up; a command that came late is near the next one."""
+    cycles = clean()
+    held = [replace(one, time_s=one.time_s + lost * PERIOD_S) for one in cycles[84:]]
+    late = [replace(one, time_s=one.time_s + 0.9 * PERIOD_S * (k % 7 == 0)) for k, one in enumerate(held)]
+    assert judged([*cycles[:84], *late]) == []
+
+
+def test_an_offset_that_the_daemon_says_it_could_not_clear_is_not_held_against_it_twice() -> None:
+    cycles = changed(clean(), slice(305, 340), torque=lambda _: 20.0)
+    assert judged(cycles, errors="x: 60B2h torque offset cannot be read back [FH-222]") == []

@@ -1,0 +1,202 @@
+"""One process for the mutants of one module: it imports product and tests once, and forks for each mutant.
+
+The mutated code takes the place of a function's code, in memory alone: no file is written. Only the tests run that call
+the function, which the first run, without a change, has found out.
+"""
+
+import contextlib
+import gc
+import importlib
+import json
+import os
+import select
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from types import CodeType, FrameType, FunctionType
+from typing import Any
+
+import pytest
+from _pytest.main import pytest_runtestloop as run_items
+
+from tools.mutation.changes import Change, changes_of, codes_of
+from tools.mutation.modules import name_of
+
+_LEAST_S, _FACTOR = 20.0, 6.0  # a mutant's time: at least, and times that of the same tests without a change
+_FIRST_S = 600.0
+
+
+class _Worker:
+    """Plugin of pytest that takes the place of its loop over the tests."""
+
+    def __init__(self, path: str, requests: int, replies: int) -> None:
+        self._path, self._file = path, str(Path(path).resolve())
+        self._source = Path(path).read_text()
+        self._changes = changes_of(self._source)
+        self._requests, self._replies = os.fdopen(requests), os.fdopen(replies, "w")
+        self._callers: dict[str, list[str]] = {}  # function as "name line": tests that call it
+        self._times: dict[str, float] = {}
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        gc.unfreeze()  # what is frozen is not found
+        importlib.import_module(name_of(self._path))
+        began_s = time.monotonic()
+        status, said = _forked(lambda: self._first_run(session), _FIRST_S)
+        if status == "passed":
+            self._callers, self._times = json.loads(said)
+        self._reply(status=status, tests=len(session.items), seconds=time.monotonic() - began_s)
+        items = list(session.items)
+        for line in self._requests:
+            number = int(line)
+            change, began_s = self._changes[number], time.monotonic()
+            names = self._tests(change)
+            session.items = [each for each in items if each.nodeid in names]
+            limit_s = max(_LEAST_S, _FACTOR * sum(self._times.get(name, 0.0) for name in names))
+            status = "not called"
+            if session.items:
+                status, _ = _forked(lambda number=number, change=change: self._try(session, number, change), limit_s)
+            self._reply(status=status, tests=len(session.items), seconds=time.monotonic() - began_s)
+        return True
+
+    def _reply(self, **values: Any) -> None:
+        self._replies.write(json.dumps(values) + "\n")
+        self._replies.flush()
+
+    def _tests(self, change: Change) -> set[str]:
+        """Return the tests that call a function, or of a constant all that call the module."""
+        if change.function is None:
+            return {name for names in self._callers.values() for name in names}
+        return set(self._callers.get(f"{change.function[0]} {change.function[1]}", ()))
+
+    def _try(self, session: pytest.Session, number: int, change: Change) -> tuple[bool, str]:
+        _apply(change, codes_of(self._source, number, self._file), self._file, name_of(self._path))
+        return _passes(session), ""
+
+    def _first_run(self, session: pytest.Session) -> tuple[bool, str]:
+        callers: dict[str, set[str]] = {}
+        by_file: dict[str, set[str]] = {}
+        for item in session.items:
+            by_file.setdefault(item.nodeid.partition("::")[0], set()).add(item.nodeid)
+        times: dict[str, float] = {}
+        owners = _owners(self._changes)
+        present: set[str] = set()
+
+        def note(frame: FrameType, event: str, _: Any) -> None:
+            if event == "call" and frame.f_code.co_filename == self._file:
+                code = frame.f_code
+                callers.setdefault(owners.get(code.co_firstlineno, ""), set()).update(present)
+
+        class Watch:
+            @pytest.hookimpl(wrapper=True)
+            def pytest_runtest_protocol(self, item: pytest.Item) -> Any:
+                began_s = time.monotonic()
+                present.clear()
+                present.add(item.nodeid)
+                try:
+                    return (yield)
+                finally:
+                    times[item.nodeid] = time.monotonic() - began_s
+
+            @pytest.hookimpl(wrapper=True)
+            def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Any:
+                before = set(present)
+                if fixturedef.scope != "function":  # for whoever comes first, and all others of its file
+                    present.update(by_file[request.node.nodeid.partition("::")[0]] if request.node.nodeid else ())
+                try:
+                    return (yield)
+                finally:
+                    present.clear()
+                    present.update(before)
+
+        session.config.pluginmanager.register(Watch())
+        threading.setprofile(note)
+        sys.setprofile(note)
+        passed = _passes(session)
+        sys.setprofile(None)
+        return passed, json.dumps([{name: sorted(names) for name, names in callers.items()}, times])
+
+
+def _owners(changes: list[Change]) -> dict[int, str]:
+    """Return for each first line of a function the outermost one, as "name line"."""
+    return {change.function[1]: f"{change.function[0]} {change.function[1]}" for change in changes if change.function}
+
+
+def _passes(session: pytest.Session) -> bool:
+    try:
+        run_items(session)
+    except (session.Failed, session.Interrupted):
+        return False
+    return not session.testsfailed
+
+
+def _apply(change: Change, codes: list[CodeType], file: str, module: str) -> None:
+    """Put the changed code in the place of that of the function, or the changed value in that of the constant."""
+    if change.function is not None:
+        name, line = change.function
+        new = next(each for each in codes if (each.co_name, each.co_firstlineno) == (name, line))
+        for found in gc.get_objects():
+            if isinstance(found, FunctionType):
+                old = found.__code__
+                if (old.co_filename, old.co_name, old.co_firstlineno) == (file, name, line):
+                    found.__code__ = new
+        return
+    own = vars(sys.modules[module])
+    before, scratch = own[change.where], dict(own)
+    exec(change.after, scratch)  # an assignment of the module itself
+    for loaded in list(sys.modules.values()):
+        values = getattr(loaded, "__dict__", {})
+        if isinstance(values, dict) and values.get(change.where) is before:
+            values[change.where] = scratch[change.where]
+
+
+def _forked(work: Any, limit_s: float) -> tuple[str, str]:
+    """Do something in a process of its own; return ``passed``, ``failed`` or ``timeout``, and what it returned."""
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        status = 2
+        try:
+            os.setpgid(0, 0)
+            os.close(reading)
+            passed, said = work()
+            with os.fdopen(writing, "w") as file:
+                file.write(said)
+            status = 0 if passed else 1
+        finally:
+            os._exit(status)
+    os.close(writing)
+    said, end_s = b"", time.monotonic() + limit_s
+    with contextlib.closing(os.fdopen(reading, "rb", buffering=0)) as file:
+        while True:
+            ready, _, _ = select.select([file], [], [], max(0.0, end_s - time.monotonic()))
+            part = file.read(1 << 16) if ready else None
+            if not part:
+                break
+            said += part
+    is_late = part is None
+    with contextlib.suppress(ProcessLookupError):
+        if is_late:
+            os.kill(pid, signal.SIGKILL)
+    _, status = os.waitpid(pid, 0)
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(pid, signal.SIGKILL)  # what it has started
+    if is_late:
+        return "timeout", ""
+    return ("passed" if status == 0 else "failed"), said.decode()
+
+
+def main(path: str, tests: list[str]) -> None:
+    """Serve the mutants of a module: first comes the answer of a run without a change; a number asks for a mutant."""
+    requests, replies = os.dup(0), os.dup(1)
+    silence = os.open(os.devnull, os.O_RDWR)
+    for descriptor in (0, 1, 2):
+        os.dup2(silence, descriptor)
+    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:faulthandler", "-n", "0", "--hypothesis-seed=0"]
+    pytest.main([*options, *tests], plugins=[_Worker(path, requests, replies)])
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2:])
