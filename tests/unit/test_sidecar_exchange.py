@@ -380,3 +380,13 @@ def test_the_period_of_sync_is_compared():
     assert heard_rhythm(period=1.01).wrong_period(1e-3) == ""
     assert heard_rhythm(period=1.25).wrong_period(1e-3) == "comes every 1.25 ms and not every 1 ms (period_s)"
     assert HeardPdos(0x080).wrong_period(1e-3) == ""
+
+
+def test_neither_lost_syncs_nor_a_busy_computer_look_like_another_period():
+    numbers = random.Random(5)
+    lost, busy = HeardPdos(0x080), HeardPdos(0x080)
+    for k in range(250):
+        if numbers.random() > 0.2:
+            lost.take(0x080, 0, k * T)
+        busy.take(0x080, 0, (k - k % 4 + 4) * T)  # frames are read four at a time
+    assert lost.wrong_period(1e-3) == busy.wrong_period(1e-3) == ""

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
-from statistics import median
+from statistics import fmean, median
 
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
@@ -71,8 +71,14 @@ class HeardPdos:
 
 
 def wrong_period(intervals_ns: Sequence[int], period_s: float) -> str:
-    """Return how the typical time between SYNCs differs from the period ``period_s``, "" where it does not."""
-    typical_s = 1e-9 * median(intervals_ns)
-    if abs(typical_s / period_s - 1.0) <= _PERIOD_TOLERANCE:
+    """Return how the time between SYNCs differs from the period ``period_s``, "" where it does not.
+
+    Mean and median must differ: SYNCs that are lost change the mean alone, a busy computer the median alone.
+    """
+    both_s = 1e-9 * fmean(intervals_ns), 1e-9 * median(intervals_ns)
+    is_longer, is_shorter = (
+        all(sign * (value / period_s - 1.0) > _PERIOD_TOLERANCE for value in both_s) for sign in (1.0, -1.0)
+    )
+    if not (is_longer or is_shorter):
         return ""
-    return f"comes every {1e3 * typical_s:.4g} ms and not every {1e3 * period_s:.4g} ms (period_s)"
+    return f"comes every {1e3 * both_s[0]:.4g} ms and not every {1e3 * period_s:.4g} ms (period_s)"
