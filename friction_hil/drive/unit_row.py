@@ -1,4 +1,4 @@
-"""Rows of the table of units that a driver shows before anything is enabled."""
+"""Rows of the table of units and watchdog that a driver shows before anything is enabled."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ class UnitRow:
     Attributes
     ----------
     quantity : str
-        ``position``, ``velocity`` or ``torque``.
+        ``position``, ``velocity`` or ``torque``; ``watchdog`` for what takes the torque if the daemon dies.
     value : str
         Scale, e.g. ``651.9 counts per rad``.
     source : str

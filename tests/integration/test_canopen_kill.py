@@ -27,11 +27,11 @@ ONE_RPDO_WITHOUT_TIMER = {
 }
 MEANS = {
     "rpdo": ({}, 20.0, "RPDO 4 within 20 ms", 0x8250),
-    "heartbeat": (ONE_RPDO_WITHOUT_TIMER, 60.0, "heartbeat (1016h:01) within 60 ms", 0x8130),
+    "heartbeat": (ONE_RPDO_WITHOUT_TIMER, 20.0, "heartbeat (1016h:01) within 20 ms", 0x8130),
     "guarding": (
         {**ONE_RPDO_WITHOUT_TIMER, "missing": [0x1016, *ONE_RPDO_WITHOUT_TIMER["missing"]]},
-        60.0,
-        "node guarding (100Ch, 100Dh) within 60 ms",
+        20.0,
+        "node guarding (100Ch, 100Dh) within 20 ms",
         0x8130,
     ),
 }

@@ -11,6 +11,7 @@ from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.simulated.dictionary import Abort, SdoAbortError
 from friction_hil_drivers.canopen.watchdogs import Feeder, Watch, feeders
 
+from friction_hil.config.schema import Realtime
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import ConfigurationError, DriveError
@@ -20,6 +21,7 @@ from tests.servo_drives import axis_dict, configuration
 RPDO4 = 0x505
 REACTION, CONSUMER, GUARD_TIME, ERROR_BEHAVIOUR = 0x6007, 0x1016, 0x100C, 0x1029
 HEARTBEAT_MS, TIMER_MS = 60, 20
+ALONE_MS = 20  # of heartbeat and guarding where no RPDO has a timer
 WITHOUT_TIMER = [{"index": 0x1400, "subindex": 5, "abort": 0x06090011}]
 ONE_RPDO = (0x1401, 0x1402, 0x1403)
 SYNC_ONLY = {"timer_at_sync_only": True}
@@ -39,12 +41,14 @@ class RealTimeBus(BenchBus):
 class Driven:
     """A drive in csv, turning, whose daemon can die."""
 
-    def __init__(self, *, missing=(), manners=None, prepare=None, **keys):
+    def __init__(self, *, missing=(), manners=None, prepare=None, max_missed=None, **keys):
         self.bench = Bench(is_paced_by_sync=False, missing=missing, manners=SYNC_ONLY | (manners or {}))
         if prepare is not None:
             prepare(self.bench)
         self.bus = RealTimeBus(self.bench)
         config = configuration(x=axis_dict(node=NODE, mode="csv", **keys))
+        if max_missed is not None:
+            config = config.model_copy(update={"realtime": Realtime(max_missed=max_missed)})
         self.clock = SteppedClock()
         self.drives = CanopenDrives(config, config.axes, self.clock, dry_run=False, bus=self.bus)
         try:
@@ -115,19 +119,19 @@ def test_a_dead_daemon_stops_a_drive_that_looks_at_timers_at_sync_only(drive):
 def test_a_dead_daemon_stops_a_drive_by_its_heartbeat_alone(drive):
     one = drive(missing=ONE_RPDO, manners={"sdo": WITHOUT_TIMER})
     assert "RPDO" not in one.notes.split("watches the daemon")[1].split(";")[0]
-    assert f"heartbeat (1016h:01) within {HEARTBEAT_MS} ms" in one.notes
+    assert f"heartbeat (1016h:01) within {ALONE_MS} ms" in one.notes
     one.turn()
-    assert TIMER_MS < one.die() <= HEARTBEAT_MS + 10.0
+    assert one.die() <= ALONE_MS + 10.0
     assert one.bench.emergencies[-1] == "8130"
 
 
 def test_a_dead_daemon_stops_a_drive_by_node_guarding_alone(drive):
     one = drive(missing=[*ONE_RPDO, CONSUMER], manners={"sdo": WITHOUT_TIMER})
-    assert f"node guarding (100Ch, 100Dh) within {HEARTBEAT_MS} ms" in one.notes
+    assert f"node guarding (100Ch, 100Dh) within {ALONE_MS} ms" in one.notes
     assert one.bench.read(0x1017, 0, "H") == 0
     one.turn()
-    assert sum(can_id == 0x700 + NODE for can_id, _ in one.bus.sent) == pytest.approx(5, abs=1)
-    assert TIMER_MS < one.die() <= HEARTBEAT_MS + 10.0
+    assert sum(can_id == 0x700 + NODE for can_id, _ in one.bus.sent) == pytest.approx(20, abs=1)
+    assert one.die() <= ALONE_MS + 10.0
     assert one.bench.emergencies[-1] == "8130"
 
 
@@ -163,6 +167,56 @@ def test_a_timer_of_a_synchronous_rpdo_is_no_watchdog(drive):
     assert one.bench.read(0x1400, 5, "H") == TIMER_MS  # set all the same
     one.turn()
     assert one.die() is None  # what the refusal is for
+
+
+@pytest.mark.parametrize("missing", [ONE_RPDO, [*ONE_RPDO, CONSUMER]], ids=["heartbeat", "guarding"])
+@pytest.mark.parametrize("feed", range(1, 6))
+def test_heartbeat_and_guarding_act_as_soon_as_a_timer_does(drive, missing, feed):
+    """Whenever the daemon is killed: within the time that is shown, and neither before nor while it lives."""
+    one = drive(missing=missing, manners={"sdo": WITHOUT_TIMER})
+    one.turn()
+    one.cycle(Request.ENABLE, count=feed)
+    shown = one.facts.units[-1]
+    assert shown.quantity == "watchdog"
+    assert f"takes the torque within {TIMER_MS + 10} ms of the daemon's last frame" in shown.value
+    assert TIMER_MS - 6 < one.die() <= TIMER_MS + 10
+
+
+def coarse(least_ms):
+    """The drive takes no time below ``least_ms`` for its heartbeat consumer, as one whose clock ticks that slowly."""
+
+    def prepare(bench):
+        entry = bench.node._dictionary.at(CONSUMER, 1)
+        accept = entry.on_write
+
+        def write(value):
+            if 0 < value & 0xFFFF < least_ms:
+                raise SdoAbortError(Abort.VALUE)
+            accept(value)
+
+        entry.on_write = write
+
+    return prepare
+
+
+SLOW = {"missing": [*ONE_RPDO, GUARD_TIME], "manners": {"sdo": WITHOUT_TIMER}, "prepare": coarse(90)}
+
+
+def test_a_drive_that_takes_longer_times_only_is_warned_of_with_the_time(drive):
+    one = drive(**SLOW)
+    assert "heartbeat (1016h:01) within 100 ms" in one.notes
+    assert "stops the drive within 110 ms, because it takes no time shorter than 100 ms" in one.notes
+    assert "[FH-269]" in one.notes
+    one.turn()
+    assert TIMER_MS < one.die() <= 110.0
+
+
+def test_bridged_periods_that_the_user_wrote_and_the_drive_cannot_meet_are_refused_with_those_that_it_can(drive):
+    with pytest.raises(DriveError, match=r"can meet realtime.max_missed 87; .*\[FH-270\]"):
+        drive(max_missed=10, **SLOW)
+    one = drive(max_missed=87, **SLOW)
+    assert "FH-269" not in one.notes
+    assert "takes the torque within 114 ms" in one.facts.units[-1].value
 
 
 def test_without_a_reaction_nothing_counts(drive):

@@ -15,6 +15,7 @@ from friction_hil_drivers.canopen.mapping import MappedPdo, check_bus_load, expe
 from friction_hil_drivers.canopen.options import canopen_options
 from friction_hil_drivers.canopen.service import CanopenService
 from friction_hil_drivers.canopen.sidecar_options import mapped
+from friction_hil_drivers.canopen.watchdog_times import REACTION_MS
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 
 if TYPE_CHECKING:
@@ -52,6 +53,8 @@ def check_connection(configuration: "Configuration", axes: "Mapping[str, AxisCon
     for name, axis in axes.items():
         yield _owner(config, name, axis)
         yield _units(name, axis)
+        if config.role == "master":
+            yield _watchdog(name, axis, configuration)
     if is_open and config.role == "master":
         yield from _numbers(config, {name: canopen_options(axis).node for name, axis in axes.items()})
 
@@ -117,6 +120,18 @@ def _numbers(config: "BusConfig", nodes: Mapping[str, int]) -> Iterator[Finding]
         if node in met:
             check, refusal = f"{name}: number {node}", met[node]
             yield Finding(check, "pass", "one drive has it") if refusal is None else failure(check, refusal)
+
+
+def _watchdog(name: str, axis: "AxisConfig", configuration: "Configuration") -> Finding:
+    """Say within which time a drive has no torque if the daemon dies; which watchdogs it has, is not read here."""
+    times = canopen_options(axis).times(configuration.period_s, configuration.realtime.max_missed)
+    timer_ms, loss_ms = times.timer_ms + REACTION_MS, times.loss_ms + REACTION_MS
+    detail = (
+        f"if the daemon dies, a drive has no torque within {timer_ms} ms of its last frame by an RPDO's timer, and "
+        f"without one within {loss_ms} ms by heartbeat or node guarding, if it takes these times: run shows which one "
+        "acts, and --try-watchdog tries it"
+    )
+    return Finding(f"{name}: watchdog", "pass", detail)
 
 
 def _units(name: str, axis: "AxisConfig") -> Finding:

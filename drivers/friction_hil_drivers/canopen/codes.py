@@ -42,6 +42,8 @@ SYNC_UNUSABLE = "FH-247"
 SYNC_LOST = "FH-248"
 PDO_NOT_AS_STATED = "FH-249"
 NMT_STATE_UNKNOWN = "FH-268"
+WATCHDOG_SLOW = "FH-269"
+MAX_MISSED_NOT_MET = "FH-270"
 TWO_NODES = "FH-264"
 WOULD_DISTURB = "FH-265"
 SYNC_ID_FIXED = "FH-266"
@@ -89,6 +91,8 @@ TITLES = {
     SYNC_LOST: "A sidecar has lost SYNC, or hears two of them",
     PDO_NOT_AS_STATED: "A PDO is not as the configuration of a sidecar says",
     NMT_STATE_UNKNOWN: "It is not known in which NMT state a node was found",
+    WATCHDOG_SLOW: "A drive's watchdogs act later than the bridged periods ask for",
+    MAX_MISSED_NOT_MET: "A drive's watchdogs act later than the configuration demands",
     TWO_NODES: "Two nodes on the bus have the same number",
     WOULD_DISTURB: "Reading a node would disturb the SDO transfers of another master",
     SYNC_ID_FIXED: "A drive takes SYNC by another identifier, and keeps it",
@@ -137,6 +141,8 @@ REMEDIES = {
     SYNC_LOST: "the offset was faded out; start again beside a running master",
     PDO_NOT_AS_STATED: "an RPDO of its own; `entries` as in the master's project; transmission type 1",
     NMT_STATE_UNKNOWN: "`NMT start` by its master, if that expects it Operational",
+    WATCHDOG_SLOW: "count on that time; a drive with an RPDO timer or a finer 1016h is faster",
+    MAX_MISSED_NOT_MET: "the `realtime.max_missed` of the message, or none, which makes it a warning",
     TWO_NODES: "a node number of its own for each drive, set with one of them on the bus at a time",
     WOULD_DISTURB: "stop the other master, or its SDO; `bus.role: sidecar` needs none; `drives show --may-disturb`",
     SYNC_ID_FIXED: "`bus.sync_cob_id` as in the message, for all drives of the bus",

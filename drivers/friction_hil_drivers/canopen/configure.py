@@ -140,7 +140,8 @@ def configure(
         notes=tuple(notes),
         torque_delay_s=0.0 if has_torque else None,
         velocity_resolution=1.0 / abs(units.velocity_per_unit),
-        units=unit_rows(scales, axis.limits, mode, axis.model.axis),
+        units=unit_rows(scales, axis.limits, mode, axis.model.axis)
+        + (() if dry_run else (watch.row(times.max_missed),)),
         has_load_encoder=load_encoder is not None,
         takes_torque=not without,
     )

@@ -8,6 +8,7 @@ writes the bus.
 import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback
@@ -141,7 +142,7 @@ class CanopenDrives(CanopenService):
             self._clients[name],
             axis,
             master_node=options.master_node,
-            heartbeat_ms=self._times(options).heartbeat_ms,
+            beat_s=axis.watch.beat_s,
         )
         yield from trial.run()
 
@@ -351,7 +352,9 @@ class CanopenDrives(CanopenService):
         return canopen_options(next(iter(self._configs.values())))
 
     def _times(self, options: CanopenOptions) -> WatchdogTimes:
-        return options.times(self._configuration.period_s, self._configuration.realtime.max_missed)
+        realtime = self._configuration.realtime
+        times = options.times(self._configuration.period_s, realtime.max_missed)
+        return replace(times, is_demanded="max_missed" in realtime.model_fields_set)
 
     def _make_exchange(self, bus: "FrameBus") -> CyclicExchange | PassiveExchange:
         assert self._configuration.bus is not None
@@ -367,7 +370,10 @@ class CanopenDrives(CanopenService):
             self._axes,
             self._clock,
             period_s=self._configuration.period_s,
-            heartbeat_s=1e-3 * min(self._times(option).heartbeat_ms for option in options),
+            heartbeat_s=min(
+                axis.watch.beat_s or 1e-3 * self._times(option).heartbeat_ms
+                for axis, option in zip(self._axes, options, strict=True)
+            ),
             master_node=options[0].master_node,
             dry_run=self._dry_run,
             max_missed=self._configuration.realtime.max_missed,

@@ -115,15 +115,16 @@ class CyclicExchange:
         self._is_alarm_told = False
         self._handlers |= self._alarm.handlers
         self._heartbeat_id = objects.HEARTBEAT_BASE + master_node
-        self._heartbeat_ns = round(heartbeat_s * 1e9)
+        half_ns = round(0.5e9 * period_s)  # a cycle that comes a little early sends it all the same
+        self._heartbeat_ns = round(heartbeat_s * 1e9) - half_ns
         self._next_heartbeat_ns = 0
         self._is_commanding = False  # from the first command on; before, the loop may pause, and no drive has power
         self._feeders = feeders([axis.watch for axis in axes])
         self._pairs = list(zip(axes, self._feeders, strict=True))
         self._has_new_words = False  # a controlword that was sent is not in force yet
         self._is_complete = False  # every SYNC so far was answered by every axis
-        guarded = {axis.node: axis.watch.guard_ms for axis in axes if axis.watch.guard_ms}
-        self._guards = [Guard(node, guard_ms) for node, guard_ms in guarded.items()]
+        guarded = {axis.node: axis.watch.beat_s for axis in axes if axis.watch.is_guarded}
+        self._guards = [Guard(node, round(beat_s * 1e9) - half_ns) for node, beat_s in guarded.items()]
         self._max_missed = max_missed
         self._unsent = 0  # cycles in a row in which the bus took no frames
         self._is_unsent = [False] * len(axes)  # the last command to each axis

@@ -23,6 +23,7 @@ _VERSION = 1
 _MOST_ENTRIES = 64  # of a mapping; larger counts stand for multiplexed PDOs
 _PDO_PARAMETERS = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
 _PDO_MAPPINGS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+_WATCHDOGS = (0x1016, 0x100C, 0x100D)
 _TO_MAPPING = 0x200  # from a communication record to its mapping record
 
 # Commands and set-points are no settings; 1010h and 1011h are orders
@@ -111,7 +112,7 @@ Step = tuple[Object, bytes]
 
 
 def restoration(found: Sequence[Found]) -> list[list[Step]]:
-    """Return what is to be written, in groups: the last one that was changed comes first.
+    """Return what is to be written, in groups: watchdogs first, then the last one that was changed.
 
     A PDO is one group, in the order that CiA 301 prescribes: PDO off, count 0, entries, count, parameters, PDO on.
     """
@@ -121,7 +122,9 @@ def restoration(found: Sequence[Found]) -> list[list[Step]]:
         key = one.entry.index << 8 | one.entry.subindex if record is None else record << 8
         groups.setdefault(key, []).append(one)
     plans = [_pdo_steps(group) if pdo_record(group[0].entry.index) else _steps(group) for group in groups.values()]
-    return [plan for plan in reversed(plans) if plan]
+    last_first = [plan for plan in reversed(plans) if plan]
+    # the daemon must be heard every few milliseconds until they are off, and the rest may take seconds
+    return sorted(last_first, key=lambda plan: plan[0][0].index not in _WATCHDOGS)
 
 
 def _steps(group: Sequence[Found]) -> list[Step]:

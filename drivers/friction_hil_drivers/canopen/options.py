@@ -73,7 +73,7 @@ class CanopenOptions(BaseModel):
         ge=0.005,
         le=10.0,
         description="period of heartbeats in both directions, or of node guarding; three missing ones are a loss; 0.02 "
-        "when not given, or longer as realtime.max_missed needs it",
+        "when not given, or longer as realtime.max_missed needs it, and shorter where no RPDO of the drive has a timer",
     )
     watchdog_s: float | None = Field(
         None,

@@ -56,8 +56,8 @@ class WatchdogTrial:
     axis : CanopenAxis
     master_node : int
         Node number of the daemon's heartbeat.
-    heartbeat_ms : int
-        Period of heartbeats.
+    beat_s : float
+        Period of heartbeats and remote frames, s.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class WatchdogTrial:
         axis: "CanopenAxis",
         *,
         master_node: int,
-        heartbeat_ms: int,
+        beat_s: float,
     ) -> None:
         self._bus, self._network, self._client, self._axis = bus, network, client, axis
         node = axis.node
@@ -80,8 +80,7 @@ class WatchdogTrial:
             "heartbeat": [(objects.HEARTBEAT_BASE + master_node, _OPERATIONAL)],
         }
         self._guard_id = objects.HEARTBEAT_BASE + node
-        heartbeat_s = 1e-3 * heartbeat_ms
-        self._periods_s = {"rpdo": _FEED_S, "heartbeat": heartbeat_s, "guarding": heartbeat_s, _POLL: _POLL_S}
+        self._periods_s = {"rpdo": _FEED_S, "heartbeat": beat_s, "guarding": beat_s, _POLL: _POLL_S}
 
     def run(self) -> Iterator[Finding]:
         """Try one means after the other; the drive is without power, and its faults are reset, before and after."""
@@ -99,7 +98,10 @@ class WatchdogTrial:
             self._switch_off()
         is_any_seen = any(seen and not too_early for _, seen, too_early in results)
         for means, seen, too_early in results:
-            yield _finding(self._axis.facts.name, means, seen, too_early=too_early, is_any_seen=is_any_seen)
+            is_first = means is self._axis.watch.acting
+            yield _finding(
+                self._axis.facts.name, means, seen, too_early=too_early, is_any_seen=is_any_seen, is_first=is_first
+            )
 
     def _switch_on(self, *, has_position: bool) -> None:
         """Bring the node to Operational and the drive to Switched On, where it has no torque.
@@ -213,7 +215,7 @@ def _nmt_words(state: int) -> str:
         return f"{state:02X}h"
 
 
-def _finding(axis: str, means: Means, seen: Seen, *, too_early: bool, is_any_seen: bool) -> Finding:
+def _finding(axis: str, means: Means, seen: Seen, *, too_early: bool, is_any_seen: bool, is_first: bool) -> Finding:
     """Return the finding for one watchdog."""
     check = f"{axis}: {means.name}"
     if too_early:
@@ -221,7 +223,8 @@ def _finding(axis: str, means: Means, seen: Seen, *, too_early: bool, is_any_see
         fix = "a longer watchdog_s or heartbeat_s; another tool may have armed a watchdog of its own"
         return Finding(check, "fail", detail, fix, "FH-445")
     if seen.states:
-        return Finding(check, "pass", f"seen to act without torque (set to {means.within_ms} ms): {seen}")
+        first = f"; it acts first, within {means.worst_ms} ms of the daemon's last frame" if is_first else ""
+        return Finding(check, "pass", f"seen to act without torque (set to {means.within_ms} ms): {seen}{first}")
     if seen:
         detail = f"it reports the loss ({seen}), but the drive stays switched on: no reaction seen without torque"
         fix = "see its manual: many drives react only while they are enabled (6007h, 1029h)"

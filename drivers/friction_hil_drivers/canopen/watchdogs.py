@@ -13,11 +13,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from friction_hil.drive import UnitRow
+from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.mapping import MappedPdo, PdoRecord
 from friction_hil_drivers.canopen.objects import DataType, Object
-from friction_hil_drivers.canopen.watchdog_times import HEARTBEATS_TO_LOSS, WatchdogTimes
+from friction_hil_drivers.canopen.watchdog_rpdo import make_event_driven, set_up_feed, write_time
+from friction_hil_drivers.canopen.watchdog_times import REACTION_MS, WatchdogTimes
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.options import CanopenOptions
@@ -26,7 +29,6 @@ if TYPE_CHECKING:
 RpdoPlace = tuple[PdoRecord, int]  # an RPDO of the drive, and the identifier that its frames have or shall have
 
 NOT_TRIED = "written and read back, not tried"
-_EVENT_DRIVEN = (255, 254)
 _REACTIONS = {1: "a fault", 2: "no voltage", 3: "a quick stop"}  # 6007h
 _LEAVES_OPERATIONAL = {0: "Pre-operational", 2: "Stopped"}  # 1029h:01
 _ERROR_BEHAVIOUR = objects.COMMUNICATION_ERROR_BEHAVIOUR
@@ -52,6 +54,11 @@ class Means:
     def __str__(self) -> str:
         return f"{self.name} within {self.within_ms} ms"
 
+    @property
+    def worst_ms(self) -> int:
+        """Time after the daemon's last frame within which a drive that reacts has no torque."""
+        return self.within_ms + REACTION_MS
+
 
 @dataclass(frozen=True, slots=True)
 class Watch:
@@ -63,16 +70,41 @@ class Watch:
         Identifier of the watchdog RPDO, 0 for none.
     feed_cycles : int
         It is sent every so many cycles.
-    guard_ms : int
-        Period of node guarding, 0 for none.
+    beat_s : float
+        Period of the daemon's heartbeats, or of node guarding, s; 0 where neither is watched.
+    is_guarded : bool
+        The drive is asked by remote frames.
     means : tuple of Means
         What watches the daemon.
+    is_reaction_known : bool
+        A loss is known to take the torque (6007h).
     """
 
     rpdo_id: int = 0
     feed_cycles: int = 1
-    guard_ms: int = 0
+    beat_s: float = 0.0
+    is_guarded: bool = False
     means: tuple[Means, ...] = ()
+    is_reaction_known: bool = False
+
+    @property
+    def acting(self) -> Means | None:
+        """The one that acts first."""
+        return min(self.means, key=lambda means: means.within_ms, default=None)
+
+    def row(self, max_missed: int) -> UnitRow:
+        """Return the row of the table that is shown before the first enable: what acts, and its worst time."""
+        acting = self.acting
+        if acting is None:
+            value, source = "nothing takes the torque if the daemon dies", "a drive that does not watch it"
+        elif self.is_reaction_known:
+            value = f"{acting.name} takes the torque within {acting.worst_ms} ms of the daemon's last frame"
+            source = f"its time of {acting.within_ms} ms and {REACTION_MS} ms for the reaction"
+        else:
+            value = f"{acting.name} acts, and whether that takes the torque is not known,"
+            source = f"its time of {acting.within_ms} ms"
+        confirmation = NOT_TRIED if self.means else "nothing is armed"
+        return UnitRow("watchdog", value, source, confirmation, f"realtime.max_missed {max_missed}")
 
 
 NOT_WATCHED = Watch()
@@ -142,9 +174,9 @@ class Guard:
 
     __slots__ = ("can_id", "next_ns", "period_ns")
 
-    def __init__(self, node: int, guard_ms: int) -> None:
+    def __init__(self, node: int, period_ns: int) -> None:
         self.can_id = objects.HEARTBEAT_BASE + node
-        self.period_ns = 1_000_000 * guard_ms
+        self.period_ns = period_ns
         self.next_ns = 0
 
 
@@ -186,7 +218,7 @@ def arm(
     Raises
     ------
     DriveError
-        The drive has no watchdog, and the configuration does not accept that.
+        The drive has no watchdog, and the configuration does not accept that; or it cannot meet what is demanded.
     """
     reaction = _reaction(access)
     leaves = "" if reaction else _leaves_operational(access)
@@ -196,20 +228,43 @@ def arm(
     if reaction:
         rpdo_id, is_command, found = _arm_rpdo(access, times, command, free)
         means += found
-    guard_ms = 0
+    of_heartbeat = times.behind_a_timer() if means else times
+    is_guarded = False
     if reaction or leaves:
-        consumer, notes = _arm_heartbeat(access, options.master_node, times)
+        consumer, notes = _arm_heartbeat(access, options.master_node, of_heartbeat)
         if not consumer:
-            consumer = _arm_guarding(access, times)
-            guard_ms = times.heartbeat_ms if consumer else 0
+            consumer = _arm_guarding(access, of_heartbeat)
+            is_guarded = bool(consumer)
         means += consumer
-    if not guard_ms:  # CiA 301: a node that produces heartbeats is not guarded
+    if not is_guarded:  # CiA 301: a node that produces heartbeats is not guarded
         access.try_write(objects.PRODUCER_HEARTBEAT, times.heartbeat_ms)
     if is_command:
         notes.append(f"no other RPDO has a timer: {command[0].name} takes effect when it arrives, and not at SYNC")
-    watch = Watch(rpdo_id, times.feed_cycles, guard_ms, tuple(means))
+    watch = Watch(rpdo_id, times.feed_cycles, of_heartbeat.beat_s, is_guarded, tuple(means), bool(reaction))
     rpdos = [command[0], *(record for record, _ in free)]
-    return Armed(watch, [_summary(access, options, rpdos, means, reaction, leaves), *notes], is_command)
+    notes.insert(0, _summary(access, options, rpdos, means, reaction, leaves))
+    return Armed(watch, notes + _judge(access, times, watch), is_command)
+
+
+def _judge(access: "SdoClient", times: WatchdogTimes, watch: Watch) -> list[str]:
+    """Return a warning where the drive does not take times as short as the bridged periods ask for.
+
+    Raises
+    ------
+    DriveError
+        The user has written how many periods are bridged.
+    """
+    acting, longest_ms = watch.acting, max(times.timer_ms, times.loss_ms)
+    if acting is None or acting.within_ms <= longest_ms:
+        return []
+    text = (
+        f"if the daemon dies, {acting.name} stops the drive within {acting.worst_ms} ms, because it takes no time "
+        f"shorter than {acting.within_ms} ms; realtime.max_missed {times.max_missed} asks for {longest_ms} ms"
+    )
+    if not times.is_demanded:
+        return [coded(f"warning: {text}", codes.WATCHDOG_SLOW)]
+    fix = f"the drive can meet realtime.max_missed {times.met_by(acting.within_ms)}; left out, it is a warning"
+    raise DriveError(f"{access.axis}: {access.where}: {text}", fix, code=codes.MAX_MISSED_NOT_MET)
 
 
 def _summary(
@@ -316,65 +371,13 @@ def _arm_rpdo(
 ) -> tuple[int, bool, list[Means]]:
     """Set up an event-driven RPDO; return its identifier (0: RPDO 1 or none), whether it is RPDO 1, and it."""
     for record, identifier in reversed(free):
-        if _set_up_feed(access, record, identifier, times.timer_ms):
-            return identifier, False, [Means("rpdo", record.name, times.timer_ms)]
-    if _make_event_driven(access, *command, times.timer_ms):
-        return 0, True, [Means("rpdo", command[0].name, times.timer_ms)]
+        if held_ms := set_up_feed(access, record, identifier, times.timer_ms):
+            return identifier, False, [Means("rpdo", record.name, held_ms)]
+    if held_ms := make_event_driven(access, *command, times.timer_ms):
+        return 0, True, [Means("rpdo", command[0].name, held_ms)]
     # some drives look at it without SYNC too: it is set, and does not count
     access.try_write(command[0].event_timer, times.timer_ms)
     return 0, False, []
-
-
-def _set_up_feed(access: "SdoClient", record: PdoRecord, identifier: int, timer_ms: int) -> bool:
-    """Let an RPDO carry the controlword alone, with a timer; return False if the drive refuses."""
-    if access.find(record.cob_id) is None or access.find(record.event_timer) is None:
-        return False
-    word = record.word(objects.CONTROLWORD, objects.CONTROLWORD.type.bits)
-    is_ready = (
-        _holds_cob_id(access, record, objects.PDO_INVALID | identifier)
-        and (_carries(access, record, word) or _map(access, record, word))
-        and any(access.try_write(record.transmission_type, kind) for kind in _EVENT_DRIVEN)
-        and access.try_write(record.event_timer, timer_ms)
-        and _holds_cob_id(access, record, identifier)
-    )
-    if not is_ready:
-        _holds_cob_id(access, record, objects.PDO_INVALID | identifier)
-    return is_ready
-
-
-def _make_event_driven(access: "SdoClient", record: PdoRecord, identifier: int, timer_ms: int) -> bool:
-    """Give the RPDO of the commands a timer that does not depend on SYNC; without success it is as before."""
-    if access.find(record.event_timer) is None:
-        return False
-    before = access.find(record.transmission_type)
-    _holds_cob_id(access, record, objects.PDO_INVALID | identifier)
-    is_ready = any(access.try_write(record.transmission_type, kind) for kind in _EVENT_DRIVEN) and access.try_write(
-        record.event_timer, timer_ms
-    )
-    if not is_ready and before is not None:
-        access.try_write(record.transmission_type, before)
-    access.write(record.cob_id, identifier)
-    return is_ready
-
-
-def _map(access: "SdoClient", record: PdoRecord, word: int) -> bool:
-    return (
-        access.try_write(record.mapping(0), 0)
-        and access.try_write(record.mapping(1), word)
-        and access.try_write(record.mapping(0), 1)
-    )
-
-
-def _carries(access: "SdoClient", record: PdoRecord, word: int) -> bool:
-    return access.find(record.mapping(0)) == 1 and access.find(record.mapping(1)) == word
-
-
-def _holds_cob_id(access: "SdoClient", record: PdoRecord, value: int) -> bool:
-    """Write the COB-ID of an RPDO; other bits than those of the identifier and of its validity are the drive's."""
-    relevant = objects.PDO_INVALID | 0x7FF
-    access.try_write(record.cob_id, value)
-    found = access.find(record.cob_id)
-    return found is not None and found & relevant == value & relevant
 
 
 def _arm_heartbeat(access: "SdoClient", master: int, times: WatchdogTimes) -> tuple[list[Means], list[str]]:
@@ -395,8 +398,8 @@ def _arm_heartbeat(access: "SdoClient", master: int, times: WatchdogTimes) -> tu
     if not free:
         return [], [*notes, "no entry of 1016h is free for the daemon"] if entries else []
     for entry in free:
-        if access.try_write(entry, master << 16 | times.loss_ms):
-            return [Means("heartbeat", f"heartbeat (1016h:{entry.subindex:02X})", times.loss_ms)], notes
+        if held_ms := write_time(access, entry, times.loss_ms, master << 16):
+            return [Means("heartbeat", f"heartbeat (1016h:{entry.subindex:02X})", held_ms)], notes
     return [], notes
 
 
@@ -412,10 +415,8 @@ def _arm_guarding(access: "SdoClient", times: WatchdogTimes) -> list[Means]:
         return []
     if access.find(objects.PRODUCER_HEARTBEAT) and not access.try_write(objects.PRODUCER_HEARTBEAT, 0):
         return []  # CiA 301: a node that produces heartbeats is not guarded
-    is_ready = access.try_write(objects.GUARD_TIME, times.heartbeat_ms) and access.try_write(
-        objects.LIFE_TIME_FACTOR, HEARTBEATS_TO_LOSS
-    )
-    if not is_ready:
+    held_ms = write_time(access, objects.GUARD_TIME, times.guard_ms)
+    if not (held_ms and access.try_write(objects.LIFE_TIME_FACTOR, times.guards_to_loss)):
         access.try_write(objects.GUARD_TIME, 0)
         return []
-    return [Means("guarding", "node guarding (100Ch, 100Dh)", times.loss_ms)]
+    return [Means("guarding", "node guarding (100Ch, 100Dh)", times.guards_to_loss * held_ms)]
