@@ -336,7 +336,7 @@ def test_a_command_that_can_only_be_written_has_the_width_of_the_standard(drive,
                 "prepare": synchronous_only,
                 **answers({"index": CONSUMER, "access": "write", "abort": HIGH}),
             },
-            r"1400h:02 refused FEh \(abort 06090030h\).*; 1016h:01 refused 007E003Ch \(abort 06090031h\).*; no 100Ch",
+            r"1400h:02 refused FEh \(abort 06090030h\).*; 1016h:01 refused 007E0014h \(abort 06090031h\).*; no 100Ch",
         ),
         (
             {"missing": [REACTION, ERROR_BEHAVIOUR]},

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 _EVENT_DRIVEN = (255, 254)
 _LONGER_MS = (30, 50, 100, 200, 500, 1000)  # tried where a drive does not take a time
+_TOO_SHORT = ("06090030h", "06090032h", "holds")  # refusals of a value, also as too low; or it holds another one
 _TIME = 0xFFFF  # bits of a time in ms
 
 
@@ -77,4 +78,6 @@ def write_time(access: "SdoClient", entry: Object, wanted_ms: int, further: int 
         found = further | time_ms if is_kept else access.find(entry)
         if found is not None and found & ~_TIME == further and found & _TIME >= wanted_ms:
             return found & _TIME
+        if not any(reason in access.why_not_written(entry) for reason in _TOO_SHORT):
+            break
     return 0
