@@ -5,8 +5,10 @@ failures, such as a drive that does not answer or a truncated file.
 """
 
 import difflib
+import traceback
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 MOST_PRINTED = 20  # mistakes of a file
 _MOST_CHOICES = 100  # that a message lists
@@ -101,6 +103,17 @@ class BusError(FrictionHilError):
 
 class DriveError(FrictionHilError):
     """A drive does not answer, differs from the configuration, lacks an object, or reports a fault."""
+
+
+def internal_error(error: Exception) -> str:
+    """Name an error of the program itself, with the place where it arose: it costs a part of the work, not all."""
+    own = [each for each in traceback.extract_tb(error.__traceback__) if f"{__package__}" in Path(each.filename).parts]
+    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    if not own:
+        return f"an internal error ({text})"
+    parts = Path(own[-1].filename).parts
+    begin = len(parts) - 1 - parts[::-1].index(f"{__package__}")
+    return f"an internal error ({text}, at {'/'.join(parts[begin:])}:{own[-1].lineno})"
 
 
 def choices(wrong: str, available: Iterable[str]) -> str:

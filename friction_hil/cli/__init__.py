@@ -156,9 +156,11 @@ def _exit_status(command: click.Command, arguments: Sequence[str] | None, progra
         sys.stdout.flush()
     except ConfigurationError as error:
         echo_problems(error.problems)
+        _echo_notes(error)
         return error.exit_status
     except FrictionHilError as error:
         echo_labelled("Error:", str(error))
+        _echo_notes(error)
         return error.exit_status
     except click.ClickException as error:
         _show(error)
@@ -171,6 +173,7 @@ def _exit_status(command: click.Command, arguments: Sequence[str] | None, progra
         return 1
     except OSError as error:
         echo_labelled("Error:", str(error))
+        _echo_notes(error)
         return 1
     except Exception:  # noqa: BLE001 - the last resort: a traceback, and where to report it
         import traceback  # imported here: --help must not wait for it
@@ -178,6 +181,12 @@ def _exit_status(command: click.Command, arguments: Sequence[str] | None, progra
         click.echo(traceback.format_exc() + _REPORT, err=True)
         return 1
     return result if type(result) is int else 0
+
+
+def _echo_notes(error: Exception) -> None:
+    """Print what an error has as notes, e.g. where the results so far are; a traceback has them itself."""
+    for note in getattr(error, "__notes__", ()):
+        click.echo(note, err=True)
 
 
 @contextlib.contextmanager

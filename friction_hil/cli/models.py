@@ -19,6 +19,21 @@ from friction_hil.cli.options import option_json
     help="Draw torque over velocity, and over position in a slow cycle, into PICTURE (.png, .svg).",
 )
 @click.option(
+    "--motion",
+    metavar="KIND[:KEY=X,...]|FILE",
+    help="With --draw: draw the torque along a motion, over time, position and velocity. sine and reversals take "
+    "amplitude (rad or m) and frequency (Hz), reversals also small (share of the amplitude) and times (as fast), steps "
+    "take velocity and frequency; all take periods. FILE is a recording with time_s and velocity or position.",
+)
+@click.option(
+    "--beside",
+    multiple=True,
+    metavar="MODEL",
+    shell_complete=complete_model,
+    help="With --draw: draw this model into the same picture, and along a motion its difference from NAME. May be "
+    "repeated.",
+)
+@click.option(
     "--export-all",
     "gallery",
     type=click.Path(path_type=Path, file_okay=False),

@@ -59,6 +59,18 @@ _RESULTS = (
 )
 
 
+def numbers(context: click.Context, parameter: click.Parameter, text: str | None) -> dict[str, float]:
+    """Return the numbers of an option ``KEY=X,KEY=X``; empty without one."""
+    found: dict[str, float] = {}
+    for part in text.split(",") if text else ():
+        key, _, value = part.partition("=")
+        try:
+            found[key.strip()] = float(value)
+        except ValueError:
+            raise click.BadParameter(f"{part!r} is not KEY=NUMBER") from None
+    return found
+
+
 def result_options(command: Command) -> Command:
     """Add ``--seed``, ``--output`` and ``--report`` of a command that makes a model file."""
     for option in reversed(_RESULTS):

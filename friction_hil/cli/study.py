@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from friction_hil.cli.completion import complete_models
-from friction_hil.cli.options import folder_option, option_json
+from friction_hil.cli.options import folder_option, numbers, option_json
 
 
 @click.command("study")
@@ -17,6 +17,27 @@ from friction_hil.cli.options import folder_option, option_json
     metavar="A,B,...",
     shell_complete=complete_models,
     help="Friction models of the experiments, separated by commas.  [default: all]",
+)
+@click.option(
+    "--friction",
+    metavar="KEY=X,...",
+    callback=numbers,
+    help="Levels of the mass of experiments 1 to 8, N and m: coulomb (1), static (1.5), stribeck_velocity (1e-3), "
+    "viscous (0.4), stiffness (1e5), damping (316). Paths and forces of the experiments "
+    "change in proportion.",
+)
+@click.option(
+    "--servo",
+    metavar="KEY=X,...",
+    callback=numbers,
+    help="The same of the servo of experiment 9, N m and rad.  [default: the example of lugre]",
+)
+@click.option(
+    "--motion",
+    metavar="KEY=X,...",
+    callback=numbers,
+    help="mass (1 kg); spring (2 N/m) and pull (0.1 m/s) of stick-slip; radius (1 rad) and frequency (0.5 Hz) of the "
+    "circle.",
 )
 @folder_option("out/study", "the report")
 @option_json
@@ -33,11 +54,13 @@ def command(machine: Path | None, names: str | None, **options: Any) -> int:
     the load.
 
     Writes report.html with figures, numbers and explanations; this takes less than a minute, and gives the same numbers
-    each time. Exit status 1 if a number is not finite.
+    each time for the same options. Exit status 1 if a number is not finite.
     """
     if machine is not None:
-        if names is not None:
-            raise click.UsageError("--models goes without MACHINE, whose file has the model of each axis")
+        if names is not None or any(options.pop(name) for name in ("friction", "servo", "motion")):
+            raise click.UsageError(
+                "--models, --friction, --servo and --motion go without MACHINE, whose file has model and motion"
+            )
         from friction_hil.cli.work.study_machine import run_machine_study  # imported here: as below
 
         return run_machine_study(machine=machine, **options)

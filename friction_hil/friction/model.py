@@ -373,7 +373,8 @@ class FrictionModel:
         """
         v = vector("velocity", velocity)
         require_finite("velocity", v)
-        _, _, _, load, celsius, _ = self._inputs(v[:1], 1.0, 0.0, load_torque, temperature, None)
+        dt = 1.0 if self.network is None else self.network.period_s  # a narx runs at no other
+        _, _, _, load, celsius, _ = self._inputs(v[:1], dt, 0.0, load_torque, temperature, None)
         torque = np.empty(v.size)
         kernel.steady_curve(dispatch.tag(self.kind), self.values, v, load[0], celsius[0], torque)
         if self.network is not None:

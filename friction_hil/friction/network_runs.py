@@ -3,9 +3,11 @@
 import numpy as np
 
 from friction_hil.friction import network
+from friction_hil.friction.elementary import whole
 from friction_hil.numerics.jit import Array, compiled
 
-_SETTLING_SAMPLES, _LONG_S = 13, 1e9
+_SETTLING_SAMPLES, _LONG_S = 13, 1e9  # of a gated network, whose state follows the path
+_MOST_SAMPLES, _SETTLED = 20_000, 1e-12  # of a narx, which takes samples of its own period; change over the bound
 _step = network.step
 
 
@@ -22,6 +24,9 @@ def step_apart(
 ) -> float:
     """Call `network.step` without inlining it; inlined into every family it would take minutes to compile."""
     return _step(p, s, velocity, level_velocity, dt, position, load_torque, temperature)
+
+
+_step_apart = step_apart
 
 
 @compiled
@@ -41,18 +46,30 @@ def run(
     temperature_stride = 1 if temperature.shape[0] > 1 else 0
     for k in range(velocity.shape[0]):
         where, load = position[k * position_stride], load_torque[k * load_stride]
-        torque[k] = _step(p, s, velocity[k], velocity[k], dt, where, load, temperature[k * temperature_stride])
+        torque[k] = _step_apart(p, s, velocity[k], velocity[k], dt, where, load, temperature[k * temperature_stride])
 
 
 @compiled
 def add_steady_curve(p: Array, velocity: Array, load_torque: float, temperature: float, torque: Array) -> None:
     """Add the steady torque of the network at every constant ``velocity`` and position 0 to ``torque`` (n,)."""
     s = np.zeros(network.STATE_ROOM)
+    is_narx = p[network.STRUCTURE] == network.NARX
+    dt = p[network.TRAINED_DT] if is_narx else _LONG_S
+    least, most = (whole(p[network.FEEDBACKS] + p[network.LAGS]), _MOST_SAMPLES) if is_narx else (0, _SETTLING_SAMPLES)
+    change = _SETTLED * p[network.BOUND] * p[network.TORQUE_SCALE] if is_narx else -1.0
     for k in range(velocity.shape[0]):
         if velocity[k] == 0.0:
             continue
         s[:] = 0.0
-        settled = 0.0
-        for _ in range(_SETTLING_SAMPLES):
-            settled = _step(p, s, velocity[k], velocity[k], _LONG_S, 0.0, load_torque, temperature)
+        settled, total, still = 0.0, 0.0, 0  # samples without a change: past torques and velocities are those of now
+        for sample in range(most):
+            before = settled
+            settled = _step_apart(p, s, velocity[k], velocity[k], dt, 0.0, load_torque, temperature)
+            still = still + 1 if abs(settled - before) <= change else 0
+            if still > least:
+                break
+            if is_narx and 2 * sample >= most:
+                total += settled
+                if sample == most - 1:  # it oscillates: its mean
+                    settled = total / (most - (most + 1) // 2)
         torque[k] += settled

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from friction_hil import friction as models
 from friction_hil.compensator.load import gravity_torque
-from friction_hil.errors import RecordingError, UsageError, choices
+from friction_hil.errors import FrictionHilError, RecordingError, UsageError, choices, internal_error
 from friction_hil.friction.modifiers import SIDES
 from friction_hil.identification import humps, modifiers, structures, unknown_gain
 from friction_hil.identification.choice import is_better, is_significant
@@ -54,6 +54,8 @@ class CandidateFitter:
         Known torques per unit of their column, if the gain of the drive is unknown; else empty.
     notes : list of str
         Remarks that concern all candidates.
+    failures : list of str
+        What was left out because of an internal error, with the error; they are among the notes, too.
     scales : InitialScales
     is_mean, delay_s
         Meaning of the measured torque in `fine` records, see `friction_hil.identification.fine.FineSegment`.
@@ -87,6 +89,7 @@ class CandidateFitter:
         self.validation = Data(kept, self.known) if kept else None
         self._held = {} if self.known else {name: x for name, x in settings.held.items() if name in MECHANICS}
         self.notes: list[str] = []
+        self.failures: list[str] = []
         self._offset: float | None = None
         if not settings.families:
             self.notes += [
@@ -166,32 +169,39 @@ class CandidateFitter:
         self._progress(FitStep(self._stage, self._number, self._count, label))
 
     def attempt(self, label: str, job: Callable[[], Result]) -> Result | None:
-        """Return the result of a fit; None, with a note, if its numbers fail: one candidate does not end a search."""
-        found, reason = _attempted(job)
-        self._drop(label, reason)
+        """Return the result of a fit; None, with a note, if it fails: one candidate does not end a search."""
+        found, failure = _attempted(job)
+        self._drop(label, failure)
         return found
 
     def _attempt_all(self, labels: Sequence[str], jobs: Sequence[Callable[[], Result]]) -> list[Result | None]:
-        """Return the results of independent fits, None for each whose numbers fail."""
+        """Return the results of independent fits, None for each that fails."""
         given = [partial(_attempted, job) for job in jobs]
         found = in_parallel(given, lambda number: self.report(labels[number]))
-        for label, (_, reason) in zip(labels, found, strict=True):
-            self._drop(label, reason)
+        for label, (_, failure) in zip(labels, found, strict=True):
+            self._drop(label, failure)
         return [result for result, _ in found]
 
-    def _drop(self, label: str, reason: str) -> None:
-        if reason:
+    def _drop(self, label: str, failure: Exception | None) -> None:
+        if isinstance(failure, NUMERICAL):
+            reason = str(failure) or type(failure).__name__
             self.notes.append(f"{label} was left out, because its numbers failed: {reason}")
+        elif failure is not None:
+            self.failures.append(f"{label} was left out, because of {internal_error(failure)}")
+            self.notes.append(self.failures[-1])
 
     def fit_all(self, tasks: Sequence[tuple[ModelStructure, Mapping[str, float] | None]]) -> list[Fit | None]:
         """Fit structures, each starting from given values or None, at the same time; None for each that failed."""
-        jobs = [self._job(structure, warm) for structure, warm in tasks]
-        return self._attempt_all([structure.label for structure, _ in tasks], jobs)
+        prepared = [self.attempt(structure.label, partial(self._job, structure, warm)) for structure, warm in tasks]
+        jobs = [job for job in prepared if job is not None]
+        labels = [structure.label for (structure, _), job in zip(tasks, prepared, strict=True) if job is not None]
+        found = iter(self._attempt_all(labels, jobs))
+        return [None if job is None else next(found) for job in prepared]
 
     def fit(self, structure: ModelStructure, warm: Mapping[str, float] | None = None) -> Fit | None:
         """Fit one candidate, starting from the values ``warm`` of a related one if given; None if it failed."""
         self.report(structure.label)
-        return self.attempt(structure.label, self._job(structure, warm))
+        return self.attempt(structure.label, lambda: self._job(structure, warm)())
 
     def _job(self, structure: ModelStructure, warm: Mapping[str, float] | None) -> Callable[[], Fit]:
         """Return the fit of a structure, to be run; what it needs of this object is taken now."""
@@ -279,8 +289,13 @@ class CandidateFitter:
         The searches begin with few steps of the model per sample. Candidates that fit far worse than others go no
         further (sequential halving).
         """
+        made = {
+            id(each): self.attempt(each.label, partial(self._coarse_regression, each.structure, each.mechanics))
+            for each in bases
+        }
+        bases = [each for each in bases if made[id(each)] is not None]
+        regressions = [regression for regression in made.values() if regression is not None]
         labels = [each.label for each in bases]
-        regressions = [self.fine_regression(each.structure, each.mechanics, self.coarse) for each in bases]
         searches = screened(regressions, [each.coordinates for each in bases], self.scales)
         _ = self.fine  # computed here, not by each of the threads
         jobs = [
@@ -292,8 +307,12 @@ class CandidateFitter:
     def refine(self, base: Fit) -> Fit | None:
         """Fit one structure once more, from the coordinates of ``base``; None if its numbers fail."""
         self.report(base.label)
-        coarse = self.fine_regression(base.structure, base.mechanics, self.coarse)
-        return self.attempt(base.label, partial(self._refined, base, coarse))
+        return self.attempt(
+            base.label, lambda: self._refined(base, self._coarse_regression(base.structure, base.mechanics))
+        )
+
+    def _coarse_regression(self, structure: ModelStructure, mechanics: Mapping[str, float]) -> Regression:
+        return self.fine_regression(structure, mechanics, self.coarse)
 
     def _refined(self, base: Fit, coarse: Regression, search: Search | None = None) -> Fit:
         """Return the refined fit of a candidate, from where the search on fewer steps of the model ended, if any."""
@@ -414,10 +433,12 @@ class CandidateFitter:
     def _coulomb_fit(self, *mechanics: str) -> Fit:
         structure = self._plain_structure("coulomb", is_directed=False)
         regression = Regression(self.data, structure, self._linear(*mechanics), self._held)
-        found, reason = _attempted(lambda: fit(regression, self.scales))
-        if found is None:
-            raise RecordingError(f"{self.data.records[0].path}: not even Coulomb friction can be fitted: {reason}")
-        return found
+        try:
+            return fit(regression, self.scales)
+        except NUMERICAL as error:
+            reason = str(error) or type(error).__name__
+            path = self.data.records[0].path
+            raise RecordingError(f"{path}: not even Coulomb friction can be fitted: {reason}") from None
 
     def _fitted_gravity(self) -> tuple[str, ...]:
         """Return the names of the gravity parameters to identify."""
@@ -501,7 +522,7 @@ class CandidateFitter:
     def _check_held(self) -> None:
         """Raise `UsageError` if a held parameter belongs to no candidate or its value is not a number."""
         known = {*MECHANICS, BACK_EMF} if self.known else set(MECHANICS)
-        for family in self.families:
+        for family in self.families if self.settings.held else ():
             for is_directed in (False, True):
                 structure = self._plain_structure(family, is_directed=is_directed)
                 known |= _names(structure)
@@ -514,12 +535,16 @@ class CandidateFitter:
                 raise UsageError(f"a value to hold is a number; {name} is {value}")
 
 
-def _attempted(job: Callable[[], Result]) -> tuple[Result | None, str]:
-    """Return the result of a fit, or None and the reason for which its numbers failed."""
+def _attempted(job: Callable[[], Result]) -> tuple[Result | None, Exception | None]:
+    """Return the result of a fit, or None and what it has raised: an error of the program costs this fit alone."""
     try:
-        return job(), ""
+        return job(), None
     except NUMERICAL as error:
-        return None, str(error) or type(error).__name__
+        return None, error
+    except FrictionHilError:  # a mistake in the data or the settings, which concerns all
+        raise
+    except Exception as error:  # noqa: BLE001  told by `_drop`
+        return None, error
 
 
 def _names(structure: ModelStructure) -> set[str]:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.identification import unknown_gain
@@ -49,6 +50,8 @@ class Identification:
         Remarks that concern all candidates.
     torque : TorqueTiming, optional
         Age of the measured torque, if it was looked for.
+    failures : tuple of str
+        Notes on what was left out because of an internal error.
     """
 
     fits: tuple[Fit, ...]
@@ -58,6 +61,7 @@ class Identification:
     settings: IdentificationSettings
     notes: tuple[str, ...]
     torque: TorqueTiming | None = None
+    failures: tuple[str, ...] = ()
 
     @property
     def best(self) -> Fit:
@@ -119,8 +123,9 @@ def identify(
     torque = None
     again = to_refine(best, [*fits, *free]) if not fitter.known else []
     if again and is_refined_later:
-        torque = _settle_torque(fitter, again)
-        fits, best, reason = _refine(fitter, fits, again)
+        torque = fitter.attempt("the age of the torque", lambda: _settle_torque(fitter, again))
+        refined = fitter.attempt("the refinement", lambda: _refine(fitter, fits, again))
+        fits, best, reason = refined or (fits, best, reason)
     others = sorted(
         (each for each in fits if each is not best), key=lambda each: (not each.is_refined, each.held_out.rmse)
     )
@@ -128,7 +133,14 @@ def identify(
         best, *others = (unknown_gain.in_torque(each, fitter.data.parts) for each in (best, *others))
     kept = () if fitter.validation is None else fitter.validation.records
     return Identification(
-        (best, *others), reason, fitter.data.records, kept, fitter.settings, tuple(dict.fromkeys(fitter.notes)), torque
+        (best, *others),
+        reason,
+        fitter.data.records,
+        kept,
+        fitter.settings,
+        tuple(dict.fromkeys(fitter.notes)),
+        torque,
+        tuple(dict.fromkeys(fitter.failures)),
     )
 
 
@@ -178,13 +190,18 @@ def _fit_all(fitter: CandidateFitter, *, is_refined_later: bool) -> tuple[list[F
     fitter.begin("families", 2 * len(fitter.families))
     families = _fit_families(fitter, is_refined_later=is_refined_later)
     fitter.begin("modifiers")
-    fits = fitter.supported(families)
+    fits = _supported(fitter, families)
     bases = [each for each in fits if not (is_refined_later and is_dynamic(each.structure))]
     if fitter.settings.has_modifiers:
-        fits = fitter.supported([*fits, *_fit_modified(fitter, bases)])
+        fits = _supported(fitter, [*fits, *_fit_modified(fitter, bases)])
     bases = [each for each in fits if not (is_refined_later and is_dynamic(each.structure))]
-    fits = fitter.supported([*fits, *_fit_pruned(fitter, bases)])
+    pruned = fitter.attempt("what the data do not show", lambda: _fit_pruned(fitter, bases)) or []
+    fits = _supported(fitter, [*fits, *pruned])
     return (unknown_gain.usable(fits) if fitter.known else fits), [each for each in families if each not in fits]
+
+
+def _supported(fitter: CandidateFitter, fits: Sequence[Fit]) -> list[Fit]:
+    return fitter.attempt("the test of Stribeck humps", lambda: fitter.supported(fits)) or list(fits)
 
 
 def _fit_families(fitter: CandidateFitter, *, is_refined_later: bool) -> list[Fit]:
@@ -210,9 +227,11 @@ def _fit_families_as(
     tasks = []
     for family in families:
         base = found.get(EXTENDS.get(family, "")) or plain.get(family)
-        tasks.append((fitter.build(family, is_directed=bool(plain)), None if base is None else base.values))
-    fits = zip(families, fitter.fit_all(tasks), strict=True)
-    found.update({family: each for family, each in fits if each is not None})
+        structure = fitter.attempt(family, partial(fitter.build, family, is_directed=bool(plain)))
+        if structure is not None:
+            tasks.append((structure, None if base is None else base.values))
+    fits = zip(tasks, fitter.fit_all(tasks), strict=True)
+    found.update({structure.family: each for (structure, _), each in fits if each is not None})
 
 
 def _not_far(fitter: CandidateFitter, fits: Mapping[str, Fit]) -> list[str]:
@@ -244,20 +263,26 @@ def _fit_modified(fitter: CandidateFitter, fits: list[Fit]) -> list[Fit]:
         if each.structure.modifiers or family in is_plain:
             continue
         if family == "coulomb" or any(family == base.structure.family for base in bases):
-            found += _fit_plain_with_load(fitter, each)
+            found += fitter.attempt(f"{each.label} + load", partial(_fit_plain_with_load, fitter, each)) or []
     for base in bases:
-        now = base
-        for _ in range(_ROUNDS):
-            fitted = [
-                fitter.fit_with_load(each, now) if "load" in each.modifiers else fitter.fit(each, now.values)
-                for each in list(fitter.with_modifier(now))
-            ]
-            tried = [each for each in fitted if each is not None]
-            better = [each for each in tried if is_better(each, now)]
-            found += tried
-            if not better:
-                break
-            now = min(better, key=lambda each: each.held_out.rmse)
+        found += fitter.attempt(f"{base.label} with modifiers", partial(_fit_rounds, fitter, base)) or []
+    return found
+
+
+def _fit_rounds(fitter: CandidateFitter, base: Fit) -> list[Fit]:
+    """Fit one family with further modifiers, adding one at a time while held-out errors fall."""
+    found, now = [], base
+    for _ in range(_ROUNDS):
+        fitted = [
+            fitter.fit_with_load(each, now) if "load" in each.modifiers else fitter.fit(each, now.values)
+            for each in list(fitter.with_modifier(now))
+        ]
+        tried = [each for each in fitted if each is not None]
+        better = [each for each in tried if is_better(each, now)]
+        found += tried
+        if not better:
+            break
+        now = min(better, key=lambda each: each.held_out.rmse)
     return found
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from friction_hil.errors import FrictionHilError, internal_error
 from friction_hil.identification.data import RegressionSegment, prepare
 from friction_hil.identification.encoder_error import MOST_ORDERS, EncoderError, find_encoder_error
 from friction_hil.identification.frequency_response import FrequencyResponse, frequency_response
@@ -120,13 +121,32 @@ def find_mechanics(
         Called with the name of each step.
     """
     units = Units.of(result)
+    try:
+        return _found(recordings, result, shaken, held or {}, disturbed, report)
+    except FrictionHilError:
+        raise
+    except Exception as error:  # noqa: BLE001  it costs the mechanics, not the friction that is known already
+        why = f"{internal_error(error)} ended the search for it"
+        return Mechanics(tuple(replace(each, missing=why) for each in undetermined(units)))
+
+
+def _found(
+    recordings: Sequence[Recording],
+    result: Identification,
+    shaken: Sequence[Recording],
+    held: Mapping[str, Recording],
+    disturbed: str,
+    report: Callable[[str], None],
+) -> Mechanics:
+    """Return what `find_mechanics` finds."""
+    units = Units.of(result)
     if disturbed or result.settings.has_unknown_gain:
         why = disturbed or "it needs a torque of known gain"
         return Mechanics(tuple(replace(each, missing=why) for each in undetermined(units)))
     records = [each for each in result.records if not each.is_thinned] or list(result.records)
     report("frequency response")
     excited = [segment for each in shaken for segment in prepare(each)] or records
-    beside = [_beside(each, held or {}) for each in excited] if shaken else None
+    beside = [_beside(each, held) for each in excited] if shaken else None
     response = frequency_response(excited, beside=beside) if _one_rate(excited) else None
     resonance, why = (None, _UNEXCITED) if response is None else fit_resonance(response)
     report("two masses")

@@ -54,8 +54,8 @@ def estimate_scales(data: Data, mechanics: tuple[str, ...]) -> InitialScales:
         deflections=_best(deflections, left, 2),
         stribeck_velocities=stribeck_velocities,
         speeds=_table_speeds(data, speed),
-        least_sliding_speed=_least_sliding_speed(data, _SLIDING * _best(deflections, left, 1)[0]),
-        largest=_largest(data, mechanics, sign),
+        least_sliding_speed=_least_sliding_speed(data, _SLIDING * _best(deflections, left, 1)[0], speed),
+        largest=max(_largest(data, mechanics, sign), level),
     )
 
 
@@ -99,16 +99,19 @@ def _table_speeds(data: Data, speed: float) -> tuple[float, ...]:
             for record in data.records
         ]
     )
-    moving = moving[moving > _MOVING * speed]
+    moving = moving[moving > _MOVING * np.max(moving)]
+    if not len(moving):
+        raise RecordingError(f"{data.records[0].path}: the axis does not move in any row that counts")
     quantiles = np.quantile(moving, np.linspace(0.02, 0.98, TABLE_POINTS))
     return tuple(np.maximum.accumulate(quantiles + 1e-6 * speed * np.arange(TABLE_POINTS)).tolist())
 
 
-def _least_sliding_speed(data: Data, distance: float) -> float:
+def _least_sliding_speed(data: Data, distance: float, top: float) -> float:
     """Return the speed that the axis exceeds, except for a small part of the time, where it slides.
 
     It slides where it has moved by ``distance`` since the last reversal; before that the torque shows presliding, not
-    the level at that speed. A parameter of the Stribeck curve is known only from rows in which the axis slides.
+    the level at that speed. A parameter of the Stribeck curve is known only from rows in which the axis slides. A
+    coarse encoder shows no speed in many of these rows: slower than `_MOVING` the axis does not move.
     """
     found, total = [], 0
     for record in data.records:
@@ -120,7 +123,8 @@ def _least_sliding_speed(data: Data, distance: float) -> float:
         found.append(speeds)
         total += len(velocity)
     slid = np.sort(np.concatenate(found))
-    return float(slid[min(int(_LEAST_SHARE * total), len(slid) - 1)]) if len(slid) else math.inf
+    least = float(slid[min(int(_LEAST_SHARE * total), len(slid) - 1)]) if len(slid) else top
+    return max(least, _MOVING * top)
 
 
 def _largest(data: Data, mechanics: tuple[str, ...], sign: Array) -> float:

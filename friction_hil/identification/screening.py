@@ -14,7 +14,7 @@ import numpy as np
 from friction_hil.identification import structures
 from friction_hil.identification.choice import log_likelihood_gain
 from friction_hil.identification.humps import hump
-from friction_hil.identification.least_squares import NUMERICAL, FitError
+from friction_hil.identification.least_squares import FitError
 from friction_hil.identification.prediction_errors import PredictionError, prediction_error
 from friction_hil.identification.refine import inside
 from friction_hil.identification.regression import Estimate, Regression
@@ -103,7 +103,7 @@ def _begun(regression: Regression, base: Array, scales: InitialScales) -> Search
     ]
     try:
         tried = [regression.search(each, evaluations=_FIRST_EVALUATIONS, tolerance=1e-5) for each in starts]
-    except NUMERICAL as error:
+    except Exception as error:  # noqa: BLE001  raised again where this candidate is refined, and costs it alone
         return Search(starts[0], failure=error)
     best = min(tried, key=lambda each: each.cost)
     if not math.isfinite(best.cost):
@@ -127,6 +127,6 @@ def _humps(regression: Regression, scales: InitialScales) -> list[dict[str, floa
 def _continued(regression: Regression, search: Search, evaluations: int) -> Search:
     try:
         solution = regression.search(search.at, evaluations=evaluations, tolerance=1e-4)
-    except NUMERICAL as error:
+    except Exception as error:  # noqa: BLE001  raised again where this candidate is refined, and costs it alone
         return Search(search.at, failure=error)
     return Search(solution.at, prediction_error(regression.data.torque, regression.data.torque - solution.residual))

@@ -7,16 +7,17 @@ constants.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from friction_hil import friction as models
-from friction_hil.errors import UsageError, choices
+from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.friction import FrictionModel
 from friction_hil.friction.model import Axis
 from friction_hil.friction.modifiers import SIDES
+from friction_hil.identification.least_squares import FitError
 
 GMS_ELEMENTS = 4
 TABLE_POINTS = 6
@@ -31,7 +32,7 @@ _SPRING_RATIOS = (0.2, 1.0, 3.0, 10.0)  # of the deflections at which elements o
 
 @dataclass(frozen=True, slots=True)
 class InitialScales:
-    """Scales of friction estimated before any model is fitted, SI of the axis.
+    """Scales of friction estimated before any model is fitted, SI of the axis. All are finite and above zero.
 
     Attributes
     ----------
@@ -51,6 +52,11 @@ class InitialScales:
         Speed below which the axis slides, past presliding, for a small part of the time only.
     largest : float
         Largest friction that was measured.
+
+    Raises
+    ------
+    RecordingError
+        A scale is zero, below zero or not finite: the searches begin there, and their bounds are multiples of it.
     """
 
     level: float
@@ -62,6 +68,14 @@ class InitialScales:
     speeds: tuple[float, ...]
     least_sliding_speed: float
     largest: float
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            if not np.all((np.asarray(getattr(self, each.name)) > 0.0) & np.isfinite(getattr(self, each.name))):
+                raise RecordingError(
+                    f"the recording gives no scale to begin a search from: {each.name.replace('_', ' ')} is "
+                    f"{getattr(self, each.name)}, but must be finite and above zero"
+                )
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +90,23 @@ class Coordinate:
         Bounds of the parameter.
     is_log : bool
         True to search for the logarithm of the parameter.
+
+    Raises
+    ------
+    FitError
+        The bounds are not finite or not ordered, or one of a logarithm is not above zero.
     """
 
     names: tuple[str, ...]
     lower: float
     upper: float
     is_log: bool
+
+    def __post_init__(self) -> None:
+        is_ordered = -math.inf < self.lower <= self.upper < math.inf
+        if not is_ordered or (self.is_log and self.lower <= 0.0):
+            kind = "finite, ordered and above zero" if self.is_log else "finite and ordered"
+            raise FitError(f"the bounds of {self.name} are {self.lower:g} to {self.upper:g}, but must be {kind}")
 
     @property
     def name(self) -> str:

@@ -29,6 +29,7 @@ _STROKE = 2.0  # travel of the cycle to either side, in presliding distances
 _INNER_TOP = 0.8  # of the largest torque: start of the inner loop
 _INNER_LENGTH = 0.6  # of the distance back to the other end: length of the inner loop
 _SAMPLES = 400  # of a leg of the cycle
+_LONGEST = 20_000  # samples in which a network without a stiffness comes to slide
 _TEMPERATURE_STEP = 20.0  # K
 
 
@@ -90,17 +91,32 @@ def slow_cycle(model: FrictionModel) -> SlowCycle:
         band = max(float(side.get("stick_velocity", 0.0)) for side in _sides(model))
         return _move(model, max(velocity, 2.0 * band), [1.0, -1.0, 0.2, -0.4, 0.2, 1.0])
     if not model.presliding_stiffness > 0.0:
-        raise UsageError(f"{model} cannot be drawn: its stiffness vanishes beside its level")
+        return _cycle_of_samples(model, velocity)
     deflection = model.level / model.presliding_stiffness
     velocity = min(velocity, deflection)  # at least one second for this distance
     position = deflection * np.geomspace(1e-2, 1e4, 2001)
     steps = np.diff(position, prepend=0.0)
     torque = _torque(model, np.full(steps.size, velocity), steps / velocity)
     end = _STROKE * float(position[np.argmax(torque >= _SETTLED * torque.max())])
-    whole = _move(model, velocity, [end, -end, end])
+    return _with_loop(model, velocity, end)
+
+
+def _cycle_of_samples(model: FrictionModel, velocity: float) -> SlowCycle:
+    """Move a network whose state is no deflection: a narx runs at the period of its training only."""
+    if model.network is None:
+        raise UsageError(f"{model} cannot be drawn: its stiffness vanishes beside its level")
+    dt = model.network.period_s
+    torque = _torque(model, np.full(_LONGEST, velocity), np.full(1, dt))
+    settled = int(np.argmax(torque >= _SETTLED * torque.max()))
+    return _with_loop(model, velocity, max(_STROKE * settled, 0.5 * _SAMPLES) * dt * velocity, dt)
+
+
+def _with_loop(model: FrictionModel, velocity: float, end: float, dt: float | None = None) -> SlowCycle:
+    """Move to either end, and back with a small loop."""
+    whole = _move(model, velocity, [end, -end, end], dt)
     back = np.flatnonzero(whole.leg == 2)
     top = float(whole.position[back[np.argmax(whole.torque[back] >= _INNER_TOP * whole.torque[back].max())]])
-    return _move(model, velocity, [end, -end, top, top - _INNER_LENGTH * (top + end), top, end])
+    return _move(model, velocity, [end, -end, top, top - _INNER_LENGTH * (top + end), top, end], dt)
 
 
 def ripple(model: FrictionModel, position: Array) -> Array:
@@ -134,8 +150,8 @@ def _break_away(model: FrictionModel, sign: float) -> float:
     return float(_torque(model, np.zeros(1), np.ones(1), plenty)[0])
 
 
-def _move(model: FrictionModel, velocity: float, waypoints: list[float]) -> SlowCycle:
-    """Move at a constant speed from 0 to each of ``waypoints``.
+def _move(model: FrictionModel, velocity: float, waypoints: list[float], period_s: float | None = None) -> SlowCycle:
+    """Move at a constant speed from 0 to each of ``waypoints``, in samples of ``period_s`` if given.
 
     A static map rests at each reversal while the applied torque changes from that of the previous motion to the
     break-away torque.
@@ -149,10 +165,12 @@ def _move(model: FrictionModel, velocity: float, waypoints: list[float]) -> Slow
             applied = np.linspace(start, _break_away(model, sign), _SAMPLES)
             rest = np.zeros(_SAMPLES)
             _append(columns, here + rest, rest, 1.0 + rest, applied, leg + rest)
-        first = here if model.family.is_static else here + (there - here) / _SAMPLES  # a static map jumps at rest
-        moved = np.linspace(first, there, _SAMPLES)
-        same = np.ones(_SAMPLES)
-        dt = abs(there - here) / _SAMPLES / velocity
+        seconds = abs(there - here) / velocity
+        count = _SAMPLES if period_s is None else max(2, round(seconds / period_s))
+        first = here if model.family.is_static else here + (there - here) / count  # a static map jumps at rest
+        moved = np.linspace(first, there, count)
+        same = np.ones(count)
+        dt = seconds / count if period_s is None else period_s
         _append(columns, moved, sign * velocity * same, dt * same, 0.0 * same, leg * same)
         here, before = there, sign
     position, v, steps, applied, leg_numbers = map(np.concatenate, columns)

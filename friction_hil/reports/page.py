@@ -3,6 +3,7 @@
 import base64
 import html
 import io
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,6 +37,9 @@ def picture(figure: "Figure", caption: str, kind: str = "") -> str:
     from matplotlib import rc_context  # imported here: matplotlib is optional, and takes 0.3 s
 
     apply_style(figure)
+    if (layout := figure.get_layout_engine()) is not None:
+        layout.execute(figure)
+        figure.set_layout_engine("none")  # done: otherwise everything is drawn once more to do it again
     text = io.StringIO()
     with rc_context(REPRODUCIBLE):
         figure.savefig(text, format="svg", metadata={"Date": None})
@@ -107,9 +111,12 @@ def claim_folder(folder: Path, names: Sequence[str], mark: str, maker: str) -> N
     Raises
     ------
     UsageError
-        A file of one of these names exists, and the report in the folder was not made by the same command.
+        A file of one of these names exists, and the report in the folder was not made by the same command; or the
+        folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        raise UsageError(f"{folder} cannot be written: permission denied; choose another folder")
     present = [name for name in names if (folder / name).exists()]
     if not present:
         return

@@ -6,5 +6,6 @@
 """
 
 from friction_hil.study.run import Study, check_names, run
+from friction_hil.study.subjects import StudySettings
 
-__all__ = ["Study", "check_names", "run"]
+__all__ = ["Study", "StudySettings", "check_names", "run"]

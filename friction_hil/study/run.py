@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 from friction_hil import friction as models
 from friction_hil.errors import UsageError
@@ -12,8 +13,9 @@ from friction_hil.study.closed_loop import hunting, stick_slip
 from friction_hil.study.given_force import break_away_force, presliding
 from friction_hil.study.given_motion import frictional_lag, static_curve, stress_strain, velocity_pulse
 from friction_hil.study.result import ExperimentResult
+from friction_hil.study.subjects import DEFAULT, StudySettings
 
-SINGLE: dict[str, Callable[[str], ExperimentResult]] = {
+SINGLE: dict[str, Callable[..., ExperimentResult]] = {
     "static_curve": static_curve,
     "velocity_pulse": velocity_pulse,
     "presliding": presliding,
@@ -21,7 +23,7 @@ SINGLE: dict[str, Callable[[str], ExperimentResult]] = {
     "frictional_lag": frictional_lag,
     "break_away": break_away_force,
 }
-PAIRED: dict[str, Callable[[str, str | None], ExperimentResult]] = {
+PAIRED: dict[str, Callable[..., ExperimentResult]] = {
     "stick_slip": stick_slip,
     "hunting": hunting,
     "reversal": reversal,
@@ -43,11 +45,13 @@ class Study:
     paired : dict of dict of ExperimentResult
         Experiments with a closed loop, by experiment and pair: the model that acts, and the model that the compensator
         assumes (None: no compensation).
+    settings : StudySettings
     """
 
     models: tuple[str, ...]
     single: dict[str, dict[str, ExperimentResult]]
     paired: dict[str, dict[tuple[str, str | None], ExperimentResult]]
+    settings: StudySettings = DEFAULT
 
     @property
     def facts(self) -> dict[str, dict[str, float]]:
@@ -86,7 +90,10 @@ def check_names(names: Sequence[str] | None) -> tuple[str, ...]:
 
 
 def run(
-    names: Sequence[str] | None = None, on_progress: OnProgress = lambda text, fraction: None, workers: int = 2
+    names: Sequence[str] | None = None,
+    on_progress: OnProgress = lambda text, fraction: None,
+    workers: int = 2,
+    settings: StudySettings = DEFAULT,
 ) -> Study:
     """Run all experiments.
 
@@ -98,6 +105,7 @@ def run(
         Called after each experiment with each model or pair of models.
     workers : int
         Number of threads; the results do not depend on it.
+    settings : StudySettings
 
     Raises
     ------
@@ -112,17 +120,18 @@ def run(
     with ThreadPoolExecutor(workers) as pool:
         try:
             for experiment, one in SINGLE.items():
-                for name, result in zip(chosen, pool.map(one, chosen), strict=True):
+                for name, result in zip(chosen, pool.map(partial(one, given=settings), chosen), strict=True):
                     single[experiment][name] = result
                     done += 1
                     on_progress(experiment, done / whole)
             for closed_loop, two in PAIRED.items():
                 apply = map if two is reversal else pool.map  # a Python loop holds the lock, so threads do not help
-                for pair, result in zip(pairs, apply(two, *zip(*pairs, strict=True)), strict=True):
+                results = apply(partial(two, given=settings), *zip(*pairs, strict=True))
+                for pair, result in zip(pairs, results, strict=True):
                     paired[closed_loop][pair] = result
                     done += 1
                     on_progress(closed_loop, done / whole)
         except BaseException:
             pool.shutdown(cancel_futures=True)  # otherwise Ctrl-C would wait for all queued work
             raise
-    return Study(chosen, single, paired)
+    return Study(chosen, single, paired, settings)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -51,6 +51,38 @@ REFERENCE = Levels(
     damping_velocity=math.inf,
     top_velocity=0.1,
 )
+
+
+@dataclass(frozen=True, slots=True)
+class StudySettings:
+    """What the experiments are made with; the defaults are those that the explanations of the report refer to.
+
+    Attributes
+    ----------
+    friction : Levels
+        Of the mass of experiments 1 to 8, N and m. Paths, velocities and forces of the experiments are in proportion.
+    servo : dict of float
+        Changed levels of the servo of experiment 9, N m and rad, by the names of `Levels`.
+    mass : float
+        kg.
+    spring, pull : float
+        Of stick-slip: stiffness, N/m, and speed at which the spring is pulled, m/s.
+    radius, frequency : float
+        Of the circle of experiment 9, rad and Hz.
+    """
+
+    friction: Levels = REFERENCE
+    servo: Mapping[str, float] = field(default_factory=dict)
+    mass: float = 1.0
+    spring: float = 2.0
+    pull: float = 0.1
+    radius: float = 1.0
+    frequency: float = 0.5
+
+    @property
+    def servo_levels(self) -> Levels:
+        """Levels of the servo of experiment 9."""
+        return replace(servo_levels(math.tau * self.frequency * self.radius), **self.servo)
 
 
 def servo_levels(top_velocity: float) -> Levels:
@@ -211,3 +243,5 @@ _RECIPES: dict[str, Callable[[Levels, Example, Levels], dict[str, Any]]] = {
     "stribeck": _stribeck,
     "table": _table,
 }
+
+DEFAULT = StudySettings()

@@ -31,8 +31,8 @@ class Progress:
     Attributes
     ----------
     stage : {"trial", "series-parallel", "parallel"}
-    start : int
-        Index of the start, from 0.
+    start, starts : int
+        Index of the start, from 0, and number of starts.
     iteration : int
         Number of iterations so far, of all starts together.
     most_iterations : int
@@ -44,6 +44,7 @@ class Progress:
 
     stage: str
     start: int
+    starts: int
     iteration: int
     most_iterations: int
     error: float
@@ -197,7 +198,16 @@ class _Training:
                 start.error, start.best, stale = error, p, 0
             train_error = math.sqrt(reached.cost)
             number = next(self._iterations)
-            step = Progress(stage, start.number, number, self._most_iterations, train_error, error, reached.damping)
+            step = Progress(
+                stage,
+                start.number,
+                self.options.starts,
+                number,
+                self._most_iterations,
+                train_error,
+                error,
+                reached.damping,
+            )
             self.history.append(step)
             if not self._goes_on(step):
                 raise _StoppedError

@@ -9,7 +9,7 @@ import numpy as np
 
 from friction_hil import friction as models
 from friction_hil.config import Configuration
-from friction_hil.errors import RecordingError
+from friction_hil.errors import FrictionHilError, RecordingError, internal_error
 from friction_hil.identification import Fit, Identification, IdentificationSettings, identify
 from friction_hil.identification.choice import is_determined
 from friction_hil.identification.data import prepare
@@ -78,7 +78,7 @@ def identified(
     on_fit : callable
         Called with a `FitStep` before each fit.
     on_problem : callable
-        Called with a sentence if static models cannot be identified.
+        Called with a sentence on what cannot be identified, or what an internal error has cost.
 
     Raises
     ------
@@ -86,21 +86,44 @@ def identified(
         Nothing can be identified.
     """
     found: list[Identification] = []
+    problem: RecordingError | None = None
     name = parts[0].recording.axis
     travel = experiment_of(name, configuration.axes[name]).travel
     for recordings, wanted in _parts(parts, configuration, tuple(families), on_problem):
         settings = replace(wanted, sliding_distance=_sliding_distance(found, travel)) if wanted.sliding_s else wanted
+        kind = "static" if wanted.sliding_s else "dynamic"
         try:
-            found.append(identify(recordings, settings, progress=on_fit))
+            found.append(_identified(recordings, settings, on_fit))
         except RecordingError as error:  # e.g. an axis that hardly slides
-            if not found:
-                raise
-            on_problem(f"no static model: {error}")
+            problem = problem or error
+            on_problem(f"no {kind} model: {error}")
+    if problem is not None and not found:
+        raise problem
+    for text in dict.fromkeys(text for each in found for text in each.failures):
+        on_problem(text)
     return [
         *found[:1],
         *_in_two_steps([each.recording for each in parts], found, chosen_families(tuple(families)), on_fit, on_problem),
         *found[1:],
     ]
+
+
+def _identified(
+    recordings: Sequence[Recording], settings: IdentificationSettings, on_fit: Callable[[FitStep], None]
+) -> Identification:
+    """Identify; an error of the program costs the families of these settings, not the experiment.
+
+    Raises
+    ------
+    RecordingError
+        Nothing can be identified.
+    """
+    try:
+        return identify(recordings, settings, progress=on_fit)
+    except FrictionHilError:
+        raise
+    except Exception as error:
+        raise RecordingError(f"{', '.join(settings.families)}: {internal_error(error)}") from error
 
 
 def _in_two_steps(
@@ -123,7 +146,7 @@ def _in_two_steps(
         if held := steady_curve(found[1:], family):
             settings = replace(found[0].settings, families=(family,), held=held, torque=_settled_torque(found[0]))
             try:
-                yield identify(recordings, settings, progress=on_fit)
+                yield _identified(recordings, settings, on_fit)
             except RecordingError as error:
                 on_problem(f"no {family} model with the steady curve of the slow sweeps: {error}")
 

@@ -23,7 +23,7 @@ from friction_hil import friction
 from friction_hil.config import Configuration
 from friction_hil.config.trajectories import Circle, Sine, Strokes, Triangle
 from friction_hil.daemon.assembly import experiment_sweeps, periodic_path
-from friction_hil.errors import FrictionHilError
+from friction_hil.errors import FrictionHilError, internal_error
 from friction_hil.friction import FrictionModel
 from friction_hil.identification import Fit, IdentificationSettings, identify
 from friction_hil.identification.data import RegressionSegment, prepare
@@ -205,6 +205,10 @@ class Observer:
             return self._taken(part, resolution)
         except NUMERICAL as error:
             raise FrictionHilError(f"the estimate fails: {error}") from None
+        except FrictionHilError:
+            raise
+        except Exception as error:  # it costs the estimate, not the experiment
+            raise FrictionHilError(f"the estimate fails: {internal_error(error)}") from error
 
     def _taken(self, part: ExperimentPart, resolution: float) -> Unknown:
         slow = sliding_part(part.recording, self._configuration, part.duration_s)

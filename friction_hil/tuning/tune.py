@@ -2,13 +2,15 @@
 
 import contextlib
 import math
+import os
+import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from friction_hil.config import Configuration
-from friction_hil.errors import FrictionHilError, RecordingError, UsageError, choices
+from friction_hil.errors import FrictionHilError, RecordingError, UsageError, choices, internal_error
 from friction_hil.identification import Identification
 from friction_hil.identification.mechanics import Mechanics, find_mechanics
 from friction_hil.identification.settings import chosen_families
@@ -115,6 +117,8 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
         A run met a fault.
     KeyboardInterrupt
         The user stopped a run; the axes are at rest.
+
+    An exception that is raised after motion has a note with the recordings that are kept, and how to go on from them.
     """
     if configuration.bus is not None and configuration.bus.role == "sidecar":
         raise UsageError(
@@ -129,8 +133,13 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
         if not settings.is_simulated:
             refuse_unwritable_model(name, configuration.axes[name])
     _claim(settings.folder)
+    tuner = _Tuner(configuration, settings, names, dialog)
     try:
-        return _Tuner(configuration, settings, names, dialog).tune()
+        return tuner.tune()
+    except Exception as error:
+        if kept := tuner.kept():
+            error.add_note(kept)
+        raise
     finally:
         with contextlib.suppress(OSError):
             settings.folder.rmdir()  # only if it is still empty
@@ -168,6 +177,18 @@ class _Tuner:
         self._torque_ratios: dict[str, TorqueRatio] = {}
         self._experiments: dict[str, ExperimentResult] = {}
         self._all_rehearsed: dict[str, tuple[RehearsedFit, ...]] = {}
+        self._recorded: dict[str, list[Path]] = {}  # complete parts of experiments, by axis
+
+    def kept(self) -> str:
+        """Return which recordings there are, and how to identify from them; empty if nothing has moved."""
+        if not self._runs.recordings:
+            return ""
+        lines = [f"The recordings made so far are kept: {', '.join(map(str, self._runs.recordings))}."]
+        for name, paths in self._recorded.items():
+            files = shlex.join(map(str, paths))
+            target = shlex.quote(str(self._settings.folder / f"{name}_identified.yaml"))
+            lines.append(f"To go on from them: friction-hil identify {files} --axis {name} --output {target}")
+        return "\n".join(lines)
 
     def tune(self) -> Tuning:
         """Carry out all steps; see `tune`."""
@@ -228,7 +249,9 @@ class _Tuner:
     ) -> Recording:
         """Record a part of the experiment of an axis, with a torque."""
         axis = self._configuration.axes[name]
-        recording = read(self._runs.run(run, duration_s, file, speeds), name)
+        path = self._runs.run(run, duration_s, file, speeds)
+        self._recorded.setdefault(name, []).append(path)
+        recording = read(path, name)
         [facts] = (each for each in recording.metadata["facts"] if each["name"] == name)
         self._resolutions[name] = facts["position_resolution"]
         unit = "rad" if axis.model.axis == "rotary" else "m"
@@ -259,8 +282,7 @@ class _Tuner:
                 on_problem=problems.append,
             )
         for problem in problems:
-            self._dialog.report(f"{name}: {problem}")
-            self._warnings.append(f"{name}: {problem}")
+            self._warn(f"{name}: {problem}")
         timings = [each.torque for each in found if each.torque is not None]
         if timings:
             self._timings.setdefault(name, timings[0])
@@ -277,8 +299,7 @@ class _Tuner:
         for line in (*mechanics.lines, *mechanics.notes):
             self._dialog.report(f"{name}: {line}")
         for flag in mechanics.flags:
-            self._dialog.report(f"{name}: {flag}")
-            self._warnings.append(f"{name}: {flag}")
+            self._warn(f"{name}: {flag}")
         chosen = self._rehearsed(parts[-1].recording, found)  # none is longer
         for each, fit in chosen:
             if problem := inertia_problem(fit):
@@ -294,6 +315,11 @@ class _Tuner:
                 rehearsed = rehearse(recording, self._configuration, found)
         except RecordingError as error:
             self._dialog.report(f"{name}: the models are not rehearsed in simulation: {error}")
+            return candidates(found)
+        except FrictionHilError:
+            raise
+        except Exception as error:  # noqa: BLE001  it costs the rehearsal, not the models
+            self._warn(f"{name}: the models are not rehearsed in simulation, because of {internal_error(error)}")
             return candidates(found)
         self._all_rehearsed[name] = rehearsed
         for each in rehearsed:
@@ -326,10 +352,11 @@ class _Tuner:
             try:
                 compensated = recorded(turn.run, f"trial_{k + 1}.mcap")
                 found = {name: turn.judged(name, without[name], compensated[name]) for name in self._names}
-            except FrictionHilError as error:
+            except Exception as error:
                 if not k:
                     raise  # later, the first models have been tried and are worth keeping
-                self._warnings.append(f"the models of trial {k + 1} could not be tried: {error}")
+                why = error if isinstance(error, FrictionHilError) else internal_error(error)
+                self._warnings.append(f"the models of trial {k + 1} could not be tried: {why}")
                 break
             for name in self._names:
                 runs[name].append(compensated[name])
@@ -359,7 +386,13 @@ class _Tuner:
         files = {name: each.model for name, each in best.items()}
         scaled = set()
         for name in best:
-            found = find_torque_ratio(without[name], compensated[name], self._configuration.axes[name])
+            try:
+                found = find_torque_ratio(without[name], compensated[name], self._configuration.axes[name])
+            except FrictionHilError:
+                raise
+            except Exception as error:  # noqa: BLE001  it costs the ratio, not the models
+                self._warn(f"{name}: the torque ratio is not looked for, because of {internal_error(error)}")
+                continue
             self._torque_ratios[name] = found
             if found.is_other and found.estimate is not None:
                 files[name] = with_torque_ratio(files[name], found.estimate.ratio, found.estimate.error)
@@ -368,6 +401,10 @@ class _Tuner:
             return None
         fits = {name: (each.identification, each.fit) for name, each in best.items()}
         return _Turn(fits, files, *self._run_with(files), scaled)
+
+    def _warn(self, text: str) -> None:
+        self._dialog.report(text)
+        self._warnings.append(text)
 
     def _run_with(self, files: Mapping[str, dict[str, Any]]) -> tuple[Configuration, float]:
         models = {name: ModelFile.model_validate(model) for name, model in files.items()}
@@ -378,7 +415,13 @@ class _Tuner:
     ) -> tuple[TriedModel, ...]:
         """Return the tried models of an axis with the torque lag that the trial shows."""
         name = without.axis
-        lag = find_torque_lag(without, compensated, self._configuration.axes[name], self._timings.get(name))
+        try:
+            lag = find_torque_lag(without, compensated, self._configuration.axes[name], self._timings.get(name))
+        except FrictionHilError:
+            raise
+        except Exception as error:  # noqa: BLE001  it costs the lag, not the models
+            self._warn(f"{name}: the torque lag is not looked for, because of {internal_error(error)}")
+            return tuple(tried)
         self._torque_lags[name] = lag
         return tuple(with_torque_lag(each, lag) for each in tried)
 
@@ -418,5 +461,7 @@ def _claim(folder: Path) -> None:
         is_empty = not any(folder.iterdir())
     except OSError as error:
         raise UsageError(f"{folder} cannot be made: {error.strerror}; name another folder with --output") from None
+    if not os.access(folder, os.W_OK):
+        raise UsageError(f"{folder} cannot be written: permission denied; name another folder with --output")
     if not is_empty:
         raise UsageError(f"{folder} is not empty, and nothing in it is replaced; name another folder with --output")

@@ -171,6 +171,14 @@ def test_a_mistake_of_ours_shows_where_and_asks_to_report_it(add_command, capsys
     assert err.rstrip().splitlines()[-1].startswith("This is an error in friction-hil")
 
 
+@pytest.mark.parametrize("error", [DriveError("no answer"), OSError(28, "disk full"), ValueError("math domain error")])
+def test_what_is_left_of_the_work_is_told_with_the_error(add_command, capsys, error):
+    error.add_note("The recordings made so far are kept: a.mcap.")
+    add_command(raising(error))
+    assert main(["probe"]) == 1
+    assert "The recordings made so far are kept: a.mcap." in capsys.readouterr().err.splitlines()
+
+
 @pytest.mark.parametrize(("result", "status"), [(None, 0), (0, 0), (1, 1), ("text", 0), (True, 0)])
 def test_a_command_returns_its_status(add_command, result, status):
     add_command(lambda: result)

@@ -13,6 +13,7 @@ import friction_hil as fh
 from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.friction.network import seen_velocity
 from friction_hil.models import InvalidParameterError
+from friction_hil.reports.model_picture import slow_cycle
 from tests.compensators import PERIOD_S, columns, compensator
 from tests.networks import STRUCTURES, alone, beside, model_file, random_network
 
@@ -89,6 +90,32 @@ def test_steady_state_is_where_a_long_motion_ends():
     ends = [model.simulate(np.full(4000, speed), 1e-2)[-1] for speed in speeds]
     np.testing.assert_allclose(model.steady_state(speeds), ends, rtol=1e-9)
     assert model.steady_state([0.0])[0] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_steady_state_of_a_narx_is_where_a_long_motion_at_its_own_period_ends(seed):
+    model = alone(random_network("narx", seed, period_s=2e-3))
+    speeds = np.array([-1.5, -0.02, 0.3])
+    ends = [model.simulate(np.full(25_000, speed), 2e-3)[-1] for speed in speeds]
+    np.testing.assert_allclose(model.steady_state(speeds), ends, rtol=1e-6)
+    assert model.steady_state([0.0])[0] == 0.0
+
+
+def test_a_narx_that_oscillates_at_constant_speed_has_the_mean_for_its_steady_state():
+    quiet = random_network("narx", size=0.0)
+    weights = quiet.weights.copy()
+    weights[-2] = -4.0  # of the latest torque in the linear path: it alternates between the bounds
+    weights[quiet.structure.outputs_begin] = 0.1
+    model = alone(random_network("narx", weights=weights))
+    assert np.ptp(model.simulate(np.full(100, 0.3), 1e-3)[-4:]) > 0.1
+    assert abs(model.steady_state([0.3])[0]) < 1e-9
+
+
+@pytest.mark.parametrize("name", sorted(set(STRUCTURES) - {"every_input"}))
+def test_every_network_alone_can_be_drawn(name):
+    cycle = slow_cycle(alone(random_network(name)))
+    assert np.isfinite(cycle.torque).all()
+    assert set(cycle.leg) == set(range(6))
 
 
 def test_presliding_stiffness_is_the_slope_of_a_creeping_motion():

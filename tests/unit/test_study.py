@@ -1,5 +1,6 @@
 """The study: each experiment agrees with physics and gives the same numbers each time."""
 
+import dataclasses
 import math
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from friction_hil import models, study
+from friction_hil.cli import main
 from friction_hil.errors import UsageError
 from friction_hil.reports.study import report as study_report
 from friction_hil.reports.study.panels import groups
@@ -18,7 +20,7 @@ from friction_hil.study.circle import reversal
 from friction_hil.study.given_force import break_away_force, presliding
 from friction_hil.study.given_motion import frictional_lag, static_curve, stress_strain, velocity_pulse
 from friction_hil.study.run import PAIRED, SINGLE
-from friction_hil.study.subjects import REFERENCE, break_away, matched, servo_levels
+from friction_hil.study.subjects import REFERENCE, StudySettings, break_away, matched, servo_levels
 
 ALL = models.names()
 STATIC = ("coulomb", "karnopp", "power_law", "stribeck", "table")
@@ -299,3 +301,44 @@ def test_lines_that_coincide_are_drawn_once():
 )
 def test_numbers_are_written_with_three_digits(value, text):
     assert number(value) == text
+
+
+# --- settings
+
+
+def test_experiments_scale_with_the_levels_that_are_given():
+    """Ten times the forces at ten times the stiffness: the same paths, ten times the forces."""
+    strong = dataclasses.replace(REFERENCE, coulomb=10.0, static=15.0, viscous=4.0, stiffness=1e6)
+    given = StudySettings(friction=strong, mass=10.0)
+
+    for experiment in (static_curve, stress_strain, break_away_force):
+        for name in ("coulomb", "dahl"):
+            plain, scaled = experiment(name).facts, experiment(name, given).facts
+            for fact, value in plain.items():
+                factor = 1.0 if fact.endswith("_um") and "per" not in fact else 10.0
+                assert scaled[fact] == pytest.approx(factor * value, rel=1e-3, abs=1e-3)
+
+
+def test_a_smaller_circle_has_a_smaller_radius_and_other_speeds():
+    given = StudySettings(radius=0.1, frequency=1.0)
+
+    facts = reversal("coulomb", None, given).facts
+
+    assert given.servo_levels.top_velocity == pytest.approx(math.tau * 0.1)
+    assert facts["peak_urad"] != reversal("coulomb", None).facts["peak_urad"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--friction", "colomb=1"], "did you mean 'coulomb'?"),
+        (["--servo", "stiffness=0"], "stiffness is 0, but must be finite and above zero"),
+        (["--motion", "radius=x"], "'radius=x' is not KEY=NUMBER"),
+        (["--motion", "frequency=1e6"], "20 Hz is the most"),
+        (["machine.yaml", "--motion", "radius=1"], "go without MACHINE"),
+    ],
+)
+def test_mistakes_in_the_settings_are_reported_first(words, message, tmp_path, capsys):
+    assert main(["study", "--output", str(tmp_path / "study"), *words]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "study").exists()

@@ -21,7 +21,7 @@ from friction_hil.errors import OptionError
 from friction_hil.identification import IdentificationSettings, identify
 from friction_hil.motion.trajectory import PathTime, Trajectory, extent
 from friction_hil.recordings import Recording
-from friction_hil.tuning import AxisTuning, TriedModel, Tuning
+from friction_hil.tuning import AxisTuning, TriedModel, TuneSettings, Tuning, tune
 from friction_hil.tuning.announcement import experiment_text, shaken_text
 from friction_hil.tuning.candidates import candidates
 from friction_hil.tuning.experiment import refuse_limit_cycle
@@ -277,3 +277,45 @@ def test_a_broken_matplotlib_costs_no_result(mistake, tmp_path, capsys, monkeypa
     assert _report(tmp_path, Tuning(axes={"x": learned})) is None
     kind, _, text = mistake.partition("(")
     assert capsys.readouterr().err == f"no report: {kind}: {text[1:-2]}\n"
+
+
+class Answers:
+    """A dialog that agrees."""
+
+    def report(self, line: str) -> None:
+        pass
+
+    def confirm(self, motion: str) -> None:
+        pass
+
+
+@pytest.mark.parametrize("error", [KeyError("facts"), TuningError("x: the drive does not answer")])
+def test_whatever_ends_a_tune_after_motion_names_the_recordings_and_how_to_go_on(error, tmp_path, monkeypatch) -> None:
+    folder = tmp_path / "tuned"
+    path = folder / "x_experiment.mcap"
+
+    class Runs:
+        """The motion is made and recorded; what follows fails."""
+
+        def __init__(self, *_) -> None:
+            self.recordings, self.warnings = [], []
+
+        def run(self, *_):
+            path.write_bytes(b"rows")
+            self.recordings.append(path)
+            return path
+
+    def broken(*_):
+        raise error
+
+    module = sys.modules[tune.__module__]
+    monkeypatch.setattr(module, "TuningRuns", Runs)
+    monkeypatch.setattr(module, "read", broken)
+
+    with pytest.raises(type(error)) as raised:
+        tune(machine(x=axis()), TuneSettings(folder=folder, is_simulated=True), Answers())
+
+    [note] = raised.value.__notes__
+    assert f"The recordings made so far are kept: {path}." in note
+    assert f"friction-hil identify {path} --axis x --output {folder / 'x_identified.yaml'}" in note
+    assert path.exists()

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from friction_hil.config import from_dict
 from friction_hil.daemon.assembly import make_path, ramp_s
 from friction_hil.daemon.safety import LoopState
+from friction_hil.errors import FrictionHilError
 from friction_hil.motion.trajectory import PathTime, Trajectory
 from friction_hil.recordings import Recording
 from friction_hil.tuning.candidates import ExperimentPart
@@ -141,3 +142,16 @@ def test_an_experiment_says_why_it_ended_and_what_is_uncertain(uncertain) -> Non
         "the experiment took 10 s: the configured duration is over; what is unknown is not estimated: the axis stood"
     )
     assert none.figures["deviation"] is None
+
+
+def test_an_error_of_the_program_costs_the_estimate_and_is_named(monkeypatch) -> None:
+    def broken(*_):
+        raise ValueError("math domain error")
+
+    monkeypatch.setattr("friction_hil.tuning.sequential.estimate", broken)
+    monkeypatch.setattr("friction_hil.tuning.sequential._plain_fit", broken)
+
+    with pytest.raises(
+        FrictionHilError, match=r"the estimate fails: an internal error \(ValueError: math domain error"
+    ):
+        Observer(machine(), "x").take(part())

@@ -10,6 +10,7 @@ import numpy as np
 
 from friction_hil import models, recordings
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.result_files import check_writable
 from friction_hil.cli.work.tables import new_table, number, print_table, say
 from friction_hil.config import load
 from friction_hil.errors import RecordingError, UsageError, choices
@@ -49,6 +50,8 @@ def convert(
     if target is not None and target.suffix.lower() == ".onnx":
         _write_onnx(source, target, force)
         return
+    if target is not None:
+        check_writable(target, "OUT")
     source = only_recording(source)
     options["configuration"] = None if config is None else load(config)
     if target is None:

@@ -59,6 +59,7 @@ def identify_axis(
         return identify_map(sources=sources, axis=axis, **shown, **reading)
     settings = _settings(**options)
     check_result_files(output, report)
+    _check_controller(controller)
     if settings.has_unknown_gain and controller:
         raise click.UsageError("--controller needs a measured torque: not with --unknown-gain")
     recordings = list(map(with_position, read_recordings(sources, axis, **reading)))
@@ -131,16 +132,17 @@ def _settings(
     )
 
 
+def _check_controller(controller: dict[str, float]) -> None:
+    if unknown := set(controller) - _CONTROLLER:
+        raise UsageError(f"--controller takes position_gain and velocity_gain, not {', '.join(sorted(unknown))}")
+    if controller and set(controller) != _CONTROLLER:
+        raise UsageError(f"--controller also needs {', '.join(sorted(_CONTROLLER - set(controller)))}")
+
+
 def _free_run(result: Identification, controller: dict[str, float]) -> dict[str, Any]:
     """Simulate the chosen model in closed loop; return its relative error, or the reason why there is none."""
-    if set(controller) - _CONTROLLER:
-        raise UsageError(
-            f"--controller takes position_gain and velocity_gain, not {', '.join(set(controller) - _CONTROLLER)}"
-        )
     if not controller:
         return {"relative_error": None, "reason": "the controller is not known: give --controller"}
-    if set(controller) != _CONTROLLER:
-        raise UsageError(f"--controller also needs {', '.join(sorted(_CONTROLLER - set(controller)))}")
     record = result.records[0]
     if record.demand is None:
         return {"relative_error": None, "reason": f"{record.path} has no position_demand"}

@@ -1,16 +1,19 @@
 """The work of ``friction-hil models``."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
-from friction_hil import models
+from friction_hil import models, recordings
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.given_model import given_model
 from friction_hil.cli.work.model_facts import describe_model, describe_modifier
 from friction_hil.cli.work.model_text import Page, default_text, in_units_of, unit_text, value_text
-from friction_hil.cli.work.tables import Table, new_table, number, prose
+from friction_hil.cli.work.result_files import check_writable
+from friction_hil.cli.work.tables import Table, new_table, number, print_files, prose
 from friction_hil.config.examples import example_models
 from friction_hil.errors import UsageError
 from friction_hil.export import identifier
@@ -19,11 +22,24 @@ from friction_hil.models import Family, FrictionModel
 from friction_hil.models.files import load_model_file
 from friction_hil.models.model_file import ModelFile
 from friction_hil.reports.export_gallery import INDEX, write_gallery
+from friction_hil.reports.model_motion import Motion, draw_motion, draw_steady, keys_of, make_motion
 from friction_hil.reports.model_picture import draw
 
 
-def show_models(*, name: str | None, picture: Path | None, gallery: Path | None, as_json: bool) -> None:
+def show_models(
+    *,
+    name: str | None,
+    picture: Path | None,
+    motion: str | None,
+    beside: tuple[str, ...],
+    gallery: Path | None,
+    as_json: bool,
+) -> None:
     """Print the list of models, describe one model and draw it, or export models to every format."""
+    if picture is None and (motion is not None or beside):
+        raise UsageError("--motion and --beside belong to --draw PICTURE")
+    if picture is not None:
+        check_writable(picture, "--draw")
     if gallery is not None:
         if picture is not None:
             raise UsageError("--draw and --export-all: the gallery of --export-all has pictures of its own; give one")
@@ -35,6 +51,15 @@ def show_models(*, name: str | None, picture: Path | None, gallery: Path | None,
         _list(as_json)
         return
     family, own = _find(name)
+    if picture is not None and (motion is not None or beside):
+        left = _draw_beside((name, *beside), motion, picture)
+        if as_json:
+            print_json({"picture": picture, "differences": left})
+            return
+        for other, share in left.items():
+            click.echo(f"{other} differs from {name} by {100.0 * share:.3g} % of its RMS torque")
+        print_files({"picture": picture})
+        return
     if picture is not None:
         _draw(family, own, picture)
     if as_json:
@@ -86,6 +111,47 @@ def _draw(family: Family, own: ModelFile | None, picture: Path) -> None:
         draw(models.create(family.name, **family.example), picture, title)
     else:
         draw(own.friction_model, picture, f"{family.name} of {own.source_path.name}" if own.source_path else title)
+
+
+def _draw_beside(names: Sequence[str], motion: str | None, picture: Path) -> dict[str, float]:
+    """Draw models into one picture, at constant velocity or along a motion; return how far the others differ."""
+    chosen = {name: _model_of(*_find(name)) for name in names}
+    if motion is None:
+        draw_steady(chosen, picture)
+        return {}
+    made = _recorded_motion(Path(motion)) if Path(motion).is_file() else _described_motion(motion, chosen)
+    return draw_motion(chosen, made, picture, f"Friction along a motion: {motion}")
+
+
+def _model_of(family: Family, own: ModelFile | None) -> FrictionModel:
+    return models.create(family.name, **family.example) if own is None else own.friction_model
+
+
+def _described_motion(text: str, chosen: Mapping[str, FrictionModel]) -> Motion:
+    kind, _, rest = text.partition(":")
+    keys_of(kind)
+    given: dict[str, float] = {}
+    for part in rest.split(",") if rest else ():
+        key, _, value = part.partition("=")
+        try:
+            given[key.strip()] = float(value)
+        except ValueError:
+            raise UsageError(f"--motion {text}: {part!r} is not KEY=NUMBER") from None
+    return make_motion(kind, given, chosen)
+
+
+def _recorded_motion(path: Path) -> Motion:
+    recording = recordings.read(path)
+    if recording.period_s <= 0.0 or not {"velocity", "position"} & set(recording.columns):
+        raise UsageError(f"--motion {path}: a motion needs time_s that rises, and velocity or position")
+    time, dt = recording["time_s"], recording.period_s
+    even = np.arange(time[0], time[-1] + 0.5 * dt, dt)
+    if "velocity" in recording:
+        velocity = np.interp(even, time, recording["velocity"])
+        position = np.interp(even, time, recording["position"]) if "position" in recording else np.cumsum(velocity) * dt
+        return Motion(dt, velocity, position)
+    position = np.interp(even, time, recording["position"])
+    return Motion(dt, np.diff(position) / dt, position[1:])
 
 
 def _list(as_json: bool) -> None:

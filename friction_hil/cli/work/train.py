@@ -1,5 +1,6 @@
 """The work of ``friction-hil train``."""
 
+import math
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -119,33 +120,66 @@ def _stoppable() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[Progress], None]]:
-    """Yield a function that shows the progress: in one line on a terminal, else a line for each stage."""
+    """Yield a function that shows the progress: in one line on a terminal, else a line for each try when it is over."""
+    tries = Tries()
     if not console(stderr=True).is_terminal:
-        yield _line_by_line()
+        click.echo(_MEANING, err=True)
+
+        def tell(progress: Progress) -> None:
+            for line in tries.take(progress):
+                click.echo(line, err=True)
+
+        yield tell
+        for line in tries.end():
+            click.echo(line, err=True)
         return
     with status_line("training") as show:
-        # the searches often end before their last iteration: the time that is left is the longest that it may take
-        yield lambda progress: show(
-            f"start {progress.start + 1}, {progress.stage}: on validation {progress.validation_error:.4f}, training "
-            f"{progress.error:.4f}, damping {progress.damping:.1g}",
-            progress.iteration,
-            progress.most_iterations,
-        )
+
+        def write(progress: Progress) -> None:
+            tries.take(progress)
+            # the searches often end before their last iteration: the time left is the longest that it may take
+            show(tries.now, progress.iteration, progress.most_iterations)
+
+        yield write
 
 
-def _line_by_line() -> Callable[[Progress], None]:
-    """Return a function that prints a line whenever a new start, or another stage of it, begins."""
-    last: tuple[int, str] | None = None
+_MEANING = (
+    "Several random starts are tried briefly, and the best ones are continued. Error: in free run on validation data, "
+    "over the standard deviation of its torque."
+)
+_CONTINUED = "parallel"  # stage
 
-    def write(progress: Progress) -> None:
-        nonlocal last
-        if (progress.start, progress.stage) != last:
-            last = progress.start, progress.stage
-            click.echo(
-                f"start {progress.start + 1}, {progress.stage}: on validation {progress.validation_error:.4f}", err=True
-            )
 
-    return write
+class Tries:
+    """What a training tries, in words, with the best error so far."""
+
+    def __init__(self) -> None:
+        self._key: tuple[int, bool] | None = None
+        self._what = ""
+        self._error = self._best = math.inf
+
+    def take(self, progress: Progress) -> list[str]:
+        """Take the progress of an iteration; return the line of the try that is over, if another one has begun."""
+        is_continued = progress.stage == _CONTINUED
+        lines = []
+        if (progress.start, is_continued) != self._key:
+            lines = self.end()
+            self._key = progress.start, is_continued
+            way = "continuing" if is_continued else "trying"
+            self._what = f"{way} start {progress.start + 1} of {progress.starts}"
+            self._error = math.inf
+        self._error = min(self._error, progress.validation_error)
+        self._best = min(self._best, self._error)
+        return lines
+
+    @property
+    def now(self) -> str:
+        """The current try."""
+        return f"{self._what}: error {self._error:.4f}, best so far {self._best:.4f}"
+
+    def end(self) -> list[str]:
+        """Return the line of the last try; empty if there was none."""
+        return [] if self._key is None else [self.now]
 
 
 def _print(candidate: TrainedModel, seconds: float) -> None:

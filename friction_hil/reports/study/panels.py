@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 FAINT = "#bbbbbb"
 _DASHES = ("-", "--", "-.", ":")
+_LEFT, _RIGHT, _BOTTOM, _TITLE, _LEGEND = 0.8, 0.1, 0.55, 0.3, 0.35  # inches about the panels
 _SAME = 0.01  # of the largest value: curves closer than this are drawn as one
 
 
@@ -45,7 +46,17 @@ def panels(
     """
     columns = min(4, len(names))
     rows = math.ceil(len(names) / columns)
-    figure = new_figure(10.0 if columns > 2 else 4.5 * columns, height * rows + (0.7 if legend else 0.4))
+    wide, high = 10.0 if columns > 2 else 4.5 * columns, height * rows + (0.7 if legend else 0.4)
+    # margins are given: to find them, matplotlib would draw all panels twice more
+    figure = new_figure(wide, high, layout=None)
+    figure.subplots_adjust(
+        left=_LEFT / wide,
+        right=1.0 - _RIGHT / wide,
+        bottom=_BOTTOM / high,
+        top=1.0 - (_TITLE + (_LEGEND if legend else 0.0)) / high,
+        wspace=0.08,
+        hspace=0.22,
+    )
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes, name in zip(grid.flat, names, strict=False):
         draw(axes, name)
@@ -55,11 +66,11 @@ def panels(
     for column in range(columns):
         bottom = (len(names) - 1 - column) // columns
         grid[bottom, column].tick_params(labelbottom=True)
-    figure.supxlabel(labels[0], fontsize=10)
-    figure.supylabel(labels[1], fontsize=10)
+    figure.supxlabel(labels[0], fontsize=10, y=0.02 * height / high)
+    figure.supylabel(labels[1], fontsize=10, x=0.01)
     if legend:
         handles = grid[0, 0].get_legend_handles_labels()
-        figure.legend(*handles, loc="outside upper center", ncols=len(handles[0]))
+        figure.legend(*handles, loc="upper center", ncols=len(handles[0]))
     return figure
 
 

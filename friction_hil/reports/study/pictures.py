@@ -10,8 +10,6 @@ from friction_hil.reports.figures import INK, WITH, WITHOUT, new_figure
 from friction_hil.reports.numbers import digits
 from friction_hil.reports.study.panels import FAINT, matrix, panels, together
 from friction_hil.study import Study
-from friction_hil.study.circle import RADIUS
-from friction_hil.study.subjects import REFERENCE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,7 +74,7 @@ def draw_lag(study: Study) -> "Figure":
             study.single["frictional_lag"][name].lines.items(), (INK, WITH, WITHOUT), strict=True
         ):
             axes.plot(velocity * 1e3, force, color=color, linewidth=1.3, label=label)
-        axes.set_ylim(0.9 * REFERENCE.coulomb, 1.05 * REFERENCE.static)
+        axes.set_ylim(0.9 * study.settings.friction.coulomb, 1.05 * study.settings.friction.static)
 
     return panels(study.models, draw, ("velocity [mm/s]", "friction [N]"), legend=True)
 
@@ -131,15 +129,16 @@ def draw_circle(study: Study, name: str) -> "Figure":
     """Draw the whole circle of one model, with its radius error magnified."""
     outcomes = study.paired["reversal"]
     worst = max(outcomes[name, each].facts["peak_urad"] for each in (None, name)) * 1e-6
-    magnification = 10.0 ** np.floor(np.log10(0.4 * RADIUS / worst))
-    magnification *= 1.0 + np.floor(0.4 * RADIUS / worst / magnification - 1.0)
+    radius = study.settings.radius
+    magnification = 10.0 ** np.floor(np.log10(0.4 * radius / worst))
+    magnification *= 1.0 + np.floor(0.4 * radius / worst / magnification - 1.0)
     figure = new_figure(6.0, 6.3)
     axes = figure.subplots()
     turn = np.linspace(0.0, 2.0 * np.pi, 400)
     axes.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=0.9, label="set-point")
     for assumed, color, label in _pair(name):
         angle, error = outcomes[name, assumed].lines["radius error"]
-        drawn = 1.0 + error * magnification / RADIUS
+        drawn = 1.0 + error * magnification / radius
         axes.plot(drawn * np.cos(angle), drawn * np.sin(angle), color=color, linewidth=1.4, label=label)
     axes.set_aspect("equal")
     axes.set(xlabel="first axis [rad]", ylabel="second axis [rad]")

@@ -4,7 +4,7 @@ import html
 import os
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,8 +13,7 @@ from friction_hil.reports.page import claim_folder, generator, page, picture, ta
 from friction_hil.reports.study import pictures
 from friction_hil.reports.study.text import HOW_MATCHED, SECTIONS, ExperimentText, look, number, summary_columns
 from friction_hil.study import Study
-from friction_hil.study.circle import LEVELS_AT
-from friction_hil.study.subjects import REFERENCE, Levels, matched, servo_levels
+from friction_hil.study.subjects import DEFAULT, Levels, matched
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,15 +51,16 @@ def write_report(folder: Path, study: Study, show: ShowProgress = lambda text, d
 inputs: the same version gives the same numbers. <code>friction-hil models NAME</code> prints the formula
 of a model.</p>
 <nav>{"".join(f'<a href="#{each.key}">{html.escape(each.title)}</a>' for each in SECTIONS)}</nav>
+{_changed(study)}
 <h2>The main facts</h2>
 {_summary(study)}
 {"".join(parts)}
 <h2 id="matched">How the models are made comparable</h2>
 {HOW_MATCHED}
 <h3>The mass of experiments 1 to 8, in N and m</h3>
-{_parameters(study, REFERENCE)}
+{_parameters(study, study.settings.friction)}
 <h3>The servo of experiment 9, in N m and rad</h3>
-{_parameters(study, servo_levels(LEVELS_AT))}
+{_parameters(study, study.settings.servo_levels)}
 <p class="note">friction-hil {__version__}.</p>
 """
     text = page("friction-hil: what friction does to a servo", f'{MARK} {__version__}">', body)
@@ -70,6 +70,26 @@ of a model.</p>
         made.write_text(text, encoding="utf-8")
         os.replace(made, path)
     return path
+
+
+def _changed(study: Study) -> str:
+    """Return what differs from the defaults, to which the explanations refer; empty if nothing does."""
+    given = study.settings
+    changes = [
+        f"{name} {getattr(given.friction, name):g}"
+        for name in (each.name for each in fields(Levels))
+        if getattr(given.friction, name) != getattr(DEFAULT.friction, name)
+    ]
+    changes += [f"{name} of the servo {value:g}" for name, value in given.servo.items()]
+    changes += [
+        f"{name} {getattr(given, name):g}"
+        for name in ("mass", "spring", "pull", "radius", "frequency")
+        if getattr(given, name) != getattr(DEFAULT, name)
+    ]
+    if not changes:
+        return ""
+    text = html.escape(", ".join(changes))
+    return f'<p class="note">Given for this study: {text}. Numbers in the explanations are those of the defaults.</p>'
 
 
 def _summary(study: Study) -> str:
