@@ -15,6 +15,7 @@ _FEWEST_ROWS = 50
 _SPANS = (200, 1000, 5000)  # parts of a recording over which the change of position is compared
 _TOGETHER = 0.97  # correlation of two measurements of one motion
 _APART = 0.5  # correlation of signals that do not belong together
+_TREND = 0.7  # of both signals, where they move
 _SAME = (0.8, 1.25)  # ratios that noise and delay explain
 _CLOSE = 0.03  # relative distance from a known ratio
 _CAUSES = (  # change of position over velocity times time
@@ -111,10 +112,9 @@ def _of_motion(recording: Recording) -> list[str]:
         return []
     if np.array_equal(position, velocity):
         return ["position and velocity hold the same numbers: one of them is the other signal"]
-    correlation, ratio = max(
-        (_compared(time, position, velocity, parts) for parts in _SPANS), key=lambda each: abs(each[0])
-    )
-    if abs(correlation) < _APART:
+    compared = [_compared(time, position, velocity, parts) for parts in _SPANS]
+    correlation, ratio, trend = max(compared, key=lambda each: abs(each[0]))
+    if abs(correlation) < _APART and trend > _TREND:
         return [
             f"velocity and the change of position have little in common (correlation {correlation:.2g}): one of them "
             "is another signal, or decoded wrongly"
@@ -124,7 +124,7 @@ def _of_motion(recording: Recording) -> list[str]:
     return [_sentence(recording, ratio)]
 
 
-def _compared(time: Array, position: Array, velocity: Array, parts: int) -> tuple[float, float]:
+def _compared(time: Array, position: Array, velocity: Array, parts: int) -> tuple[float, float, float]:
     """Return correlation and ratio of the change of position and the integral of the velocity over parts."""
     steps = np.diff(time)
     period = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else math.nan
@@ -138,7 +138,14 @@ def _compared(time: Array, position: Array, velocity: Array, parts: int) -> tupl
     travelled = travelled[: count * length].reshape(count, length).sum(axis=1)
     together, own = float(moved @ travelled), float(travelled @ travelled)
     size = math.sqrt(float(moved @ moved) * own)
-    return (together / size, together / own) if size > 0.0 and math.isfinite(size) else (1.0, 1.0)
+    if not (size > 0.0 and math.isfinite(size)):
+        return 1.0, 1.0, 0.0
+    return together / size, together / own, min(_trend(moved), _trend(travelled))
+
+
+def _trend(values: Array) -> float:
+    """Return the correlation of neighbours, with the sum of squares: near 1 for a motion, about 0 for noise."""
+    return float(values[1:] @ values[:-1]) / max(float(values @ values), 1e-300)
 
 
 def _sentence(recording: Recording, ratio: float) -> str:

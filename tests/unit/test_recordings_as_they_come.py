@@ -273,3 +273,14 @@ def test_numbers_of_no_encoder_have_no_steps(seed: int) -> None:
     random = np.random.default_rng(seed)
     assert resolution(random.normal(size=2000)) is None
     assert resolution(np.cumsum(random.normal(size=2000))) is None
+
+
+def test_an_axis_that_stands_still_contradicts_nothing() -> None:
+    random = np.random.default_rng(2)
+    for size in (1.0, 1e-6):
+        columns = {
+            "time_s": TIME,
+            "position": size * random.normal(size=400),
+            "velocity": size * random.normal(size=400),
+        }
+        assert contradictions(Recording("x", "x", columns)) == []

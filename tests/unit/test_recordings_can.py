@@ -313,6 +313,7 @@ OF_OTHERS = {
     "position first": ((0x181, (ACTUAL, STATUS, TORQUE)), (0x281, (SPEED, objects.MODE_DISPLAY))),
     "position last": ((0x181, (STATUS, TORQUE, ACTUAL)), (0x281, (SPEED, objects.MODE_DISPLAY))),
     "torque first": ((0x181, (TORQUE, STATUS, ACTUAL)),),
+    "position last, no velocity": ((0x181, (STATUS, TORQUE, ACTUAL)),),
     "no status": ((0x181, (ACTUAL, SPEED)), (0x281, (TORQUE,))),
 }
 
@@ -321,7 +322,7 @@ OF_OTHERS = {
 def test_the_mapping_of_another_master_is_used_where_stated_and_never_guessed(tmp_path: Path, name: str) -> None:
     pdos = OF_OTHERS[name]
     plain = load(machine(tmp_path, Mode.CSP))
-    with pytest.raises(RecordingError, match=r"x: .*(carries|statuswords|jumps|velocity).*sidecar\.tpdos"):
+    with pytest.raises(RecordingError, match=r"x: .*(carries|statuswords|jumps|velocity|moves by).*sidecar\.tpdos"):
         fh.recordings.read(write(tmp_path / "x.log", moving(*pdos)), configuration=plain)
     truth = 40_000.0 * np.sin(3.0 * np.arange(400) * 5e-3) / UNITS.counts_per_unit
     told = fh.recordings.read(write(tmp_path / "told.log", moving(*pdos, told=True)), configuration=plain)
@@ -415,3 +416,20 @@ def test_frames_of_another_axis_are_not_taken_for_those_of_a_second_one(tmp_path
     assert any("no frames of axis y: identifiers and mapping that the daemon writes" in each for each in x.problems)
     with pytest.raises(RecordingError, match=r"no frame of an axis is in it\. Wanted: identifiers and mapping"):
         fh.recordings.read_all(log, configuration=_second_axis(tmp_path, mode, "y"))
+
+
+def test_the_mapping_of_an_eds_is_used_and_commands_of_another_length_are_left_out(tmp_path: Path) -> None:
+    """The simulated drive's EDS maps the PDOs of the profile; the master sends more than its RPDO 1."""
+    frames = moving(*OF_OTHERS["profile"])
+    frames += [message(0x201, bytes(8), frame.timestamp - 1e9) for frame in frames if frame.arbitration_id == 0x080]
+    path = write(tmp_path / "x.log", sorted(frames, key=lambda frame: frame.timestamp))
+    eds = ROOT / "drivers" / "friction_hil_drivers" / "eds" / "friction_hil_servo.eds"
+    read = fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP, f"eds: {eds}")))
+    truth = 40_000.0 * np.sin(3.0 * np.arange(400) * 5e-3) / UNITS.counts_per_unit
+    np.testing.assert_allclose(read["position"], truth, atol=1.0 / UNITS.counts_per_unit)
+    assert "command" not in read.columns
+    for part in (
+        "by the mapping of the EDS",
+        "201h carries 8 bytes, and not the 2 of 6040h controlword: these commands",
+    ):
+        assert any(part in problem for problem in read.problems), read.problems

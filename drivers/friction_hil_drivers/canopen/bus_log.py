@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_HALF = 1 << 16  # counts: whose low bytes stand where the high ones are expected moves by so many
 _EXPEDITED_UPLOAD = 0x43  # of 4 bytes; 4 is added for each byte that is not used
 
 
@@ -175,6 +176,7 @@ def _read_axis(
     recording = Recording(str(path), name, {}, problems=list(log.problems))
     if mapping.origin != OWN:
         recording.problems.append(f"the PDOs are decoded by the mapping {mapping.origin}")
+    mapping = mapping.without_other_commands(log, recording.problems)
     base = _base(log, mapping)
     syncs = log.rows_of(objects.SYNC_ID)
     starts = np.sort(syncs) if syncs.size else np.sort(base.frames(log))
@@ -196,12 +198,21 @@ def _read_axis(
             recording.columns[column] = (_unwrapped(raw) if "position" in column else raw) * scale
     if objects.STATUSWORD in values:
         recording.columns["drive_state"] = _drive_states(_held(values[objects.STATUSWORD])[cycles])
-    if mapping.is_assumed and (against := contradictions(recording)):
+    if mapping.is_assumed and (against := [*contradictions(recording), *_too_fast(recording, units.counts_per_unit)]):
         raise RecordingError(
             f"{path}: {name}: decoded by the mapping {mapping.origin}, which the log does not state, {against[0]}: "
             f"state what the PDOs carry under axes.{name}.sidecar.tpdos with bus.role: sidecar, or name the drive's EDS"
         )
     return recording
+
+
+def _too_fast(recording: Recording, counts_per_unit: float) -> list[str]:
+    """Return that the position moves by more than half of its bytes hold in a cycle, where no velocity confirms it."""
+    if "velocity" in recording or "position" not in recording or len(recording) < 2:
+        return []
+    steps = np.abs(np.diff(recording.columns["position"])) * counts_per_unit
+    step = float(np.median(steps[np.isfinite(steps)])) if np.isfinite(steps).any() else 0.0
+    return [f"the position moves by {step:.4g} counts in a cycle"] if step >= _HALF else []
 
 
 def _base(log: FrameLog, mapping: LogMapping) -> LoggedPdo:

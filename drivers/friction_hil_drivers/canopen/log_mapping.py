@@ -3,7 +3,7 @@
 import struct
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,6 +70,16 @@ class LoggedPdo:
         rows = log.rows_of(self.cob_id)
         return rows[(rows >= self.first) & (rows < self.end)]
 
+    def other_length(self, log: FrameLog) -> str:
+        """Return that most of its frames have another length, in words; empty if they have not."""
+        rows = self.frames(log)
+        lengths = log.lengths[rows]
+        if not rows.size or 2 * np.count_nonzero(lengths == self.size) > rows.size:
+            return ""
+        common = int(np.bincount(lengths).argmax())
+        carried = " + ".join(str(entry) if entry else f"{bits} bits" for entry, bits in self.entries)
+        return f"{self.cob_id:03X}h carries {common} bytes, and not the {self.size} of {carried}"
+
     def values(self, log: FrameLog, rows: NDArray[np.intp]) -> dict[Object, NDArray[np.generic]]:
         """Return the values of its objects in some frames."""
         return {
@@ -93,14 +103,14 @@ class LogMapping:
 
     def contradiction(self, log: FrameLog) -> str:
         """Return why the frames are not of this mapping; empty if nothing speaks against it."""
-        for pdo in self.pdos:
-            rows = pdo.frames(log)
-            lengths = log.lengths[rows]
-            if rows.size and 2 * np.count_nonzero(lengths == pdo.size) <= rows.size:
-                common = int(np.bincount(lengths).argmax())
-                carried = " + ".join(str(entry) if entry else f"{bits} bits" for entry, bits in pdo.entries)
-                return f"{pdo.cob_id:03X}h carries {common} bytes, and not the {pdo.size} of {carried}"
-        return _implausible(self, log) if self.is_assumed else ""
+        found = next(filter(None, (pdo.other_length(log) for pdo in self.feedback)), "")
+        return found or (_implausible(self, log) if self.is_assumed else "")
+
+    def without_other_commands(self, log: FrameLog, problems: list[str]) -> "LogMapping":
+        """Return the mapping without commands whose frames have another length, and report these."""
+        wrong = {pdo.name: text for pdo in self.pdos if pdo not in self.feedback and (text := pdo.other_length(log))}
+        problems += [f"{text}: these commands are left out" for text in wrong.values()]
+        return replace(self, pdos=tuple(pdo for pdo in self.pdos if pdo.name not in wrong))
 
 
 def mappings(
@@ -197,7 +207,7 @@ def _of_eds(dictionary: "ObjectDictionary", node: int, axis: int) -> Iterator[Lo
                 continue
             words = [_value_in(dictionary, record.mapping(place)) or 0 for place in range(1, count + 1)]
             given = _value_in(dictionary, record.cob_id)
-            if all(words) and not (given or 0) & objects.PDO_INVALID:
+            if all(words):  # one that is off by default is on if it is in the log
                 cob_id = (given or 0) & 0x7FF or record.default_identifier or _NO_COB_ID
                 yield LoggedPdo(record.name, cob_id, _entries(words, axis))
 
@@ -238,5 +248,5 @@ def _known_share(statuswords: NDArray[np.generic]) -> float:
 
 def _is_rough(counts: NDArray[np.generic]) -> bool:
     steps = np.diff(np.unwrap(counts.astype(np.float64), period=2.0**32))
-    size = float(np.sqrt(np.mean(steps**2)))
-    return size > _MOVING and float(np.sqrt(np.mean(np.diff(steps) ** 2))) > _ROUGH * size
+    size = float(np.median(np.abs(steps)))  # medians: a log may have gaps
+    return size > _MOVING and float(np.median(np.abs(np.diff(steps)))) > _ROUGH * size
