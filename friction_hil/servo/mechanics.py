@@ -13,6 +13,10 @@ at any stiffness and through any impact. M is taken in the middle of the step, f
 to there, with its state half a step behind the velocity. Smooth motion is therefore integrated to second order in h;
 only the bristle damping of LuGre, the mean over the last step, is of first order.
 
+Where the inertia J of a rigid axis depends on its position, the step takes sqrt(J) v instead of v: its rate is torque
+over sqrt(J), without the inertial term J'/2 v^2, which would have to be extrapolated and took energy from the motion.
+With a load behind a coupling that term is taken at the velocity extrapolated to the middle.
+
 A static friction map stops a mass whose velocity would change its sign, and holds it up to break-away.
 """
 
@@ -24,7 +28,7 @@ from friction_hil.numerics.dual import borrowed_at
 from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined
 
 BALANCE = 1e-12  # relative difference of torque and friction below which they balance
-_CORRECTIONS = 3  # of the hysteresis to the twist of a step
+_CORRECTIONS = 3  # of the hysteresis to the twist of a step, and of a velocity to the inertia at its end
 _PASSES = 5  # each but the last holds or releases one of the two masses
 _HALVINGS = 200
 
@@ -215,6 +219,12 @@ def finish_rigid(
     r.friction_heat += friction * mean * dt
 
 
+@inlined
+def inertia_at(plant: StructuredArray, position: float) -> float:
+    """Return the inertia of a rigid axis at a position."""
+    return plant[0].inertia + harmonics(plant[0].inertia_variation, position)[0]
+
+
 @compiled
 def _move_one_mass(plant: StructuredArray, s: StructuredArray, torque: float, is_braked: bool) -> None:
     """Advance one mass by a step; see `move`."""
@@ -224,9 +234,11 @@ def _move_one_mass(plant: StructuredArray, s: StructuredArray, torque: float, is
     ahead = velocity_ahead(v, r.velocity_before)
     outside = c.load_torque + external_torque(plant, s, (r.steps + 0.5) * dt)
     load = static_load(plant, outside, middle)
-    variation, slope = harmonics(c.inertia_variation, middle)
-    inertia = c.inertia + variation
-    applied = torque - load - 0.5 * slope * ahead * ahead
+    inertia = root = c.inertia
+    if c.inertia_variation[0] > 0.0:  # geometric mean of those at the start and in the middle of the step
+        root = math.sqrt(inertia_at(plant, r.position))
+        inertia = root * math.sqrt(inertia_at(plant, middle))
+    applied = torque - load
     friction = friction_step(
         int(c.friction_kind),
         c.friction,
@@ -254,6 +266,10 @@ def _move_one_mass(plant: StructuredArray, s: StructuredArray, torque: float, is
                 u, friction = v + dt / inertia * applied, 0.0
     if is_braked:
         u = 0.0
+    if c.inertia_variation[0] > 0.0:
+        root *= u
+        for _ in range(_CORRECTIONS):
+            u = root / math.sqrt(inertia_at(plant, r.position + 0.5 * dt * (v + u)))
     finish_rigid(plant, s, torque, u, friction, outside, load)
 
 
