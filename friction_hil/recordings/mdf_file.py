@@ -19,6 +19,7 @@ from friction_hil.recordings.units import known_unit
 _MAGIC = (b"MDF     ", b"UnFinMF ")
 _NAMED = 5  # channels that a message lists
 _LONGEST_REASON = 200  # characters of the library's message
+_SPARE_FLAGS = 8  # bytes beyond one for each channel, which needs a bit; with more the library reads elsewhere
 _SMALLEST = 168  # bytes of identification and header of MDF 4; MDF 3 has more
 
 
@@ -108,7 +109,8 @@ def _take(recording: Recording, source: Source, mdf: Any) -> None:
     """Fill the columns of a recording."""
     there, rows = _channels(mdf, recording.problems)
     if not there:
-        raise RecordingError(f"{source.path}: there is no channel with samples in it")
+        reasons = "".join(f"; {problem}" for problem in recording.problems)
+        raise RecordingError(f"{source.path}: there is no channel with samples in it{reasons}")
     wanted, recording.others = source.split(there)
     numbers = {there[name][0] for name in wanted}
     source.memory.take(
@@ -141,6 +143,13 @@ def _channels(mdf: Any, problems: list[str]) -> tuple[dict[str, tuple[int, int]]
     rows: dict[int, int] = {}
     for number, group in enumerate(mdf.groups):
         rows[number] = int(group.channel_group.cycles_nr)
+        flags = int(getattr(group.channel_group, "invalidation_bytes_nr", 0))
+        if flags > len(group.channels) + _SPARE_FLAGS:
+            problems.append(
+                f"group {number}: the file is damaged: {flags} bytes of flags in a record for {len(group.channels)} "
+                "channels: left out"
+            )
+            continue
         master = mdf.masters_db.get(number)
         outside = {index for index, channel in enumerate(group.channels) if not _fits(channel, group.channel_group)}
         if outside:

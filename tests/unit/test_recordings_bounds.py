@@ -260,3 +260,19 @@ def test_the_limit_of_a_process_is_no_traceback(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr("friction_hil.recordings.csv_file.layout_of", refuse)
     with pytest.raises(RecordingError, match="does not fit into the memory"):
         fh.recordings.read(path)
+
+
+def test_flags_that_no_record_holds_are_neither_believed_nor_allocated(tmp_path: Path) -> None:
+    """The number of bytes of invalidation bits stands at the end of an MF4 file; one wrong byte made it 16 million."""
+    path = tmp_path / "x.mf4"
+    columns = {name: np.arange(8.0) for name in ("time_s", "position", "torque")}
+    fh.recordings.write(path, fh.recordings.Recording(str(path), "x", columns), overwrite=True)
+    data = path.read_bytes()
+    assert data[-4:] == bytes(4)
+    path.write_bytes(data[:-1] + b"\1")
+    tracemalloc.start()
+    with pytest.raises(RecordingError, match="bytes of flags in a record"):
+        fh.recordings.read(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 3e7
