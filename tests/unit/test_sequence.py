@@ -18,8 +18,10 @@ from friction_hil.daemon.sequence import (
     STANDSTILL_TIMEOUT_S,
     RunInputs,
     RunStateMachine,
+    Timeout,
+    timeout_faults,
 )
-from friction_hil.drive import Request
+from friction_hil.drive import DriveState, Feedback, Request
 from friction_hil.drive.codes import FaultCode
 
 DT = 0.01
@@ -269,3 +271,61 @@ def test_after_a_fault_a_run_that_is_kept_waits_and_another_ends(is_kept, after)
     assert run.pass_time(is_powered=True, **fault) is LoopState.FAULT_STOPPING
     assert run.pass_time(0.1, is_powered=True, is_standing=True, **fault) is LoopState.DISABLING
     assert run.pass_time(**fault) is after
+
+
+@pytest.mark.parametrize(
+    ("state", "held", "seconds"),
+    [
+        (LoopState.IDLE, {}, 0.05),
+        (LoopState.ENABLING, {}, 5.0),
+        (LoopState.STOPPING, {"is_setpoint_standing": True}, 10.0),  # compensation that does not fade out
+        (LoopState.STOPPING, {"is_setpoint_standing": True, "is_faded_out": True}, 2.0),
+        (LoopState.FAULT_STOPPING, {"is_powered": True}, 5.0),
+        (LoopState.FAULT_STOPPING, {"is_powered": True, "is_standing": True}, 0.05),
+        (LoopState.DISABLING, {"is_powered": True}, 2.0),
+        (LoopState.DISABLING, {"is_lost_powered": True}, 5.0),
+        (LoopState.DISABLING, {"is_lost_unknown": True}, 1.0),
+        (LoopState.DISABLING, {"is_lost_powered": True, "is_lost_unknown": True}, 5.0),
+    ],
+)
+def test_the_time_of_each_wait_is_a_number_of_its_own(state, held, seconds):
+    """The numbers are written out here: a stop that takes twice as long by a change of one is another stop."""
+    machine, period_s = RunStateMachine(is_listening=False), 1e-3
+    machine.state = state
+    machine.advance(0.0, RunInputs(**held | {"is_standing": False}))
+    k = 1
+    while machine.state is state and k < 20_000:
+        machine.advance(k * period_s, RunInputs(**held))
+        k += 1
+    more_s = 2.0 if state is LoopState.STOPPING and seconds == 10.0 else 0.0  # then standstill is waited for
+    assert (k - 1) * period_s == pytest.approx(seconds + more_s, abs=2.5 * period_s)
+
+
+POWERED, OFF, MOVES, STANDS = DriveState.OPERATION_ENABLED, DriveState.SWITCH_ON_DISABLED, False, True
+
+
+@pytest.mark.parametrize(
+    ("state", "drive", "stands", "is_named"),
+    [
+        (LoopState.ENABLING, OFF, STANDS, True),
+        (LoopState.ENABLING, POWERED, MOVES, False),
+        (LoopState.DISABLING, POWERED, STANDS, True),
+        (LoopState.DISABLING, OFF, MOVES, False),
+        (LoopState.FAULT_STOPPING, POWERED, MOVES, True),
+        (LoopState.FAULT_STOPPING, OFF, STANDS, False),
+    ],
+)
+@pytest.mark.parametrize("reachable", [True, False])
+@pytest.mark.parametrize("silent", [True, False])
+def test_a_timeout_names_the_axes_that_kept_the_run_and_not_those_of_which_nothing_is_known(
+    state, drive, stands, is_named, reachable, silent
+):
+    timeout = Timeout(FaultCode.STILL_POWERED, "not in time")
+    heard = Feedback(state=drive, is_fresh=True, is_reachable=reachable)
+    said = list(timeout_faults(timeout, state, ["x"], [heard], [stands], [silent]))
+    if not (is_named and reachable):  # nobody: the wait is told all the same
+        assert said == [FaultCode.STILL_POWERED.append_to("not in time")]
+    elif silent:
+        assert said == []
+    else:
+        assert [each.startswith(f"x: not in time: the drive is in {drive.words}") for each in said] == [True]

@@ -127,8 +127,8 @@ def _try_module(path: str, numbers: list[int], changes: list[Change], end_s: flo
         if first.get("status") != "passed":
             return f"{path}: its tests do not pass without a change ({first.get('status', 'no answer')})"
         click.echo(f"{path}: {first['tests']} tests pass in {first['seconds']:.0f} s", err=True)
-        for number in numbers:
-            if time.monotonic() > end_s:
+        for k, number in enumerate(numbers):
+            if k and time.monotonic() > end_s:  # one at least, after what its first run has taken
                 break
             worker.stdin.write(f"{number}\n")
             worker.stdin.flush()
@@ -156,8 +156,6 @@ def _report(outcomes: list[Outcome], seconds: float) -> int:
         f"{len(outcomes)} mutants in {seconds:.0f} s: {len(outcomes) - len(alive)} noticed ({late} by their time), "
         f"{len(alive) - len(serious)} reviewed and harmless, {len(serious)} not noticed"
     )
-    if not outcomes:
-        raise FrictionHilError("no mutant was tried: the time was over before")
     return 1 if serious else 0
 
 

@@ -9,7 +9,7 @@ _ENDS = ("canopen_leaving", "canopen_restoration", "canopen_last_frames", "canop
 MODULES: dict[str, tuple[str, ...]] = {
     "friction_hil/compensator/limiter.py": ("compensator_limiter",),
     "friction_hil/daemon/safety.py": ("safety", *_LOOP),
-    "friction_hil/daemon/sequence.py": ("sequence", "loop_endings", "gravity_feedforward"),
+    "friction_hil/daemon/sequence.py": ("sequence",),
     "friction_hil/daemon/command.py": _LOOP,
     "friction_hil/daemon/run.py": ("control_changes", "follower", *_LOOP),
     "friction_hil/daemon/follow_check.py": ("follow_check",),
