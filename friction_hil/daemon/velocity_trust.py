@@ -17,7 +17,7 @@ _LAG_S = 0.01  # tolerated delay between the two
 _ROUNDING_STEPS = 4.0
 _CLEAR = 0.5  # tolerance, as part of the displacement, above which a comparison shows nothing
 _CONTRADICTIONS = 5  # in a row, before it is told
-_RISE_S = 0.25  # from no torque to all of it
+_RISE_S = 0.1  # from no torque to all of it
 _MOVED_S, _MOVED_STEPS = 1e-3, 4.0  # motion: the way at the velocity limit in this time, or steps of the position
 _AGAINST_S = 1e-4  # the same, against the torque: a load that falls needs all of it at once
 _HELD_S = 0.03  # without such a motion, until the torque rises on
@@ -128,10 +128,10 @@ class FirstTorque:
     Examples
     --------
     >>> first = FirstTorque(0.4, 10.0, 1e-3, 1e-5)
-    >>> sticking = [first.next(0.0, 0.1, 1) for _ in range(100)]
+    >>> sticking = [first.next(0.0, 0.1, 1) for _ in range(40)]
     >>> moving = [first.next(5e-3 * k, 0.1, 1) for k in range(100)]
     >>> round(sticking[-1], 3), round(moving[-1], 3)
-    (0.16, 0.163)
+    (0.16, 0.168)
     """
 
     __slots__ = ("_against", "_bound", "_held_s", "_limit", "_mark", "_period_s", "_step")
