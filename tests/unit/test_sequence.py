@@ -329,3 +329,11 @@ def test_a_timeout_names_the_axes_that_kept_the_run_and_not_those_of_which_nothi
         assert said == []
     else:
         assert [each.startswith(f"x: not in time: the drive is in {drive.words}") for each in said] == [True]
+
+
+def test_an_axis_that_has_stood_since_the_start_is_disabled_at_once():
+    machine = RunStateMachine(is_listening=False)
+    machine.state = LoopState.FAULT_STOPPING
+    assert not machine.advance(0.04, RunInputs(is_powered=True, is_standing=True))
+    assert machine.advance(0.06, RunInputs(is_powered=True, is_standing=True))
+    assert machine.state is LoopState.DISABLING
