@@ -152,3 +152,36 @@ def test_a_mistake_is_one_sentence(arguments, words, tmp_path, monkeypatch):
     assert done.returncode in (1, 2)
     assert words in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_narx_is_trained_drawn_and_written_in_every_way(tmp_path):
+    """The classical way: series-parallel first, then cut loose. It runs at the period of its training only."""
+    net = tmp_path / "narx.yaml"
+    done = train(
+        *("--from-model", LUGRE, "--structure", "narx", "--samples", 1000, "--hidden", 2),
+        *("--output", net, "--report", tmp_path / "narx.html"),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "best so far" in done.stderr
+    assert (tmp_path / "narx.html").exists()
+
+    model = fh.models.load(net)
+    assert np.isfinite(model.steady_state([-0.5, 0.01, 0.5])).all()
+    draw = ("--motion", "sine:amplitude=0.1", "--beside", LUGRE, "--draw", tmp_path / "narx.png", "--json")
+    for words in (
+        ("models", net, "--draw", tmp_path / "cycle.png"),
+        ("models", net, *draw),
+        *(("export", net, "--to", to, "--output", tmp_path / to) for to in ("csv", "c", "st", "urdf")),
+    ):
+        made = run(*words, check=False)
+        assert made.returncode == 0, made.stderr
+
+    recording = tmp_path / "log.csv"
+    for dt, status in ((1e-3, 0), (4e-3, 2)):
+        t = np.arange(2000) * dt
+        rows = np.column_stack([t, 0.1 * np.sin(t), 0.1 * np.cos(t), 0.1 * np.sign(np.cos(t))])
+        np.savetxt(recording, rows, delimiter=",", header="time_s,position,velocity,torque", comments="")
+        replayed = run("replay", recording, "--model", net, "--json", check=False)
+        assert bool(replayed.returncode) == bool(status)
+        if status:
+            assert "a narx runs only at the period of its training, 0.001 s, not at 0.004 s" in replayed.stderr
