@@ -49,6 +49,7 @@ _WRITERS = {suffix: name for suffix, name in _MODULES.items() if suffix not in _
 """Module by suffix, with `read(source)`, which returns recordings, and `write(path, recording, overwrite=)`."""
 
 _HEAD = 4000  # bytes that show whether a log holds frames, as candump writes or prints them
+_SHARED = (".log", ".txt")
 _FRAME = (
     rb"^\s*(?:\x1b\[[0-9;]*m)*(?:\([^()]*\)\s+)?[A-Za-z]\S*\s+(?:[RT]X\s+\S\s+\S\s+)?[0-9A-Fa-f]{3,8}(?:#|\s+\[\d+\])"
 )
@@ -251,6 +252,8 @@ def _read_as_it_is(source: Source) -> list[Recording]:
 def _by_content(source: Source) -> dict[str, str]:
     """Return the module of a suffix that logs of frames and tables share; a log of frames needs a configuration."""
     suffix = source.path.suffix.lower()
+    if suffix not in _SHARED:
+        return {}  # not opened here: what a pipe has given is gone
     try:
         with source.path.open("rb") as file:
             has_frames = re.search(_FRAME, file.read(_HEAD), re.MULTILINE) is not None

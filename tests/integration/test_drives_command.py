@@ -134,7 +134,8 @@ def test_stop_ends_what_a_killed_daemon_left_on(tmp_path: Path, is_ours: bool) -
         configuration = write_configuration(tmp_path, x={**keys, "simulation": missing})
         drives = simulated_drives(configuration)
     else:
-        configuration = durand_configuration(tmp_path, **keys)
+        # a period that a busy machine keeps
+        configuration = durand_configuration(tmp_path, period_s=4e-3, max_missed=50, **keys)
         drives = durand_drives(configuration, *WITHOUT_WATCHDOG)
     pace = ("--pace", "sync") if is_ours else ()
     with drives, listening(configuration) as bus:

@@ -82,8 +82,8 @@ def test_somebody_elses_report_is_refused_before_anything_is_computed(tmp_path, 
 def test_a_number_that_is_not_finite_is_a_failure(tmp_path, capsys, monkeypatch):
     real = study.run
 
-    def run(*arguments):
-        result = real(*arguments)
+    def run(*arguments, **options):
+        result = real(*arguments, **options)
         result.single["presliding"]["coulomb"].facts["presliding_um"] = math.nan
         return result
 

@@ -3,7 +3,6 @@
 import tempfile
 import time
 
-import can
 import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.drives import CanopenDrives
@@ -11,7 +10,7 @@ from friction_hil_drivers.canopen.exclusive import AxisLock
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import BusError
-from tests.canopen_bench import Bench
+from tests.canopen_bench import Bench, BusClock, TimedBus
 from tests.servo_drives import axis_dict, configuration
 
 CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
@@ -23,72 +22,6 @@ HEARTBEAT_LOST, RPDO_LOST = "8130", "8250"
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-
-
-class TimedBus(can.BusABC):
-    """Drives whose SDO server takes some time for an answer. Time passes while somebody waits for a frame."""
-
-    def __init__(self, benches, answer_ms):
-        super().__init__(channel="timed")
-        self.benches, self.answer_ms, self.now_ms = benches, answer_ms, 0.0
-        self.waiting, self.sent, self.gone, self.refused = [], [], set(), []
-        self.lost = ()  # identifiers of frames that nobody hears
-        self.slow = {}  # milliseconds for the answers about some objects, by index
-
-    def put(self, frames):
-        for can_id, data in frames:
-            if can_id in self.lost:
-                continue
-            is_sdo = 0x580 <= can_id < 0x600
-            message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
-            late_ms = self.slow.get(int.from_bytes(data[1:3], "little"), self.answer_ms) if is_sdo else 0.0
-            self.waiting.append((self.now_ms + late_ms, message))
-        self.waiting.sort(key=lambda one: one[0])
-
-    def send(self, msg, timeout=None):
-        if (msg.arbitration_id, bytes(msg.data)) in self.refused:
-            raise can.CanOperationError("the interface is down")
-        self.sent.append((self.now_ms, msg.arbitration_id, bytes(msg.data)))
-        for bench in self.benches:
-            if bench.node.number in self.gone:
-                continue
-            if msg.is_remote_frame:
-                if msg.arbitration_id == 0x700 + bench.node.number:
-                    before = len(bench.sent)
-                    bench.node.receive_remote(msg.arbitration_id)
-                    self.put(bench.sent[before:])
-            else:
-                self.put(bench.send(msg.arbitration_id, bytes(msg.data)))
-
-    def recv(self, timeout=None):
-        end = self.now_ms + 1e3 * (timeout or 0.0)
-        while not self.waiting or self.waiting[0][0] > self.now_ms:
-            if self.now_ms >= end:
-                return None
-            self.pass_until(min(end, self.now_ms + 1.0))
-        return self.waiting.pop(0)[1]
-
-    def pass_until(self, now_ms):
-        self.now_ms = now_ms
-        for bench in self.benches:
-            frames = bench.at(now_ms)
-            if bench.node.number not in self.gone:
-                self.put(frames)
-
-
-class BusClock:
-    """The clock of a `TimedBus`."""
-
-    is_real = True
-
-    def __init__(self, bus):
-        self.now_ns = lambda: round(bus.now_ms * 1e6)
-
-    def doze_until(self, deadline_ns):
-        return False
-
-    def sleep_until(self, deadline_ns):
-        pass
 
 
 class Machine:

@@ -1,66 +1,88 @@
 """`doctor --try-watchdog`: what a drive does when one of its watchdogs lapses, as far as it is seen."""
 
-import threading
 import time
 
 import pytest
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.simulated import SimulatedCanopenDrives
 
 from friction_hil.cli import main
-from friction_hil.config import from_dict
-from friction_hil.daemon.realtime import RealClock
-from tests.processes import free_port
-from tests.servo_drives import axis_dict
+from tests.canopen_bench import NODE, Bench, BusClock, TimedBus
+from tests.servo_drives import axis_dict, configuration
 
-GROUP = "239.74.163.42"
+
+class Tried(TimedBus):
+    """A drive and a computer that is busy with something else now and then, in simulated time."""
+
+    def __init__(self):
+        self.bench = Bench(is_paced_by_sync=False, manners={"timer_at_sync_only": True})
+        super().__init__([self.bench], 0.0)
+        self.stalls_ms = []
+        self.is_fed = False
+        self.states = set()
+
+    def send(self, msg, timeout=None):
+        self.is_fed = self.is_fed or msg.arbitration_id == 0x77E
+        super().send(msg, timeout)
+
+    def recv(self, timeout=None):
+        if self.is_fed and self.stalls_ms and timeout:
+            self.pass_until(self.now_ms + self.stalls_ms.pop())
+        return super().recv(timeout)
+
+    def pass_until(self, now_ms):
+        super().pass_until(now_ms)
+        self.states.add(self.bench.node.drive.state.name)
 
 
 @pytest.fixture
-def tried():
-    """Try the watchdogs of a simulated drive that runs in a thread; return the findings and the states it was in."""
+def tried(monkeypatch, tmp_path):
+    """Try the watchdogs of a simulated drive; return the findings and the bus."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
 
-    def attempt(prepare=None):
-        data = {
-            "version": 1,
-            "period_s": 1e-3,
-            "bus": {"interface": "udp_multicast", "channel": GROUP, "port": free_port(), "hop_limit": 0},
-            "axes": {"x": axis_dict(simulation={"canopen": {"timer_at_sync_only": True}})},
-        }
-        config = from_dict(data, "test")
-        simulated, is_over, states = SimulatedCanopenDrives(config, config.axes, pace="real"), threading.Event(), set()
-        simulated.open()
+    def attempt(*, prepare=None, stalls_ms=(), answer_ms=0.0):
+        bus = Tried()
+        monkeypatch.setattr(time, "monotonic", lambda: 1e-3 * bus.now_ms)
+        monkeypatch.setattr(time, "sleep", lambda wait_s: bus.pass_until(bus.now_ms + 1e3 * wait_s))
         if prepare is not None:
-            prepare(simulated._nodes[0])
-
-        def is_stopping():
-            states.add(simulated._nodes[0].drive.state.name)
-            return is_over.is_set()
-
-        thread = threading.Thread(target=simulated.run, args=(is_stopping,))
-        thread.start()
+            prepare(bus.bench.node)
+        config = configuration(x=axis_dict(node=NODE))
+        drives = CanopenDrives(config, config.axes, BusClock(bus), dry_run=False, bus=bus)
+        drives.connect()
+        bus.stalls_ms.extend(stalls_ms)
+        bus.answer_ms = answer_ms
         try:
-            time.sleep(0.1)
-            findings = list(CanopenDrives.try_watchdogs(config, config.axes, RealClock(0)))
+            return list(drives._try_watchdogs("x")), bus
         finally:
-            is_over.set()
-            thread.join(20.0)
-            simulated.close()
-        return findings, states, simulated._nodes[0]
+            drives.close()
+            bus.shutdown()
 
     return attempt
 
 
-def test_each_means_is_tried_and_what_was_seen_is_told(tried):
-    (rpdo, heartbeat), states, node = tried()
+@pytest.mark.parametrize("answer_ms", [0.0, 15.0])
+def test_each_means_is_tried_and_what_was_seen_is_told(tried, answer_ms):
+    (rpdo, heartbeat), bus = tried(answer_ms=answer_ms)
     assert (rpdo.check, rpdo.result, rpdo.code) == ("x: RPDO 4", "warn", "FH-443")
     assert "8250h" in rpdo.detail
     assert "no reaction seen without torque" in rpdo.detail
     assert (heartbeat.check, heartbeat.result) == ("x: heartbeat (1016h:01)", "pass")
     assert "NMT state pre-operational" in heartbeat.detail
-    assert "OPERATION_ENABLED" not in states  # no torque at any time
-    assert "SWITCHED_ON" in states
-    assert node.drive.state.name == "SWITCH_ON_DISABLED"
+    assert "OPERATION_ENABLED" not in bus.states  # no torque at any time
+    assert "SWITCHED_ON" in bus.states
+    assert bus.bench.node.drive.state.name == "SWITCH_ON_DISABLED"
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_drive_that_this_computer_fed_too_late_is_tried_again(tried, count):
+    findings, bus = tried(stalls_ms=[300.0] * count)
+    assert not bus.stalls_ms, findings
+    assert [(finding.result, finding.code) for finding in findings] == [("warn", "FH-443"), ("pass", "")], findings
+
+
+def test_a_computer_that_is_always_late_proves_nothing(tried):
+    findings, _ = tried(stalls_ms=[300.0] * 1000)
+    assert [(finding.result, finding.code) for finding in findings] == [("warn", "FH-442")] * 2, findings
+    assert all("this computer fed the drive" in finding.detail for finding in findings)
 
 
 def test_a_watchdog_that_does_nothing_is_not_said_to_work(tried):
@@ -68,10 +90,10 @@ def test_a_watchdog_that_does_nothing_is_not_said_to_work(tried):
         node._behaviour.value = 1  # 1029h: stays in Operational
         node._emergency_id.value |= 0x80000000
 
-    findings, states, _ = tried(prepare=keep_quiet)
+    findings, bus = tried(prepare=keep_quiet)
     assert [(finding.result, finding.code) for finding in findings] == [("fail", "FH-442")] * 2
     assert all("not seen to act" in finding.detail for finding in findings)
-    assert "OPERATION_ENABLED" not in states
+    assert "OPERATION_ENABLED" not in bus.states
 
 
 def test_without_a_configuration_there_is_nothing_to_try(capsys):

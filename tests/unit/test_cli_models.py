@@ -272,7 +272,7 @@ STIFF = (
         (["--draw", "a.png"], 2, "--draw needs a model: friction-hil models lugre --draw a.png"),
         (["--draw", "a.png", "--json"], 2, "--draw needs a model"),
         (["lugre", "--draw", "a.jpgg"], 2, "a.jpgg: no picture format has the suffix '.jpgg'; did you mean 'jpg'?"),
-        (["lugre", "--draw", "nowhere/a.png"], 1, "nowhere/a.png cannot be written"),
+        (["lugre", "--draw", "nowhere/a.png"], 2, "there is no folder nowhere"),
     ],
 )
 def test_mistakes_are_reported_in_a_sentence(words, status, message, folder, capsys):

@@ -44,7 +44,8 @@ def test_every_code_in_the_sources_stands_on_a_page_and_those_of_the_daemon_in_t
 
 
 def test_every_code_is_used():
-    text = "".join(path.read_text() for path in (ROOT / "friction_hil/daemon").glob("*.py"))
+    rooms = (ROOT / "friction_hil/daemon", ROOT / "drivers/friction_hil_drivers")
+    text = "".join(path.read_text() for room in rooms for path in room.rglob("*.py"))
     for code in FaultCode:
         assert f"FaultCode.{code.name}" in text
 

@@ -354,7 +354,7 @@ def test_curves_add_up() -> None:
     ("change", "settings", "error", "message"),
     [
         ({"torque": None}, {}, RecordingError, "no column torque"),
-        ({"position": None}, {}, RecordingError, "no column position"),
+        ({"position": None, "velocity": None}, {}, RecordingError, "no column position"),
         ({"torque": 0.0}, {}, RecordingError, "torque is zero in every row"),
         ({"velocity": 0.0}, {}, RecordingError, "does not move"),
         ({}, {"families": ("lugree",)}, UsageError, "did you mean 'lugre'"),

@@ -128,3 +128,12 @@ def test_a_module_that_is_not_listed_is_refused() -> None:
 def test_what_has_nothing_to_change_has_no_mutants(text) -> None:
     assert ast.parse(text)
     assert changes_of(text) == []
+
+
+def test_the_list_has_the_number_of_mutants_whatever_the_sample() -> None:
+    words = ["--list", "--only", "daemon.sequence", "--sample", "60"]
+    result = CliRunner().invoke(tool.command, words, standalone_mode=False)
+    assert result.exception is None, result.output
+    (line,) = result.stdout.splitlines()
+    assert line.endswith("friction_hil/daemon/sequence.py")
+    assert int(line.split()[0]) > 40

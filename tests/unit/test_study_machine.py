@@ -219,7 +219,7 @@ def test_a_machine_that_cannot_be_studied_is_refused(change, said, tmp_path, cap
 
 def test_models_of_the_experiments_go_without_a_machine(machine, capsys):
     assert main(["study", str(machine), "--models", "lugre"]) == 2
-    assert "--models goes without MACHINE" in capsys.readouterr().err
+    assert "--models, --friction, --servo and --motion go without MACHINE" in capsys.readouterr().err
 
 
 # the benchmark

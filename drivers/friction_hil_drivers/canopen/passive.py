@@ -51,12 +51,12 @@ def _rhythm_notes(heard: HeardPdos, name: str, node: int, tpdos: Sequence["Mappe
     Raises
     ------
     DriveError
-        SYNC has another period than ``period_s``, or two nodes send a TPDO.
+        Two nodes send a TPDO.
     """
-    if problem := heard.wrong_period(period_s):
-        text = f"{name}: SYNC of the other master {problem}"
-        raise DriveError(text, "period_s must be the master's period", codes.SYNC_UNUSABLE)
     notes = []
+    if problem := heard.wrong_period(period_s):
+        text = f"SYNC of the other master {problem}: period_s must be the master's period [{codes.SYNC_UNUSABLE}]"
+        notes.append(text)
     for pdo in tpdos:
         if not pdo.is_synchronous:
             continue
@@ -235,7 +235,7 @@ def passive_exchange(
     Raises
     ------
     DriveError
-        A TPDO does not come, two nodes send it, or SYNC has another period.
+        A TPDO does not come, or two nodes send it.
     """
     wanted = {pdo.cob_id: axis for axis in axes for pdo in axis.tpdos}
     heard = _listen(bus, others, wanted, clock, sync_id)
