@@ -59,13 +59,13 @@ def tried(monkeypatch, tmp_path):
     return attempt
 
 
-@pytest.mark.parametrize("answer_ms", [0.0, 15.0])
+@pytest.mark.parametrize("answer_ms", [0.0, 15.0, 60.0])
 def test_each_means_is_tried_and_what_was_seen_is_told(tried, answer_ms):
     (rpdo, heartbeat), bus = tried(answer_ms=answer_ms)
     assert (rpdo.check, rpdo.result, rpdo.code) == ("x: RPDO 4", "warn", "FH-443")
     assert "8250h" in rpdo.detail
     assert "no reaction seen without torque" in rpdo.detail
-    assert (heartbeat.check, heartbeat.result) == ("x: heartbeat (1016h:01)", "pass")
+    assert (heartbeat.check, heartbeat.result) == ("x: heartbeat (1016h:01)", "pass"), heartbeat.detail
     assert "NMT state pre-operational" in heartbeat.detail
     assert "OPERATION_ENABLED" not in bus.states  # no torque at any time
     assert "SWITCHED_ON" in bus.states

@@ -88,6 +88,7 @@ class WatchdogTrial:
 
     def run(self) -> Iterator[Finding]:
         """Try one means after the other; the drive is without power, and its faults are reset, before and after."""
+        self._network.meanwhile = self._feed
         try:
             results = []
             for means in self._axis.watch.means:
@@ -98,6 +99,7 @@ class WatchdogTrial:
                 results.append((means, seen, too_early))
         finally:
             self._switch_off()
+            self._network.meanwhile = None
         is_any_seen = any(seen and not too_early and not seen.late_s for _, seen, too_early in results)
         for means, seen, too_early in results:
             is_first = means is self._axis.watch.acting
@@ -134,7 +136,18 @@ class WatchdogTrial:
             ):
                 self._client.write(objects.CONTROLWORD, word)
                 self._await(state)
-        self._sent_s = dict.fromkeys(self._periods_s, time.monotonic())  # the network has fed it up to here
+        self._sent_s |= dict.fromkeys(("rpdo", _POLL), time.monotonic())
+
+    def _feed(self) -> float:
+        """Feed what watches the daemon in every NMT state; return for how long that is enough, s."""
+        now, left_s = time.monotonic(), math.inf
+        for means in self._axis.watch.means:
+            if means.kind != "rpdo":
+                if now >= self._sent_s.get(means.kind, -math.inf) + self._periods_s[means.kind]:
+                    self._send(means.kind)
+                    self._sent_s[means.kind] = now
+                left_s = min(left_s, self._sent_s[means.kind] + self._periods_s[means.kind] - now)
+        return max(left_s, _FEED_S)
 
     def _hold_position(self) -> None:
         """Let the event-driven RPDO 1 carry the present position, no velocity and no torque."""
