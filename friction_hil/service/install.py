@@ -261,7 +261,7 @@ def _write(path: Path, text: bytes, *, is_secret: bool) -> None:
         path.unlink(missing_ok=True)  # whoever has opened the former one does not see this one
         mode = 0o600 if is_secret else 0o644
         with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-            os.fchmod(file.fileno(), mode)  # whatever the umask is
+            path.chmod(mode)  # whatever the umask is
             file.write(text)
     except PermissionError:
         raise UsageError(f"{path}: no permission to write; run this command with sudo") from None
