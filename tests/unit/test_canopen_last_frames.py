@@ -61,6 +61,8 @@ def machine(request):
     one = Machine(**getattr(request, "param", {}))
     yield one
     one.bus.shutdown()
+    one.drives._bus = None  # a test that has not closed the drives leaves their locks
+    one.drives.close()
 
 
 @pytest.fixture
