@@ -26,7 +26,7 @@ from tests.readme_commands import ROOT, resolve, shown_commands
 PACKAGES = {"friction_hil": ROOT / "friction_hil", "friction_hil_drivers": ROOT / "drivers/friction_hil_drivers"}
 PAGE = ROOT / "friction_hil/cli/README.md"
 EXTRAS = {
-    "report": {"matplotlib", "plotly"},
+    "report": {"matplotlib"},
     "formats": {"pyarrow", "h5py", "asammdf"},
     "onnx": {"onnx"},
     "cluster": {"distributed"},

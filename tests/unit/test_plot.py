@@ -3,8 +3,7 @@
 import base64
 import json
 import re
-import shutil
-import subprocess
+import time
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -20,11 +19,11 @@ from friction_hil.recordings import columns
 from friction_hil.recordings.mcap_writer import McapWriter
 from friction_hil.reports.run.picture import comparison_text
 from friction_hil.reports.run.view import make_view
+from tests.browser import PROGRAM, browser
 from tests.loop_run import BELIEVED, Run, axis, model
 
 pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
 
-BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 BASELINE_S, DURATION_S, FADE_S, RAMP_S = 1.8, 4.2, 0.1, 0.25  # of motion; 1 Hz
 COMPENSATION = {"fade_s": FADE_S, "baseline_s": BASELINE_S, "gain": 0.9}
 LIMITS = {"torque": 0.6, "velocity": 30.0}
@@ -238,7 +237,7 @@ class Page(HTMLParser):
 
     def __init__(self, path: Path) -> None:
         super().__init__()
-        self.loaded, self.policy, self.data, self.scripts = [], "", [], []
+        self.loaded, self.policy, self.data, self.kinds = [], "", [], []
         self._kind = None
         self.feed(path.read_text(encoding="utf-8"))
 
@@ -248,12 +247,11 @@ class Page(HTMLParser):
         if given.get("http-equiv") == "Content-Security-Policy":
             self.policy = given["content"]
         self._kind = given.get("type", "") if tag == "script" else None
+        self.kinds += [self._kind] * (tag == "script")
 
     def handle_data(self, text):
         if self._kind == "application/json":
             self.data.append(json.loads(text))
-        elif self._kind == "":
-            self.scripts.append(text)
 
     def handle_endtag(self, tag):
         self._kind = None
@@ -268,7 +266,7 @@ def test_the_page_loads_nothing_and_holds_every_row(csp, tmp_path, capsys):
     page = Page(tmp_path / "run.html")
     assert page.loaded == []
     assert "default-src 'none'" in page.policy
-    assert len(page.scripts) == 2
+    assert page.kinds == ["application/json", "", "module"]
     (view,) = page.data
     recording = recordings.read(csp)
     np.testing.assert_array_equal(unpacked(view["time"], "<f8"), recording["time_s"])
@@ -278,49 +276,49 @@ def test_the_page_loads_nothing_and_holds_every_row(csp, tmp_path, capsys):
     np.testing.assert_allclose(unpacked(measured["data"], "<f4"), 1e3 * recording["position"], rtol=1e-6, atol=1e-6)
 
 
-_ZOOM = """<script>
-new MutationObserver(async (_, watching) => {
-  if (document.body.dataset.drawn !== "yes") return;
-  watching.disconnect();
-  const place = document.getElementById("time-0");
-  const before = place.data[0].x.length;
-  await Plotly.relayout(place, {"xaxis.range": [1.0, 1.1]});
-  await new Promise((resolve) => setTimeout(resolve, 500));
-  document.body.dataset.zoomed = [before, place.data[0].x.length, ...place.layout.xaxis.range].join(" ");
-  document.body.dataset.buttons = [...document.querySelectorAll(".modebar-btn")].map((each) => each.dataset.title);
-}).observe(document.body, {attributes: true});
-</script><script>"use strict";"""
-
-
-@pytest.mark.skipif(BROWSER is None, reason="there is no Chromium here to open the page")
-def test_a_browser_draws_the_page_and_zooms_to_single_rows(csp, tmp_path, capsys):
+@pytest.mark.skipif(PROGRAM is None, reason="there is no Chromium here to open the page")
+def test_a_browser_draws_the_page_zooms_shows_values_and_saves_a_picture(csp, tmp_path, capsys):
     plotted(capsys, csp, "--output", tmp_path / "run.html")
-    text = (tmp_path / "run.html").read_text(encoding="utf-8")
-    head, mark, tail = text.rpartition('<script>"use strict";')
-    (tmp_path / "zoom.html").write_text(head + _ZOOM + tail, encoding="utf-8")
-    assert mark
-    words = (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--virtual-time-budget=20000",
-        "--enable-logging=stderr",
-    )
-    done = subprocess.run(
-        [BROWSER, *words, f"--user-data-dir={tmp_path / 'browser'}", "--dump-dom", f"file://{tmp_path / 'zoom.html'}"],
-        capture_output=True,
-        text=True,
-        timeout=240,
-    )
-    assert "CONSOLE" not in done.stderr
-    assert 'data-drawn="yes"' in done.stdout
-    (zoomed,) = re.findall(r'data-zoomed="([^"]*)"', done.stdout)
-    before, after, low, high = map(float, zoomed.split())
-    assert 2000 < before <= 3000  # of more than 4000 rows
-    assert (after, low, high) == (103, 1.0, 1.1)  # each row of 0.1 s, and one more at either end
-    (buttons,) = re.findall(r'data-buttons="([^"]*)"', done.stdout)
-    assert "Zoom" in buttons
-    assert not re.search("cloud|share|chart studio", buttons, re.IGNORECASE), buttons
+    last_s = float(recordings.read(csp)["time_s"][-1])
+    with browser(tmp_path) as page:
+        page.resize(1280)
+        page.open((tmp_path / "run.html").as_uri())
+        page.until("document.body?.dataset.drawn === 'yes'")
+        assert page.get("document.querySelectorAll('.uplot').length") == 7  # five panels, comparison, friction
+        page.picture(tmp_path / "whole.png")
+        area = page.get("document.querySelector('#time-0 .u-over').getBoundingClientRect().toJSON()")
+
+        def mouse(kind: str, share: float) -> None:
+            x, y = area["left"] + share * area["width"], area["top"] + area["height"] / 2
+            page.do("Input.dispatchMouseEvent", type=f"mouse{kind}", x=x, y=y, button="left", clickCount=1)
+
+        def values_at(share: float) -> list[list[str]]:
+            """The values at the cursor of each panel: the time, and each line's."""
+            mouse("Moved", share)
+            page.get("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+            legends = "[...document.querySelectorAll('#time-0 .u-legend')]"
+            return page.get(
+                f"{legends}.map((each) => [...each.querySelectorAll('.u-value')].map((value) => value.textContent))"
+            )
+
+        before = values_at(0.25)
+        assert len(before) == 5
+        assert all(float(panel[0]) == pytest.approx(0.25 * last_s, abs=0.05) for panel in before)
+        assert all(value.endswith("mrad") for value in before[0][1:])
+        mouse("Pressed", 0.25)
+        mouse("Moved", 0.75)
+        mouse("Released", 0.75)
+        for share in (0.02, 0.5, 0.98):  # all panels show the half that was dragged over
+            expected_s = (0.25 + 0.5 * share) * last_s
+            assert [float(panel[0]) for panel in values_at(share)] == pytest.approx([expected_s] * 5, abs=0.05)
+        page.do("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path / "saved"))
+        page.get("document.querySelector('#picture-0').click()")
+        saved, end_s = tmp_path / "saved" / "run.mcap, axis x.png", time.monotonic() + 30.0
+        while not saved.exists():
+            assert time.monotonic() < end_s, list(tmp_path.rglob("*.png"))
+            time.sleep(0.05)
+        assert is_picture(saved)
+        assert page.said == []
 
 
 def test_names_of_a_file_are_no_html(runs, tmp_path, capsys):

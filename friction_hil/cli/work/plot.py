@@ -19,7 +19,7 @@ from friction_hil.errors import ConfigurationError, FrictionHilError, Problem, U
 from friction_hil.recordings import Recording
 from friction_hil.recordings.parts import only_recording
 from friction_hil.reports.figures import new_figure_for
-from friction_hil.reports.run.page import require_plotly, write_run_page
+from friction_hil.reports.run.page import write_run_page
 from friction_hil.reports.run.picture import draw_run
 from friction_hil.reports.run.view import RunView, make_view
 
@@ -76,9 +76,7 @@ def _check_target(source: Path, target: Path) -> None:
     """Refuse a wrong suffix or a missing package before anything is read."""
     if target.resolve() == source.resolve():
         raise UsageError(f"--output {target}: is the recording itself")
-    if target.suffix.lower() in _PAGES:
-        require_plotly()
-    else:
+    if target.suffix.lower() not in _PAGES:
         new_figure_for(target, 1.0, 1.0)
 
 

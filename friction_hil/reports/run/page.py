@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from friction_hil import __version__
-from friction_hil.errors import UsageError
 from friction_hil.numerics.jit import Array
 from friction_hil.reports.decimation import bucket_size, decimated, decimated_time
 from friction_hil.reports.figures import FAULT, GREY, INK, MEASURED, WITH, WITHOUT
@@ -22,6 +21,7 @@ from friction_hil.reports.run.view import RunView, broken_at_gaps
 MOST_POINTS = 120_000  # of a signal in the page; a longer recording is thinned by minimum and maximum
 _PAIR_POINTS = 4000
 _STYLE = """
+:root { --faint: #555; --grid: #e6e6e6 }
 body { max-width: 100rem }
 .pair { display: flex; flex-wrap: wrap; gap: 1rem }
 .pair > div { flex: 1 1 30rem; min-width: 0 }
@@ -32,14 +32,9 @@ _POLICY = (
     "style-src 'unsafe-inline'; img-src data: blob:; form-action 'none'; base-uri 'none'\">"
 )
 _HELP = (
-    "Drag to zoom, double-click to see everything again; all times move together. Drag an axis to pan it; a click in a "
-    "legend hides a line."
+    "Drag to zoom, double-click to see everything again; all times move together. The values at the cursor stand below "
+    "each chart; a click on a name hides its line."
 )
-
-
-def require_plotly() -> None:
-    """Raise UsageError if plotly is not installed."""
-    _plotly()
 
 
 def write_run_page(path: Path, views: Sequence[RunView]) -> int:
@@ -58,12 +53,14 @@ def write_run_page(path: Path, views: Sequence[RunView]) -> int:
 
     Raises
     ------
-    UsageError
-        plotly is not installed.
     FrictionHilError
         The file cannot be written.
     """
-    library = _plotly()
+    drawing = files("friction_hil.live.web") / "static"
+    library, licence, charts, style = (
+        (drawing / name).read_text(encoding="utf-8")
+        for name in ("uPlot.iife.min.js", "uPlot.LICENSE", "charts.js", "uPlot.min.css")
+    )
     size = max(bucket_size(len(view.time_s), MOST_POINTS) for view in views)
     parts = [_section(view, number) for number, view in enumerate(views)]
     script = files(__package__).joinpath("page.js").read_text(encoding="utf-8")
@@ -78,31 +75,23 @@ def write_run_page(path: Path, views: Sequence[RunView]) -> int:
     title = f"friction-hil: {views[0].title}"
     body = (
         f'<p class="note">{_HELP}{thinned}</p>\n{"".join(parts)}\n<p class="note">friction-hil {__version__}</p>\n'
-        f"<script>{library}</script>\n<script>{script}</script>\n"
+        f'<script>/*\n{licence}*/\n{library}</script>\n<script type="module">{charts}\n{script}</script>\n'
     )
-    write_page(path, page(title, f'{_POLICY}\n{generator("plot")} {__version__}">', body, _STYLE))
+    write_page(path, page(title, f'{_POLICY}\n{generator("plot")} {__version__}">', body, f"{style}\n{_STYLE}"))
     return size
-
-
-def _plotly() -> str:
-    """Return the JavaScript library, which is part of the Python package."""
-    try:
-        from plotly.offline import get_plotlyjs  # imported here: plotly is optional
-    except ImportError:
-        raise UsageError("interactive pages need plotly: pip install 'friction-hil[report]'") from None
-    return str(get_plotlyjs())
 
 
 def _section(view: RunView, number: int) -> str:
     header = ("following error", "without", "with compensation", "times lower")
     figures = table(header, [tuple(map(html.escape, row)) for row in view.rows]) if view.rows else ""
     data = json.dumps(_data(view, number), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    events = [f"{mark.time_s:.3f} s: {mark.kind}: {mark.text}" for mark in view.marks]
+    events = _events(view)
     listed = f"<details><summary>{len(events)} events</summary>{unordered_list(events)}</details>" if events else ""
     return f"""
 <h2>{html.escape(view.title)}</h2>
 <p>{html.escape(view.facts)}</p>
 {figures}{unordered_list(view.notes)}
+<p><button id="picture-{number}">Save as PNG</button> <span class="note" id="marks-{number}"></span></p>
 <div id="time-{number}"></div>
 <div class="pair"><div id="comparison-{number}"></div><div id="friction-{number}"></div></div>
 {listed}
@@ -110,25 +99,25 @@ def _section(view: RunView, number: int) -> str:
 """
 
 
+def _events(view: RunView) -> list[str]:
+    return [f"{mark.time_s:.3f} s: {mark.kind}: {mark.text}" for mark in view.marks]
+
+
 def _data(view: RunView, number: int) -> dict[str, Any]:
     time, values = broken_at_gaps(view)
     size = bucket_size(len(time), MOST_POINTS)
     return {
         "number": number,
-        "range": [float(view.time_s[0]), float(view.time_s[-1])],
+        "name": f"{view.title}.png",
         "time": _packed(decimated_time(time, size), np.float64),
         "panels": [_panel(panel, lines, size) for panel, lines in zip(view.panels, values, strict=True)],
-        "missed": [
-            {"time_s": float(at), "text": f"{at:.3f} s: {count:.0f} missed"}
-            for at, count in zip(view.missed_s, view.missed, strict=True)
-        ],
         "marks": [
-            {
-                "time_s": mark.time_s,
-                "text": html.escape(f"{mark.time_s:.3f} s: {mark.kind}: {mark.text}"),
-                "is_fault": mark.is_fault,
-            }
-            for mark in view.marks
+            {"time_s": float(at), "text": f"{at:.3f} s: {count:.0f} missed", "color": FAULT}
+            for at, count in zip(view.missed_s, view.missed, strict=True)
+        ]
+        + [
+            {"time_s": mark.time_s, "text": text, "color": FAULT if mark.is_fault else GREY}
+            for mark, text in zip(view.marks, _events(view), strict=True)
         ],
         "spans": [
             {"from": begin, "to": end, "color": color}
@@ -137,7 +126,6 @@ def _data(view: RunView, number: int) -> dict[str, Any]:
         ],
         "comparison": _comparison(view),
         "friction": _friction(view),
-        "colors": {"fault": FAULT, "event": GREY},
     }
 
 
@@ -145,11 +133,11 @@ def _panel(panel: Panel, values: Sequence[Array], size: int) -> dict[str, Any]:
     words, _, unit = panel.label.partition("\n")
     return {
         "name": panel.name,
-        "label": html.escape(f"{words} {unit}"),
-        "unit": html.escape(unit.strip("[]")),
+        "label": f"{words} {unit}",
+        "unit": unit.strip("[]"),
         "lines": [
             {
-                "name": html.escape(line.name),
+                "name": line.name,
                 "color": line.color,
                 "width": line.width,
                 "is_dashed": line.is_dashed,
