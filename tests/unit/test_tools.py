@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -78,8 +79,8 @@ class Copy:
         output, errors = process.communicate()
         return subprocess.CompletedProcess(command, process.returncode, output, errors)
 
-    def ensure(self) -> "subprocess.CompletedProcess[str]":
-        return self.run("bash", "-c", f"source '{self.root}/tools/_environment'; ensure_environment; echo ready")
+    def ensure(self, call: str = "ensure_environment") -> "subprocess.CompletedProcess[str]":
+        return self.run("bash", "-c", f"source '{self.root}/tools/_environment'; {call}; echo ready")
 
     def edit(self, old: str, new: str) -> None:
         path = self.root / "pyproject.toml"
@@ -117,6 +118,39 @@ def test_first_call_installs_everything_and_the_second_nothing(copy: Copy) -> No
     second = copy.ensure()
     assert (second.returncode, second.stdout, second.stderr) == (0, "ready\n", "")
     assert copy.pip_calls.read_text().count("install") == 1
+
+
+def test_the_demo_installs_less_and_an_environment_for_tests_serves_it_too(copy: Copy) -> None:
+    first = copy.ensure("ensure_level demo")
+    assert re.search(r"the packages: \d+ s, \d+ MB in .venv", first.stderr)
+    assert copy.ensure("ensure_level demo").stderr == ""
+    kept = copy.root / ".venv/kept"
+    kept.touch()
+    copy.ensure()
+    assert kept.exists()
+    assert [call.split()[-1] for call in copy.pip_calls.read_text().splitlines()] == [".[report]", ".[all,dev]"]
+    assert copy.ensure("ensure_level demo").stderr == ""
+    copy.edit('"pyserial>=3.5"', '"pyserial>=3.6"')  # the update for the demo takes nothing away
+    copy.ensure("ensure_level demo")
+    assert copy.pip_calls.read_text().splitlines()[2].endswith(".[all,dev]")
+    assert copy.ensure().stderr == ""
+
+
+def test_on_a_terminal_the_installation_shows_what_pip_does(copy: Copy, tmp_path: Path) -> None:
+    python, is_seen = tmp_path / "venv_python", tmp_path / "seen"
+    waits = f"echo what pip says\nuntil [ -e {is_seen} ]; do sleep 0.05; done\n"
+    executable(python, python.read_text().replace("echo what pip says\n", waits))
+    main, terminal = os.openpty()
+    script = f"source '{copy.root}/tools/_environment'; ensure_level demo"
+    environment = os.environ | {"PATH": f"{copy.bin}:{os.environ['PATH']}"}
+    process = subprocess.Popen(["bash", "-c", script], stderr=terminal, env=environment)
+    text = ""
+    while not re.search(r"\r\x1b\[K +\d+ s  what pip says", text):
+        text += os.read(main, 4096).decode()
+    is_seen.touch()
+    assert process.wait(60.0) == 0
+    os.close(terminal)
+    os.close(main)
 
 
 def test_failed_installation_is_shown_and_repeated_from_scratch(copy: Copy) -> None:
