@@ -24,13 +24,19 @@ SINE = {"kind": "sine", "amplitude": 0.3, "frequency": 1.0, "ramp_s": 0.25}
 
 
 def durand_configuration(
-    folder: Path, *, period_s: float = 1e-3, nodes: tuple[int, ...] = (1,), max_missed: int | None = None, **keys: Any
+    folder: Path,
+    *,
+    period_s: float = 1e-3,
+    nodes: tuple[int, ...] = (1,),
+    max_missed: int | None = None,
+    controller: dict[str, float] = CONTROLLER,
+    **keys: Any,
 ) -> Path:
-    """Write a configuration for drives on durand; ``keys`` are those of each axis."""
+    """Write a configuration for drives on durand; ``keys`` are those of each axis, ``controller`` that in cst."""
     axes = {f"x{node}": {"node": node, "limits": LIMITS, "model": MODEL, "trajectory": SINE, **keys} for node in nodes}
     if keys.get("mode") == "cst":
         for axis in axes.values():
-            axis["controller"] = CONTROLLER
+            axis["controller"] = controller
     path = write_configuration(folder, period_s=period_s, **axes)
     data = yaml.safe_load(path.read_text())
     for axis in data["axes"].values():

@@ -1,7 +1,7 @@
 """SIGKILL to the daemon while an axis turns: the drive, which looks at RPDO timers at SYNC only, loses its torque.
 
-Times are read from the time stamps of the drive's own frames on the bus, relative to the last frame of the daemon, so
-that a busy machine makes no difference to what is measured: the drive counts from the last frame that it got.
+Which watchdog acts is seen by its emergency. How fast stands in tests/unit/test_kill_figures.py, in simulated time: here
+the daemon may be late by a third of a second, so that a busy machine does not end it before it is killed.
 """
 
 import contextlib
@@ -16,22 +16,19 @@ from tests.launcher import start
 from tests.processes import listening, write_configuration
 
 NODE, TPDO1, EMERGENCY = 1, 0x181, 0x081
-OF_DAEMON = (0x080, 0x201, 0x501, 0x77E)  # SYNC, RPDO 1 and 4, heartbeat
 READ_STATUSWORD = b"\x40\x41\x60\0\0\0\0\0"
-ENABLED, FAULT, TURNING = 0x27, 0x08, 150  # state bits; cycles enabled before the kill
-ATTEMPTS = 6  # on a machine so busy that a run ends before it is killed
-SLACK_MS = 25.0  # for processes that are served late on a machine with two cores
+ENABLED, FAULT, TURNING = 0x27, 0x08, 50  # state bits; cycles enabled before the kill
+PERIOD_S, MAX_MISSED = 10e-3, 30
 ONE_RPDO_WITHOUT_TIMER = {
     "missing": [0x1401, 0x1402, 0x1403],
     "sdo": [{"index": 0x1400, "subindex": 5, "abort": 0x06090011}],
 }
-MEANS = {
-    "rpdo": ({}, 20.0, "RPDO 4 within 20 ms", 0x8250),
-    "heartbeat": (ONE_RPDO_WITHOUT_TIMER, 20.0, "heartbeat (1016h:01) within 20 ms", 0x8130),
+MEANS = {  # manners of the drive, what the daemon says of its watchdog, emergency
+    "rpdo": ({}, "RPDO 4 within", 0x8250),
+    "heartbeat": (ONE_RPDO_WITHOUT_TIMER, "heartbeat (1016h:01) within", 0x8130),
     "guarding": (
         {**ONE_RPDO_WITHOUT_TIMER, "missing": [0x1016, *ONE_RPDO_WITHOUT_TIMER["missing"]]},
-        20.0,
-        "node guarding (100Ch, 100Dh) within 20 ms",
+        "node guarding (100Ch, 100Dh) within",
         0x8130,
     ),
 }
@@ -67,25 +64,20 @@ def axis(manners):
 
 
 def emergency_after_kill(bus, daemon):
-    """Kill the daemon once the axis has turned for a while; return the next error code, and its time in ms.
-
-    The time counts from the daemon's last frame. None: the run ended before.
-    """
-    turning, last_s = 0, 0.0
-    while (message := bus.recv(8.0)) is not None:
-        if turning <= TURNING and daemon.poll() is not None:
-            return None
+    """Kill the daemon once the axis has turned for a while; return the code of the next emergency."""
+    turning = 0
+    while (message := bus.recv(20.0)) is not None:
         can_id, data = message.arbitration_id, bytes(message.data)
-        if can_id in OF_DAEMON or message.is_remote_frame:
-            last_s = message.timestamp
-        elif can_id == EMERGENCY and turning > TURNING and (code := struct.unpack_from("<H", data)[0]):
-            return code, 1e3 * (message.timestamp - last_s)
-        elif can_id == TPDO1 and turning <= TURNING:
+        if can_id == EMERGENCY and turning > TURNING and (code := struct.unpack_from("<H", data)[0]):
+            return code
+        if can_id == TPDO1 and turning <= TURNING:
             turning += struct.unpack_from("<H", data)[0] & 0x6F == ENABLED
             if turning > TURNING:
+                assert daemon.poll() is None, "".join(daemon.communicate(timeout=20))
                 daemon.send_signal(signal.SIGKILL)
-    assert turning <= TURNING, "the bus fell silent without an emergency"
-    return None
+    daemon.kill()
+    said = "".join(daemon.communicate(timeout=20))
+    raise AssertionError(f"no emergency; {turning} frames with the drive enabled; the daemon said: {said}")
 
 
 def state_by_sdo(bus):
@@ -104,29 +96,17 @@ def state_by_sdo(bus):
     return found
 
 
-def attempt(path, words):
-    """Run, kill, and look at the drive; return the error code and its time, None if the run ended before."""
+@pytest.mark.parametrize("means", MEANS)
+def test_a_killed_daemon_leaves_no_torque(tmp_path, means):
+    manners, words, error = MEANS[means]
+    path = write_configuration(tmp_path, period_s=PERIOD_S, x=axis(manners))
+    path.write_text(path.read_text().replace("realtime:\n", f"realtime:\n  max_missed: {MAX_MISSED}\n"))
     with drives_in_real_time(path), listening(path) as bus:
         daemon = start("run", path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         try:
-            found = emergency_after_kill(bus, daemon)
-            if found is not None:
-                assert state_by_sdo(bus) == FAULT
-                assert words in "".join(daemon.communicate(timeout=20))
-            return found
+            assert f"{emergency_after_kill(bus, daemon):04X}h" == f"{error:04X}h"
+            assert state_by_sdo(bus) == FAULT
+            assert words in "".join(daemon.communicate(timeout=20))
         finally:
             daemon.kill()
             daemon.wait(20)
-
-
-@pytest.mark.parametrize("means", MEANS)
-def test_a_killed_daemon_leaves_no_torque(tmp_path, means):
-    manners, within_ms, words, error = MEANS[means]
-    path = write_configuration(tmp_path, x=axis(manners))
-    found = None
-    for _ in range(ATTEMPTS):
-        found = found or attempt(path, words)
-    assert found is not None, "the machine is too busy for a run of a quarter of a second"
-    code, after_ms = found
-    assert f"{code:04X}h" == f"{error:04X}h"
-    assert after_ms <= within_ms + SLACK_MS
