@@ -1,5 +1,7 @@
 """Object dictionary of a simulated node: values, access rights, limits and abort codes."""
 
+import copy
+import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import IntEnum
 from pathlib import Path
@@ -177,7 +179,7 @@ class Dictionary:
         UsageError
             The file is not an EDS.
         """
-        own = {(entry.index, entry.subindex): entry for entry in _entries(SIMULATED_SERVO, node)}
+        own = {(entry.index, entry.subindex): copy.copy(entry) for entry in _own_entries(node)}
         lacking = frozenset(missing)
         if path == SIMULATED_SERVO:
             return cls(own.values(), {address for address in own if address[0] in lacking})
@@ -307,6 +309,12 @@ class Dictionary:
         for entry in self._entries.values():
             if first <= entry.index <= last:
                 entry.value = entry.default
+
+
+@functools.cache
+def _own_entries(node: int) -> tuple[Entry, ...]:
+    """Return what the EDS of this package describes, to be copied: it takes longer to read than a drive to start."""
+    return tuple(_entries(SIMULATED_SERVO, node))
 
 
 def _entries(path: Path, node: int) -> Iterator[Entry]:
