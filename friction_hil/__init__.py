@@ -7,7 +7,7 @@ The public Python interface is ``friction_hil.models``, ``friction_hil.recording
 import importlib
 from types import ModuleType
 
-__version__ = "0.2.0"
+__version__ = "0.3.0.dev0"
 __all__ = ["export", "health", "models", "recordings"]
 
 

@@ -12,7 +12,10 @@ from friction_hil.cli import application
 from tools.benchmarks.commands import command as benchmarks
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted(ROOT.glob("friction_hil/*/README.md")), ROOT / "drivers/README.md"]
+PAGES = [
+    ROOT / "README.md",
+    *(path for top in ("friction_hil", "drivers", "tools") for path in sorted((ROOT / top).rglob("*.md"))),
+]
 _BLOCK = re.compile(r"^ *```sh\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 _PARTS = re.compile(r"(^ *```.*?^ *```)", re.MULTILINE | re.DOTALL)
 _CODE = re.compile(r"`([^`\n]+)`")

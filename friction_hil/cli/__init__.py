@@ -43,6 +43,7 @@ COMMANDS = {
     "study": "Show the effect of each friction model on a servo.",
     "models": "List the friction models, or describe one.",
     "doctor": "Check machine, configuration and connection before a run.",
+    "explain": "Print cause and remedy of a message by its code.",
     "latency": "Measure how late this machine wakes up a loop.",
     "monitor": "Show a running daemon live.",
     "status": "Show the daemons that run, their axes and drives.",

@@ -239,7 +239,8 @@ class Drives(Protocol):
 class Driver(Protocol):
     """Class named by an entry point of ``friction_hil.drivers``.
 
-    It may have the attribute ``remedies``: what to do about each of its codes, by code, for those who show its faults.
+    It may have the attributes ``remedies``, what to do about each of its codes, by code, for those who show its faults,
+    and ``explanations``, an `Explanation` of each code, for ``friction-hil explain``.
     It may have these classmethods:
 
     ``check_files(configuration, axes)``

@@ -44,7 +44,7 @@ class Family:
     Attributes
     ----------
     name, summary, formula, source, note : str
-        The lines of ``formula`` are separated by ``;  ``.
+        The lines of `formula` are separated by a semicolon and two blanks.
     parameters : tuple of Parameter
     states : tuple of str
         Names of the states with units; empty for a static map.

@@ -61,7 +61,7 @@ def changed(path: str, value: object) -> dict[str, object]:
 
 
 def test_the_example_of_the_readme_is_a_whole_description(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[2] / "drivers" / "README.md").read_text()
+    text = (Path(__file__).parents[2] / "drivers/serial_drives.md").read_text()
     (example,) = re.findall(r"^```yaml\n(version: 1\nprotocol: ascii\n.*?)^```", text, re.DOTALL | re.MULTILINE)
     path = tmp_path / "example.yaml"
     path.write_text(example)

@@ -11,7 +11,7 @@ from friction_hil import __version__
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
     path
-    for top in ("README.md", "friction_hil", "drivers", "tests", "config")
+    for top in ("README.md", "CHANGELOG.md", "friction_hil", "drivers", "tests", "tools", "config")
     for path in ([ROOT / top] if top.endswith(".md") else (ROOT / top).rglob("*.md"))
 )
 OVERVIEW = ROOT / "friction_hil/README.md"
@@ -19,12 +19,30 @@ OVERVIEW = ROOT / "friction_hil/README.md"
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_link_leads_to_a_file(page: Path) -> None:
-    links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text())
-    assert [link for link in links if not (page.parent / link).exists()] == []
+    for path, anchor in re.findall(r"\]\(([^)#:\s]*)(?:#([^)]*))?\)", page.read_text()):
+        target = page.parent / path if path else page
+        assert target.exists(), path
+        assert not anchor or anchor in anchors(target), f"{path}#{anchor}"
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of the headings of a page, as the forges make them."""
+    headings = re.findall(r"^#+ (.+)$", re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_page_is_no_book(page: Path) -> None:
+    assert page.stat().st_size <= 12_000
 
 
 def test_the_top_page_can_be_read_in_one_sitting() -> None:
-    assert len((ROOT / "README.md").read_text().splitlines()) <= 200
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 120
+
+
+def test_what_is_unreleased_is_said_in_few_lines() -> None:
+    unreleased = (ROOT / "CHANGELOG.md").read_text().partition("## Unreleased\n")[2].partition("\n## ")[0]
+    assert len(unreleased.splitlines()) <= 40
 
 
 def test_the_changelog_begins_with_the_version_of_the_package() -> None:
@@ -45,7 +63,8 @@ def test_the_changelog_begins_with_the_version_of_the_package() -> None:
 def test_every_file_that_the_code_overview_names_exists() -> None:
     folders = ("friction_hil", "drivers", "tests")
     files = [f"/{path.relative_to(ROOT)}" for folder in folders for path in (ROOT / folder).rglob("*.py")]
-    named = re.findall(r"`((?:[a-z0-9_.]+/)*[a-z0-9_]+\.py)`", OVERVIEW.read_text())
+    text = OVERVIEW.read_text() + (OVERVIEW.parent / "where.md").read_text()
+    named = re.findall(r"`((?:[a-z0-9_.]+/)*[a-z0-9_]+\.py)`", text)
     assert named
     ends = [name.removeprefix("drivers/.../") for name in named]
     assert [name for name in ends if not any(file.endswith(f"/{name}") for file in files)] == []

@@ -9,7 +9,7 @@ from friction_hil_drivers.serial_line.line_state import LineEvent, LineState, Pe
 from hypothesis import given
 from hypothesis import strategies as st
 
-README = Path(__file__).parents[2] / "drivers" / "README.md"
+README = Path(line_state.__file__).with_name("README.md")
 STATES = {state.name: state for state in (*Reception, *Timeliness)}
 
 

@@ -1,4 +1,6 @@
-"""Codes of the CANopen driver's fault messages, and the remedy of each; README.md has the causes too."""
+"""Codes of the CANopen driver's fault messages, each with its message, cause and remedy."""
+
+from friction_hil.drive.codes import Explanation
 
 BUS_NOT_OPENED = "FH-201"
 BUS_FAILED = "FH-202"
@@ -48,102 +50,248 @@ TWO_NODES = "FH-264"
 WOULD_DISTURB = "FH-265"
 SYNC_ID_FIXED = "FH-266"
 
-TITLES = {
-    BUS_NOT_OPENED: "The CAN bus does not open",
-    BUS_FAILED: "The CAN bus cannot send or receive any more",
-    SECOND_MASTER: "Another master sends SYNC on the bus",
-    NODE_LOCKED: "Another daemon of this machine drives the node",
-    LOCK_FAILED: "The lock of a node cannot be taken",
-    NO_ANSWER: "No node answers under the configured number",
-    ANSWER_LOST: "A node stopped answering while it was being configured",
-    SDO_ABORT: "A drive refuses to read or write an object",
-    OBJECT_MISSING: "A drive lacks an object that is needed",
-    OBJECT_SIZE: "A value or an object has a size that does not fit",
-    WRONG_IDENTITY: "The drive is not the one that the configuration names",
-    MODE_NOT_SUPPORTED: "The drive does not support the mode of operation",
-    WRONG_EDS: "The EDS is not that of the drive",
-    UNIT_UNKNOWN: "A unit of the drive is not known",
-    ALREADY_POWERED: "The drive is powered before the daemon enabled it",
-    PERIOD_NOT_EXPRESSIBLE: "The period cannot be written as an interpolation period",
-    NO_WATCHDOG: "The drive cannot watch the daemon",
-    BUS_OVERLOAD: "A cycle does not fit on the bus",
-    MAPPING_NOT_KEPT: "The drive keeps another PDO mapping than was written",
-    MASTER_APPEARED: "Another master appears during a run",
-    NOTHING_TO_HEAR: "A dry run beside another master gets no feedback",
-    NOT_RESTORED: "A drive is not left as it was found",
-    JOURNAL_FILE: "The values found in a drive cannot be kept on disk",
-    NO_MAPPING: "No PDO of a drive carries an object that is needed",
-    UNKNOWN_ENTRY: "A fixed PDO mapping carries an object whose value is not known",
-    NO_TORQUE_OFFSET: "A drive cannot be given a compensation in this mode",
-    HEARTBEAT_LOST: "The heartbeat of a node is missing",
-    NODE_RESTARTED: "A node restarted during the run",
-    NOT_OPERATIONAL: "A node left the state Operational",
-    WRONG_MODE: "An enabled drive is in another mode of operation",
-    SYNC_NOT_ANSWERED: "Drives do not answer SYNC in simulated time",
-    FEEDBACK_LATE: "TPDOs answer an earlier SYNC",
-    PDO_LENGTH: "A TPDO has another length than its mapping",
-    COMMANDS_TOO_OLD: "Commands were too old to be sent",
-    UNITS_CONTRADICT: "The configuration contradicts a unit that the drive reports",
-    UNIT_AMBIGUOUS: "The drive's objects leave open which unit its position has",
-    NODE_SILENT: "A node to be shown or stopped does not answer",
-    NODE_TAKEN: "A node to be simulated is on the bus already",
-    SYNC_UNUSABLE: "A sidecar hears no SYNC of its period",
-    SYNC_LOST: "A sidecar has lost SYNC, or hears two of them",
-    PDO_NOT_AS_STATED: "A PDO is not as the configuration of a sidecar says",
-    NMT_STATE_UNKNOWN: "It is not known in which NMT state a node was found",
-    WATCHDOG_SLOW: "A drive's watchdogs act later than the bridged periods ask for",
-    MAX_MISSED_NOT_MET: "A drive's watchdogs act later than the configuration demands",
-    TWO_NODES: "Two nodes on the bus have the same number",
-    WOULD_DISTURB: "Reading a node would disturb the SDO transfers of another master",
-    SYNC_ID_FIXED: "A drive takes SYNC by another identifier, and keeps it",
+EXPLANATIONS = {
+    BUS_NOT_OPENED: Explanation(
+        "the bus ... does not open",
+        "interface missing or down, no permission, no multicast route",
+        "the command in the message",
+    ),
+    BUS_FAILED: Explanation(
+        "the bus ... cannot send, cannot be read any more",
+        "bus-off, interface taken down, adapter unplugged, send queue full because no node acknowledges",
+        "`ip -details link show can0`; check wires, terminating resistors, bit rate",
+    ),
+    SECOND_MASTER: Explanation(
+        "another master is at work",
+        "a second daemon, a PLC or a vendor's tool on this bus; the message has what was heard",
+        "stop the other master; `--dry-run` listens beside it",
+    ),
+    NODE_LOCKED: Explanation(
+        "node ... belongs to another daemon already",
+        "a daemon of this machine drives the node",
+        "stop the process that the message names",
+    ),
+    LOCK_FAILED: Explanation(
+        "the lock of node ... cannot be taken",
+        "a security policy forbids sockets in the abstract namespace",
+        "allow the daemon such sockets; the message has the system's reason",
+    ),
+    NO_ANSWER: Explanation(
+        "no drive answers as node ...",
+        "drive off, other node number or bit rate, wires",
+        "check the drive's supply, node number, bit rate and wires; `candump can0` shows boot-up messages",
+    ),
+    ANSWER_LOST: Explanation(
+        "node ... stopped answering",
+        "drive switched off or reset meanwhile, frames lost",
+        "check supply and wires",
+    ),
+    SDO_ABORT: Explanation(
+        "reading, writing ...: SDO abort",
+        "the drive refuses access or value",
+        "look the abort code up in the drive's manual",
+    ),
+    OBJECT_MISSING: Explanation(
+        "node ... lacks object ...",
+        "not in this drive or firmware",
+        "another mode; newer firmware",
+    ),
+    OBJECT_SIZE: Explanation(
+        "... does not fit; has ... bits and not ...",
+        "value too large; object narrower than in the standard",
+        "another mode",
+    ),
+    WRONG_IDENTITY: Explanation(
+        "... says 1018h ..., but the configuration's identity demands ...",
+        "another drive under this number",
+        "correct `node` or `identity`",
+    ),
+    MODE_NOT_SUPPORTED: Explanation(
+        "... does not support mode ..., supports none of csp, csv, cst",
+        "6502h does not list it",
+        "a mode from the message; `is_mode_check_required: false` if 6502h is wrong",
+    ),
+    WRONG_EDS: Explanation(
+        "this EDS is not this drive's",
+        "EDS of another type or firmware",
+        "the matching EDS, or none",
+    ),
+    UNIT_UNKNOWN: Explanation(
+        (
+            "... does not report its encoder resolution, its rated torque; velocity in an unknown unit, or (csv) in "
+            "one that is not shown"
+        ),
+        "object missing or empty; 60A9h aborted as not readable now",
+        "`counts_per_unit`, `rated_torque`, `velocity_unit`",
+    ),
+    ALREADY_POWERED: Explanation(
+        "node ... is in state operation enabled already",
+        "another master, or one that ended without disabling",
+        "`friction-hil stop CONFIG`, once no other master runs",
+    ),
+    PERIOD_NOT_EXPRESSIBLE: Explanation(
+        "a drive cannot be given a period of ..., 60C2h stays at ...",
+        "60C2h holds 1 to 255 times a power of ten, or is read-only",
+        "another `period_s`, e.g. 1e-3 or 2e-3",
+    ),
+    NO_WATCHDOG: Explanation(
+        "node ... cannot watch the daemon",
+        "RPDO timers, 1016h and 100Ch, or 6007h, missing or refused: the message has each with its abort code",
+        "`is_watchdog_required: false`, with an emergency stop at hand",
+    ),
+    BUS_OVERLOAD: Explanation(
+        "a cycle needs ... µs on the bus",
+        "too many axes or too slow a bus",
+        "longer `period_s`, higher bit rate, fewer axes",
+    ),
+    MAPPING_NOT_KEPT: Explanation(
+        "... holds ... after ... was written",
+        "the drive keeps its own mapping",
+        "unlock PDO mapping in the drive",
+    ),
+    MASTER_APPEARED: Explanation(
+        "another master has appeared on the bus",
+        "a PLC or tool was started during the run",
+        "stop the other master",
+    ),
+    NOTHING_TO_HEAR: Explanation(
+        "... TPDOs as they are do not give the feedback",
+        "dry run beside another master, whose mapping lacks an object",
+        "let that master map statusword, position, torque, velocity and mode; or stop it",
+    ),
+    NOT_RESTORED: Explanation(
+        "not restored: ...",
+        "the drive refuses the value, has power, or does not answer",
+        "write it with the vendor's tool, or switch the drive off and on; the next run tries again",
+    ),
+    JOURNAL_FILE: Explanation(
+        "what the drive held before cannot be kept",
+        "disk full, or no permission in the folder for temporary files",
+        "make room; remove the file that the message names",
+    ),
+    NO_MAPPING: Explanation(
+        "no RPDOs, TPDOs of ... carry ...",
+        "the drive refuses the mapping, and none that it has contains what is needed",
+        "the message has each refusal; another mode, or map the PDOs with the vendor's tool",
+    ),
+    UNKNOWN_ENTRY: Explanation(
+        "... has a fixed mapping, which carries ... too",
+        "its value cannot be read, so that nothing harmless can be sent in its place",
+        "take that object out of the mapping with the vendor's tool",
+    ),
+    NO_TORQUE_OFFSET: Explanation(
+        "... lacks object 60B2h torque offset",
+        "csp and csv are compensated by it",
+        "mode `cst`, or `compensation: {enabled: false}`",
+    ),
+    HEARTBEAT_LOST: Explanation(
+        "no heartbeat from node ...",
+        "drive off or stuck, wires",
+        "check supply and wires; `heartbeat_s` longer on a busy bus",
+    ),
+    NODE_RESTARTED: Explanation(
+        "node ... restarted (boot-up message)",
+        "supply dip, watchdog reset, NMT reset by another master",
+        "check the supply; stop other masters",
+    ),
+    NOT_OPERATIONAL: Explanation(
+        "node ... left Operational",
+        "the drive reacts to an error (1029h), or another master",
+        "the drive's emergency says why; stop other masters",
+    ),
+    WRONG_MODE: Explanation(
+        "the drive is in mode ... and not in ...",
+        "mode refused or changed by another tool",
+        "close the vendor's tool; check 6502h",
+    ),
+    SYNC_NOT_ANSWERED: Explanation(
+        "not every drive has answered SYNC",
+        "simulated drives ended or were never started; 1005h is another identifier",
+        "start `friction-hil simulate FILE --pace sync`; 1005h of a drive must be `bus.sync_cob_id`",
+    ),
+    FEEDBACK_LATE: Explanation(
+        "the TPDOs ... answer SYNC N cycles late, or come after the time kept for them",
+        "a gateway or adapter that holds frames back, a bus that is too full, a slow drive",
+        "a longer `period_s`; another adapter; less traffic on the bus",
+    ),
+    PDO_LENGTH: Explanation(
+        "TPDO ... has ... bytes instead of ...",
+        "the drive changed its mapping, or another node uses the identifier",
+        "set the drive up anew; look for a second node with this number",
+    ),
+    COMMANDS_TOO_OLD: Explanation(
+        "a command was not sent because it was ... ms old",
+        "the daemon was held up between feedback and command",
+        "`friction-hil doctor`; see FH-113",
+    ),
+    UNITS_CONTRADICT: Explanation(
+        "... says ..., but node ... says ...: a factor of ...",
+        "wrong unit in the configuration, or an object that means something else at this vendor",
+        "correct the key or leave it out; `trust: [KEY]` to insist",
+    ),
+    UNIT_AMBIGUOUS: Explanation(
+        "the objects of node ... leave open what a count of 6064h is",
+        "a gear without feed constant, or a feed constant that contradicts 608Fh",
+        "`counts_per_unit`: turn the motor once by hand and read 6064h",
+    ),
+    NODE_SILENT: Explanation(
+        "node ... answers no SDO request; no node answers",
+        "drive off, other node number or bit rate, NMT state Stopped",
+        "check supply and wires; `friction-hil drives scan`",
+    ),
+    NODE_TAKEN: Explanation(
+        "node ... is simulated by another process, or answers already",
+        "a second `friction-hil simulate` on the same bus, or a drive of this number",
+        "end the other one, or give the axis another `node` or the bus another channel",
+    ),
+    SYNC_UNUSABLE: Explanation(
+        "no SYNC within 5 s; the SYNC gives no time base",
+        "the master is off, uses another identifier or period, or two controllers send SYNC",
+        "start the master first; `bus.sync_cob_id`; `period_s` as the master's",
+    ),
+    SYNC_LOST: Explanation(
+        "SYNC did not come for N periods, comes more than once a period, comes every ... ms",
+        "the master has stopped or changed its period, the cable is cut, a second SYNC producer",
+        "the offset was faded out; start again beside a running master",
+    ),
+    PDO_NOT_AS_STATED: Explanation(
+        (
+            "somebody sends ... already, somebody else sends ...; ... comes with N bytes, but its entries have M; "
+            "... comes with every N. SYNC only"
+        ),
+        "the offset's RPDO is the master's or another sidecar's; the mapping is not as stated",
+        "an RPDO of its own; `entries` as in the master's project; transmission type 1",
+    ),
+    NMT_STATE_UNKNOWN: Explanation(
+        "whether node ... was Operational before is not known",
+        "it sends no heartbeat, so that its NMT state could not be read",
+        "`NMT start` by its master, if that expects it Operational",
+    ),
+    WATCHDOG_SLOW: Explanation(
+        "... stops the drive within ... ms, because it takes no time shorter than ...",
+        "the drive counts its watchdogs in coarse steps",
+        "count on that time; a drive with an RPDO timer or a finer 1016h is faster",
+    ),
+    MAX_MISSED_NOT_MET: Explanation(
+        "the same, and realtime.max_missed is written",
+        "as FH-269",
+        "the `realtime.max_missed` of the message, or none, which makes it a warning",
+    ),
+    TWO_NODES: Explanation(
+        ("two nodes answer as node ...; ... comes twice in each cycle; a second node with this number was switched on"),
+        "two drives have one number (most are delivered with 1); or an adapter or gateway repeats every frame",
+        "a node number of its own for each drive, set with one of them on the bus at a time",
+    ),
+    WOULD_DISTURB: Explanation(
+        "another master reads or writes node ... by SDO",
+        "a node has one SDO server: requests of two masters make each other's transfers fail",
+        "stop the other master, or its SDO; `bus.role: sidecar` needs none; `drives show --may-disturb`",
+    ),
+    SYNC_ID_FIXED: Explanation(
+        "node ... takes SYNC as ...",
+        "its 1005h is not `bus.sync_cob_id` and is read-only",
+        "`bus.sync_cob_id` as in the message, for all drives of the bus",
+    ),
 }
 
-REMEDIES = {
-    BUS_NOT_OPENED: "the command in the message",
-    BUS_FAILED: "`ip -details link show can0`; check wires, terminating resistors, bit rate",
-    SECOND_MASTER: "stop the other master; `--dry-run` listens beside it",
-    NODE_LOCKED: "stop the process that the message names",
-    LOCK_FAILED: "allow the daemon such sockets; the message has the system's reason",
-    NO_ANSWER: "check the drive's supply, node number, bit rate and wires; `candump can0` shows boot-up messages",
-    ANSWER_LOST: "check supply and wires",
-    SDO_ABORT: "look the abort code up in the drive's manual",
-    OBJECT_MISSING: "another mode; newer firmware",
-    OBJECT_SIZE: "another mode",
-    WRONG_IDENTITY: "correct `node` or `identity`",
-    MODE_NOT_SUPPORTED: "a mode from the message; `is_mode_check_required: false` if 6502h is wrong",
-    WRONG_EDS: "the matching EDS, or none",
-    UNIT_UNKNOWN: "`counts_per_unit`, `rated_torque`, `velocity_unit`",
-    ALREADY_POWERED: "`friction-hil stop CONFIG`, once no other master runs",
-    PERIOD_NOT_EXPRESSIBLE: "another `period_s`, e.g. 1e-3 or 2e-3",
-    NO_WATCHDOG: "`is_watchdog_required: false`, with an emergency stop at hand",
-    BUS_OVERLOAD: "longer `period_s`, higher bit rate, fewer axes",
-    MAPPING_NOT_KEPT: "unlock PDO mapping in the drive",
-    MASTER_APPEARED: "stop the other master",
-    NOTHING_TO_HEAR: "let that master map statusword, position, torque, velocity and mode; or stop it",
-    NOT_RESTORED: "write it with the vendor's tool, or switch the drive off and on; the next run tries again",
-    JOURNAL_FILE: "make room; remove the file that the message names",
-    NO_MAPPING: "the message has each refusal; another mode, or map the PDOs with the vendor's tool",
-    UNKNOWN_ENTRY: "take that object out of the mapping with the vendor's tool",
-    NO_TORQUE_OFFSET: "mode `cst`, or `compensation: {enabled: false}`",
-    HEARTBEAT_LOST: "check supply and wires; `heartbeat_s` longer on a busy bus",
-    NODE_RESTARTED: "check the supply; stop other masters",
-    NOT_OPERATIONAL: "the drive's emergency says why; stop other masters",
-    WRONG_MODE: "close the vendor's tool; check 6502h",
-    SYNC_NOT_ANSWERED: "start `friction-hil simulate FILE --pace sync`; 1005h of a drive must be `bus.sync_cob_id`",
-    FEEDBACK_LATE: "a longer `period_s`; another adapter; less traffic on the bus",
-    PDO_LENGTH: "set the drive up anew; look for a second node with this number",
-    COMMANDS_TOO_OLD: "`friction-hil doctor`; see FH-113",
-    UNITS_CONTRADICT: "correct the key or leave it out; `trust: [KEY]` to insist",
-    UNIT_AMBIGUOUS: "`counts_per_unit`: turn the motor once by hand and read 6064h",
-    NODE_SILENT: "check supply and wires; `friction-hil drives scan`",
-    NODE_TAKEN: "end the other one, or give the axis another `node` or the bus another channel",
-    SYNC_UNUSABLE: "start the master first; `bus.sync_cob_id`; `period_s` as the master's",
-    SYNC_LOST: "the offset was faded out; start again beside a running master",
-    PDO_NOT_AS_STATED: "an RPDO of its own; `entries` as in the master's project; transmission type 1",
-    NMT_STATE_UNKNOWN: "`NMT start` by its master, if that expects it Operational",
-    WATCHDOG_SLOW: "count on that time; a drive with an RPDO timer or a finer 1016h is faster",
-    MAX_MISSED_NOT_MET: "the `realtime.max_missed` of the message, or none, which makes it a warning",
-    TWO_NODES: "a node number of its own for each drive, set with one of them on the bus at a time",
-    WOULD_DISTURB: "stop the other master, or its SDO; `bus.role: sidecar` needs none; `drives show --may-disturb`",
-    SYNC_ID_FIXED: "`bus.sync_cob_id` as in the message, for all drives of the bus",
-}
+REMEDIES = {code: each.remedy for code, each in EXPLANATIONS.items()}

@@ -77,6 +77,7 @@ class CanopenDrives(CanopenService):
     """
 
     Options = CanopenOptions
+    explanations = codes.EXPLANATIONS
     remedies = codes.REMEDIES
     check_machine = staticmethod(interfaces.check_machine)
     check_bus = staticmethod(check_bus)

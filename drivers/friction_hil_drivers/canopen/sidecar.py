@@ -328,4 +328,4 @@ def _frozen(config: "AxisConfig") -> list[str]:
     unit = "N m" if config.model.axis == "rotary" else "N"
     text = f"if the daemon is killed, an offset of up to {limit:g} {unit} stays in force, more than the friction of "
     text += f"{level:g} {unit}"
-    return [f"{text}: the master should clear it ('If the daemon dies' in the driver's README)"]
+    return [f"{text}: the master should clear it ('If the daemon dies' in the driver's sidecar.md)"]

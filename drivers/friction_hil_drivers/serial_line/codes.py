@@ -1,4 +1,6 @@
-"""Codes of the fault messages of all drives on serial lines, and their remedies; drivers/README.md has the causes."""
+"""Codes of the fault messages of all drives on serial lines, each with its message, cause and remedy."""
+
+from friction_hil.drive.codes import Explanation
 
 LINE_NOT_OPENED = "FH-250"
 RS485_NOT_SUPPORTED = "FH-251"
@@ -14,36 +16,72 @@ COMMANDS_REFUSED = "FH-261"
 SEQUENCE_STUCK = "FH-262"
 WATCHDOG_NOT_HELD = "FH-263"
 
-TITLES = {
-    LINE_NOT_OPENED: "The line does not open",
-    RS485_NOT_SUPPORTED: "The port cannot switch the direction of an RS-485 line",
-    LINE_LOST: "The line is gone",
-    NO_REPLY: "A drive does not reply while it is being set up",
-    STATE_UNKNOWN: "The drive reports a state that its description does not list",
-    ALREADY_POWERED: "The drive is powered before the daemon enabled it",
-    SETUP_REFUSED: "The drive refuses its set-up",
-    SETUP_WITHOUT_EFFECT: "A step of the set-up has no effect",
-    PACE_NOT_ANSWERED: "Drives do not answer in simulated time",
-    STATE_NOT_REPORTED: "The drive does not report its state any more",
-    COMMANDS_REFUSED: "The drive refuses the daemon's commands",
-    SEQUENCE_STUCK: "The drive does not follow a sequence of its description",
-    WATCHDOG_NOT_HELD: "The drive does not hold the watchdog that was written to it",
+EXPLANATIONS = {
+    LINE_NOT_OPENED: Explanation(
+        "... cannot be opened; no connection",
+        "no such port, no permission, another process has it; the drive is off or does not accept connections",
+        "the remedy in the message; `friction-hil doctor FILE`",
+    ),
+    RS485_NOT_SUPPORTED: Explanation(
+        "... cannot switch the direction of an RS-485 line",
+        "the adapter or its kernel driver does not support it",
+        "`is_rs485: false` if the adapter switches by itself",
+    ),
+    LINE_LOST: Explanation(
+        "the adapter was unplugged; the peer closed the connection",
+        "cable, adapter or gateway",
+        "check cable, adapter and gateway; the drive's own watchdog ends its torque",
+    ),
+    NO_REPLY: Explanation(
+        "...: no reply (... attempts); or the bytes that came, and what a valid reply looks like",
+        "wrong address, port, baud rate or parity; wires swapped; drive off",
+        "correct `line` and the address; check termination and wires",
+    ),
+    STATE_UNKNOWN: Explanation(
+        "the drive reports a state that its description does not list",
+        "a state or mask is missing in the description",
+        "add the state to `states` of the description",
+    ),
+    ALREADY_POWERED: Explanation(
+        "the drive is in state ... already",
+        "another master drives it, or an earlier one ended without disabling it",
+        "`friction-hil stop CONFIG`, once no other master runs",
+    ),
+    SETUP_REFUSED: Explanation(
+        "the drive refuses its set-up; ... was followed by what is no reply",
+        ("a value that it does not accept, an access level, a lock; an error line that the description does not list"),
+        "the drive's manual; `prepare` of the description",
+    ),
+    SETUP_WITHOUT_EFFECT: Explanation(
+        "... should lead to ... within ... s",
+        "the drive needs longer, or another step first",
+        "`timeout_s` and the steps of the description",
+    ),
+    PACE_NOT_ANSWERED: Explanation(
+        "not every drive has answered",
+        "simulated drives ended or were never started",
+        "start `friction-hil simulate FILE --pace sync`",
+    ),
+    STATE_NOT_REPORTED: Explanation(
+        "the drive has not reported its state for more than ... s",
+        "replies are lost or refused",
+        "the reason at the end of the message; check the line",
+    ),
+    COMMANDS_REFUSED: Explanation(
+        "the drive refuses its commands",
+        "ten set-points in a row were refused",
+        "the drive's words in the message; its mode and limits",
+    ),
+    SEQUENCE_STUCK: Explanation(
+        "the drive does not follow: ... should lead to ... within ... s",
+        "the drive stays in another state than its description expects",
+        "the error that the drive reports; `enable`, `disable`, `quick_stop` and `reset_fault` of the description",
+    ),
+    WATCHDOG_NOT_HELD: Explanation(
+        "the drive does not hold its watchdog: ... was written, ... is read back",
+        "the drive refused the value, or counts the time in steps of its own",
+        "another `watchdog_s`; `watchdog` and its signals in the description",
+    ),
 }
 
-REMEDIES = {
-    LINE_NOT_OPENED: "the remedy in the message; `friction-hil doctor FILE`",
-    RS485_NOT_SUPPORTED: "`is_rs485: false` if the adapter switches by itself",
-    LINE_LOST: "check cable, adapter and gateway; the drive's own watchdog ends its torque",
-    NO_REPLY: "correct `line` and the address; check termination and wires",
-    STATE_UNKNOWN: "add the state to `states` of the description",
-    ALREADY_POWERED: "`friction-hil stop CONFIG`, once no other master runs",
-    SETUP_REFUSED: "the drive's manual; `prepare` of the description",
-    SETUP_WITHOUT_EFFECT: "`timeout_s` and the steps of the description",
-    PACE_NOT_ANSWERED: "start `friction-hil simulate FILE --pace sync`",
-    STATE_NOT_REPORTED: "the reason at the end of the message; check the line",
-    COMMANDS_REFUSED: "the drive's words in the message; its mode and limits",
-    SEQUENCE_STUCK: (
-        "the error that the drive reports; `enable`, `disable`, `quick_stop` and `reset_fault` of the description"
-    ),
-    WATCHDOG_NOT_HELD: "another `watchdog_s`; `watchdog` and its signals in the description",
-}
+REMEDIES = {code: each.remedy for code, each in EXPLANATIONS.items()}

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from friction_hil.drive import AxisFacts, Clock, Command, DriveState, FaultCode, Feedback, Request
-from friction_hil.drive.codes import coded
+from friction_hil.drive.codes import Explanation, coded
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.drive.inventory import StopReport
 from friction_hil.errors import BusError, DriveError, FrictionHilError, OptionError, UsageError
@@ -55,6 +55,7 @@ class SerialDrives:
     descriptions: ClassVar[Path]  # directory of the descriptions that come with the driver
     protocol: ClassVar[ProtocolFactory]
     address_key: ClassVar[str]  # key of the drive's address on its line
+    explanations: ClassVar[Mapping[str, Explanation]] = codes.EXPLANATIONS
     remedies: ClassVar[Mapping[str, str]] = codes.REMEDIES
     simulated: ClassVar[Mapping[str, Any]]  # what a new configuration of a simulated drive has, see `new_keys`
 

@@ -2,7 +2,8 @@
 
 The machine has two states at a time: `Reception` determines the use of received bytes, and `Timeliness` shows whether
 every drive has answered. `TRANSITIONS` has all transitions; an event without a row for the present state changes
-nothing. `PERMISSIONS` lists what may be sent in each state of the reception. ``drivers/README.md`` has both tables.
+nothing. `PERMISSIONS` lists what may be sent in each state of the reception. ``README.md`` beside this
+file has both tables.
 """
 
 from enum import IntEnum

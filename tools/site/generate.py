@@ -1,0 +1,38 @@
+"""Write the pages of the site that come from the code: all messages, and the Python interface."""
+
+from pathlib import Path
+
+from friction_hil.doctor.explanations import explanations
+
+FOLDER = Path("out/generated")
+MODULES = ("models", "recordings", "identification", "compensator", "export", "health", "live", "drive")
+
+
+def main() -> None:
+    """Write both pages."""
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    (FOLDER / "messages.md").write_text("\n".join(messages()) + "\n", encoding="utf-8")
+    (FOLDER / "api.md").write_text("\n".join(interface()) + "\n", encoding="utf-8")
+
+
+def messages() -> list[str]:
+    """Return the lines of the page of all codes, which `friction-hil explain` prints too."""
+    lines = ["# Messages", "", "A message ends in its code; `friction-hil explain FH-113` prints its row.", ""]
+    lines += ["| code | message | cause | remedy |", "|---|---|---|---|"]
+    return lines + [
+        "| " + " | ".join((code, *(text.replace("|", r"\|") for text in each))) + " |"
+        for code, each in explanations().items()
+    ]
+
+
+def interface() -> list[str]:
+    """Return the lines of the page of the public modules."""
+    lines = ["# Python interface", ""]
+    for name in MODULES:
+        lines += [f"## friction_hil.{name}", "", "```{eval-rst}", f".. automodule:: friction_hil.{name}"]
+        lines += ["   :members:", "   :imported-members:", "```", ""]
+    return lines
+
+
+if __name__ == "__main__":
+    main()
