@@ -208,7 +208,9 @@ def test_what_is_refused_is_refused_in_the_words_of_the_control_socket(served):
         assert "\n".join(content["problems"]) == str(refused.value)
     status, content = served.page.change("set", {"values": {"x.model": "/etc/passwd"}})
     assert (status, "'/etc/passwd' is no model file beside the configuration" in content["problems"][0]) == (409, True)
-    assert served.page.ask("/api/start", method="POST", body="{}", **_writing())[0] == 404
+    status, content = served.page.change("start", {})  # it runs already
+    assert (status, content["ok"]) == (409, False)
+    assert served.page.change("start", {}, Authorization="")[0] == 401
     for body, reason in (("[1]", "one JSON object"), ('{"values": {"x.gain": NaN}}', "one JSON object"), ("{", "JSON")):
         status, _, text = served.page.ask("/api/set", method="POST", body=body, **_writing())
         assert (status, reason in text) == (400, True)
@@ -263,6 +265,16 @@ def test_a_person_at_a_browser_sees_the_daemon_and_changes_it(served, tmp_path):
         assert ask(find(NAME), {"do": "status"})["axes"]["x"]["gain"] == 0.7
         page.get(f"{{{fill % 9}}}")
         page.until(answer % "x.gain: must be")
+        page.get("document.querySelector('.set-model').click()")
+        page.until(answer % "Choose a model file first")
+        labels = "[...document.querySelectorAll('.charts figure')].length"
+        assert page.get(f"{labels}") >= 10
+        page.get("document.querySelector('#shown-charts input').click()")
+        page.until("[...document.querySelectorAll('figure[data-title=Position]')].every((each) => each.hidden)")
+        page.get("document.querySelector('#shown-charts input').click()")
+        page.get("{const each = document.querySelector('#window'); each.value = '5'; each.dispatchEvent(new Event('change'))}")
+        assert page.get("document.querySelectorAll('.u-legend .u-value').length") >= 10  # values at the cursor
+        assert page.get("document.querySelector('#start').hidden")
         page.get("document.querySelector('.enabled').click()")
         page.until("document.querySelector('.enabled').ariaChecked === 'false'")
         assert ask(find(NAME), {"do": "status"})["axes"]["x"]["enabled"] is False
@@ -286,6 +298,12 @@ def test_a_person_at_a_browser_sees_the_daemon_and_changes_it(served, tmp_path):
         page.get("document.querySelector('#stop').click()")
         page.until("document.querySelector('#said').textContent.startsWith('stop: done')")
         assert ask(find(NAME), {"do": "status"})["state"] == "waiting"
+        page.until("!document.querySelector('#start').hidden")
+        page.get("{window.confirm = () => true; document.querySelector('#start').click()}")
+        page.until("document.querySelector('#state').textContent.startsWith('running')")
+        assert page.get("document.querySelector('#start').hidden")
+        page.get("document.querySelector('#stop').click()")
+        page.until("document.querySelector('#said').textContent.startsWith('stop: done')")
         assert answered(NAME, {"do": "status"})["faults"] == []
 
         served.send_signal(signal.SIGINT)

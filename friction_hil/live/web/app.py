@@ -81,7 +81,7 @@ def make_app(board: Board, gate: Gate) -> ASGIApp:
     routes = [Route("/", _static("index.html"))]
     routes += [Route(f"/{name}", _static(name)) for name in _STATIC if name != "index.html"]
     routes += [Route("/api/stream", stream), Route("/metrics", metrics)]
-    routes += [Route(f"/api/{name}", act, methods=["POST"]) for name in ("set", "reset", "stop")]
+    routes += [Route(f"/api/{name}", act, methods=["POST"]) for name in ("set", "reset", "start", "stop")]
     return _Gated(Starlette(routes=routes), gate)
 
 

@@ -15,6 +15,7 @@ function axisOf(label) {
     labelFont: "12px system-ui",
     font: "11px system-ui",
     size: label ? 52 : 30,
+    space: (_, index) => (index === 0 ? 50 : 22), // close enough that each axis has two labels at least
     stroke: () => colour("--faint"),
     grid: { stroke: () => colour("--grid"), width: 1 },
     ticks: { stroke: () => colour("--grid"), width: 1 },
@@ -26,22 +27,27 @@ const LINES = [
   { stroke: () => colour("--second"), width: 1.5, dash: [6, 4] },
 ];
 
-// A chart of lines over x in `holder`. `kind`: "strip" (lines over time) or "map" (points and a curve).
-export function lineChart(holder, names, xLabel, kind) {
+function atCursor(_, value) {
+  return value === null || value === undefined ? "–" : String(Number(value.toPrecision(5)));
+}
+
+// A chart of lines over x in `holder`, with the values at the cursor below it. `kind`: "strip" (lines over time) or "map"
+// (points and a curve). `zoomed` is called when somebody has chosen a part of it.
+export function lineChart(holder, names, xLabel, kind, zoomed) {
   const series = names.map((label, k) =>
     kind === "map" && k === 0
-      ? { label, stroke: LINES[0].stroke, paths: () => null, points: { show: true, size: 4, fill: LINES[0].stroke } }
-      : { label, ...LINES[k], points: { show: false }, spanGaps: kind === "map" },
+      ? { label, value: atCursor, stroke: LINES[0].stroke, paths: () => null, points: { show: true, size: 4, fill: LINES[0].stroke } }
+      : { label, value: atCursor, ...LINES[k], points: { show: false }, spanGaps: kind === "map" },
   );
   const chart = new uPlot(
     {
       width: Math.max(holder.clientWidth, 200),
       height: HEIGHT,
-      legend: { show: false },
-      cursor: { show: false },
+      cursor: kind === "strip" ? { sync: { key: "time", scales: ["x", null] } } : {},
+      hooks: { setSelect: [(made) => made.select.width > 0 && zoomed()] },
       scales: { x: { time: false } },
       axes: [{ ...axisOf(xLabel), size: 40 }, axisOf("\u00a0")],
-      series: [{}, ...series],
+      series: [{ label: kind === "strip" ? "time" : "velocity", value: atCursor }, ...series],
     },
     [[], ...names.map(() => [])],
     holder,
@@ -63,6 +69,7 @@ export function lineChart(holder, names, xLabel, kind) {
 // A chart of bars: counts over the classes of lateness, on a logarithmic scale, where a single late cycle is seen.
 export function barChart(holder, xLabel) {
   let edges = [];
+  let most = 10;
   const chart = new uPlot(
     {
       width: Math.max(holder.clientWidth, 200),
@@ -77,7 +84,11 @@ export function barChart(holder, xLabel) {
           splits: () => edges.map((_, k) => k),
           values: (_, splits) => splits.map((k) => edges[k] ?? ""),
         },
-        axisOf("cycles"),
+        {
+          ...axisOf("cycles"),
+          splits: () => [1, ...[10, 100, 1000, 10000, 100000].filter((each) => each * 3 < most), most],
+          values: (_, splits) => splits.map((each) => (each > 0 ? String(each) : "")),
+        },
       ],
       series: [
         {},
@@ -97,7 +108,7 @@ export function barChart(holder, xLabel) {
   return {
     draw(labels, counts) {
       edges = labels;
-      const most = Math.max(1, ...counts);
+      most = Math.max(10, ...counts);
       chart.scales.y.range = () => [0.5, most * 2];
       chart.setData([labels.map((_, k) => k), counts.map((count) => count || null)]);
     },

@@ -12,7 +12,10 @@ const at = (id) => document.getElementById(id);
 const axes = new Map();
 let lateness = null;
 let circle = null;
-let windowS = 20;
+let windowS = 20; // that is shown
+let keptS = 60; // that may be shown
+const hidden = new Set(); // titles of charts
+const OVER = { stop: "running", reset: "running", start: "waiting" }; // the state in which what was said of it is past
 let isPaused = false;
 let drawnMs = -Infinity;
 let figuresMs = -Infinity;
@@ -80,7 +83,9 @@ class Axis {
     const text = element("figcaption", "no data");
     figure.append(heading, holder, text);
     this.root.querySelector(".charts").append(figure);
-    return { ...lineChart(holder, names, xLabel, kind), holder, text, title: `${title}, axis ${this.name}` };
+    figure.dataset.title = title;
+    figure.hidden = hidden.has(title);
+    return { ...lineChart(holder, names, xLabel, kind, () => pause(true)), holder, text, title: `${title}, axis ${this.name}` };
   }
 
   addControls() {
@@ -97,7 +102,10 @@ class Axis {
       this.set("enabled", this.enabled.getAttribute("aria-checked") !== "true"),
     );
     find(".set-gain").addEventListener("click", () => this.set("gain", this.gain.valueAsNumber));
-    find(".set-model").addEventListener("click", () => this.set("model", this.model.value));
+    find(".set-model").addEventListener("click", () => {
+      if (this.model.value) this.set("model", this.model.value);
+      else this.say(false, "Choose a model file first.");
+    });
     this.model.append(element("option", "choose a file"));
     this.model.firstChild.value = "";
     for (const file of this.facts.models) this.model.append(element("option", file));
@@ -105,9 +113,13 @@ class Axis {
 
   async set(key, value) {
     const answer = await post("api/set", { values: { [`${this.name}.${key}`]: Number.isNaN(value) ? null : value } });
-    this.answer.classList.toggle("wrong", !answer.ok);
-    this.answer.textContent = answer.ok ? `changed in cycle ${answer.cycle}` : answer.problems.join("\n");
+    this.say(answer.ok, answer.ok ? `changed in cycle ${answer.cycle}` : answer.problems.join("\n"));
     if (answer.status === 401) refuse();
+  }
+
+  say(isRight, text) {
+    this.answer.classList.toggle("wrong", !isRight);
+    this.answer.textContent = text;
   }
 
   take(rows) {
@@ -116,7 +128,7 @@ class Axis {
     for (const each of columns) this.data[each].push(...rows[each]);
     const times = this.data.time_s;
     let old = 0;
-    while (times[old] < times[times.length - 1] - windowS) old += 1;
+    while (times[old] < times[times.length - 1] - keptS) old += 1;
     if (old) for (const each of columns) this.data[each].splice(0, old);
   }
 
@@ -171,12 +183,13 @@ function refuse() {
 
 const handlers = {
   hello(message) {
-    windowS = message.window_s;
+    keptS = Math.max(keptS, message.window_s);
     document.title = `${message.name} · friction_hil`;
     at("name").textContent = message.name;
     at("axes").replaceChildren();
     axes.clear();
     for (const [name, facts] of Object.entries(message.axes)) axes.set(name, new Axis(name, facts));
+    offerCharts();
     circle = null;
     at("circle").hidden = true;
     at("events").replaceChildren();
@@ -202,6 +215,8 @@ const handlers = {
     }
     showLive("yes");
     at("state").textContent = isPaused ? `${message.state}, charts paused` : message.state;
+    at("start").hidden = message.state !== "waiting";
+    if (OVER[at("said").dataset.done] === message.state) say(""); // somebody has started or stopped it since
     at("clock").textContent = message.clock;
     for (const [name, figures] of Object.entries(message.axes)) axes.get(name).show(figures);
     showFaults(message.faults);
@@ -253,25 +268,64 @@ function showFaults(faults) {
   );
 }
 
+function say(text, isRight = true) {
+  at("said").classList.toggle("wrong", !isRight);
+  at("said").textContent = text;
+  at("said").dataset.done = "";
+}
+
 async function act(what) {
-  at("said").textContent = `${what}: waiting for the daemon`;
+  say(`${what}: waiting for the daemon`);
   const answer = await post(`api/${what}`, {});
   const drives = Object.entries(answer.drives ?? {}).map(([name, state]) => `${name}: ${state}`);
   const isDone = answer.ok && answer.is_done;
-  at("said").classList.toggle("wrong", !isDone);
-  at("said").textContent = answer.ok
-    ? `${what}: ${isDone ? "done" : "NOT DONE"}; drives as read back: ${drives.join(", ")}`
-    : `${what}: ${answer.problems.join(" ")}`;
+  say(
+    answer.ok
+      ? `${what}: ${isDone ? "done" : "NOT DONE"}; drives as read back: ${drives.join(", ")}`
+      : `${what}: ${answer.problems.join(" ")}`,
+    isDone,
+  );
+  if (isDone) at("said").dataset.done = what;
   if (answer.status === 401) refuse();
 }
 
 at("stop").addEventListener("click", () => act("stop"));
 at("reset").addEventListener("click", () => act("reset"));
-at("pause").addEventListener("click", () => {
-  isPaused = !isPaused;
+at("start").addEventListener("click", () => {
+  const names = [...axes.keys()].join(", ");
+  if (confirm(`Enable ${names}? The drives get power, and the axes move.`)) act("start");
+});
+at("pause").addEventListener("click", () => pause(!isPaused));
+at("window").addEventListener("change", () => {
+  windowS = Number(at("window").value);
+  for (const axis of axes.values()) axis.draw();
+});
+
+function pause(isWanted) {
+  isPaused = isWanted;
   at("pause").setAttribute("aria-pressed", String(isPaused));
   at("pause").textContent = isPaused ? "Resume charts" : "Pause charts";
-});
+}
+
+// Let the user choose which charts are shown, for all axes at once.
+function offerCharts() {
+  const titles = new Set([...document.querySelectorAll("figure[data-title]")].map((each) => each.dataset.title));
+  at("shown-charts").replaceChildren(
+    ...[...titles].map((title) => {
+      const label = element("label", title);
+      const box = element("input");
+      box.type = "checkbox";
+      box.checked = !hidden.has(title);
+      box.addEventListener("change", () => {
+        if (box.checked) hidden.delete(title);
+        else hidden.add(title);
+        for (const each of document.querySelectorAll("figure[data-title]")) each.hidden = hidden.has(each.dataset.title);
+      });
+      label.prepend(box);
+      return label;
+    }),
+  );
+}
 at("login").addEventListener("submit", (event) => {
   event.preventDefault();
   useToken(at("token").value.trim());
