@@ -15,20 +15,29 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff }
+:root { color-scheme: light dark; --ink: #222; --paper: #fff; --faint: #555; --line: #ddd; --panel: #f5f5f5 }
+body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper); overflow-wrap: break-word }
 body { max-width: 66rem; margin: 2rem auto; padding: 0 1rem }
 h1 { font-size: 1.6rem; margin-bottom: .3rem } h2 { font-size: 1.25rem; margin-top: 2.6rem }
 figure { margin: 1rem 0 } img { max-width: 100%; height: auto }
 figure.wide img { display: block; width: 100% }
-figcaption, .note { color: #555; font-size: .92rem }
+figcaption, .note { color: var(--faint); font-size: .92rem }
 .scroll { overflow-x: auto }
 table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums; font-size: .92rem }
-th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #ddd; font-weight: normal }
+th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid var(--line); font-weight: normal }
 thead th { border-bottom: 2px solid #888; vertical-align: bottom }
 th:first-child, .text { text-align: left } td { white-space: nowrap } td.text { white-space: normal }
 code { font-size: .92em }
 nav { display: flex; flex-wrap: wrap; gap: .2em 1.2em }
-pre { white-space: pre-wrap; font-size: .85rem; background: #f5f5f5; padding: .6rem }
+pre { white-space: pre-wrap; font-size: .85rem; background: var(--panel); padding: .6rem }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e8ebee; --paper: #14171a; --faint: #a4afbb; --line: #444d57; --panel: #1d2126 }
+  figure img { filter: invert(.92) hue-rotate(180deg) }
+}
+@media (max-width: 40rem) {
+  body { margin: .6rem auto; padding: 0 .6rem } figure { overflow-x: auto }
+  figure img, figure.wide img { width: 42rem; max-width: none }
+}
 """.strip()
 
 
@@ -70,7 +79,7 @@ def generator(command: str) -> str:
 
 def page(title: str, mark: str, body: str, style: str = "") -> str:
     """Return the document; ``mark`` is the meta element that names its generator, ``style`` is added to the style."""
-    head = f'<meta charset="utf-8">\n{mark}\n<meta name="viewport" content="width=device-width">'
+    head = f'<meta charset="utf-8">\n{mark}\n<meta name="viewport" content="width=device-width, initial-scale=1">'
     start = f"<title>{html.escape(title)}</title>\n<style>\n{STYLE}\n{style}</style>"
     return f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n{start}\n</head>\n<body>{body}</body>\n</html>\n'
 

@@ -2,9 +2,9 @@
 
 import html
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from friction_hil import __version__
 from friction_hil.numerics.readable import digits
@@ -25,8 +25,10 @@ _COLUMNS = 3  # of panels
 _NO_FREE_RUN = {"relative_error": None, "reason": "the model was tested on the machine itself"}
 
 
-def write_reports(folder: Path, tuning: "Tuning") -> Path:
+def write_reports(folder: Path, tuning: "Tuning", *, is_simulated: bool = False) -> Path:
     """Write ``report.html`` and a page on each identification; return the path of ``report.html``.
+
+    Its title says where it was a simulation.
 
     Raises
     ------
@@ -36,7 +38,8 @@ def write_reports(folder: Path, tuning: "Tuning") -> Path:
     for name, axis in tuning.axes.items():
         for file, candidate in _identifications(name, axis):
             write_report(folder / file, candidate.identification, _NO_FREE_RUN)
-    body = "<h1>Friction identified on the machine</h1>" + "".join(
+    title = f"Friction identified {'in a simulation' if is_simulated else 'on the machine'}"
+    body = f"<h1>{title}</h1>{_overview(tuning)}" + "".join(
         _section(name, axis, tuning) for name, axis in tuning.axes.items()
     )
     if tuning.warnings:
@@ -44,6 +47,30 @@ def write_reports(folder: Path, tuning: "Tuning") -> Path:
     path = folder / NAME
     write_page(path, page("friction-hil: tuning", _MARK, body))
     return path
+
+
+def _overview(tuning: "Tuning") -> str:
+    """Return a row for each axis: what was kept, and what it is worth on the axis's own motion."""
+    rows: list[tuple[str, ...]] = []
+    for name, axis in tuning.axes.items():
+        own = axis.best.trial.own
+        kept = axis.best.label if axis.best.trial.has_helped else "none: no model helped"
+        for k, row in enumerate(comparison_rows(_unit(axis), own.uncompensated, own.compensated)):
+            rows.append((html.escape("" if k else name), html.escape("" if k else kept), *row))
+    header = ("axis", "model kept", "following error, own motion", "without", "with compensation", "times lower")
+    return table(header, rows, ("text", "text"))
+
+
+def _parameters(model: Mapping[str, Any]) -> str:
+    """Return the parameters in the model file of the kept model, with standard errors where they are known."""
+    errors = model.get("fit", {}).get("standard_errors", {})
+    values = {**model["friction"]["parameters"], "inertia": model["mechanics"]["inertia"]}
+    rows = [
+        (html.escape(name), f"{value:.6g}", f"{errors[name]:.2g}" if name in errors else "")
+        for name, value in values.items()
+        if isinstance(value, int | float)
+    ]
+    return table(("parameter", "value", "standard error"), rows)
 
 
 def _rows(axis: "AxisTuning", candidate: "TriedModel") -> Iterator[tuple[str, ...]]:
@@ -88,6 +115,7 @@ def _section(name: str, axis: "AxisTuning", tuning: "Tuning") -> str:
 {said}
 {unordered_list(problems)}
 {table(header, rows, ("text", "text"))}
+{_parameters(best.model)}
 {picture(_draw(axis), _CAPTION, "wide")}
 {_rehearsal(axis, tuning.rehearsed.get(name, ()))}
 """

@@ -72,3 +72,17 @@ def test_the_report_says_how_long_the_experiment_took_and_why(tuning, tmp_path) 
     page = write_reports(tmp_path, tuning).read_text()
     assert "<p>The experiment took 30 s in 2 parts: the configured duration is over; what is unknown" in page
     assert "is not estimated: the axis &lt;stood&gt;.</p>" in page
+
+
+def test_the_report_begins_with_an_overview_and_has_the_parameters_of_the_kept_model(tuning, tmp_path) -> None:
+    page = write_reports(tmp_path, tuning).read_text()
+    overview, _, details = page.partition("<h2>")
+    assert "<h1>Friction identified on the machine</h1>" in overview
+    assert [word for word in ("spindle", "lugre", "times lower") if word not in overview] == []
+    assert '<th scope="row">coulomb</th><td class="">0.1</td>' in details
+
+
+def test_the_report_of_a_simulation_says_that_it_was_one(tuning, tmp_path) -> None:
+    page = write_reports(tmp_path, tuning, is_simulated=True).read_text()
+    assert "<h1>Friction identified in a simulation</h1>" in page
+    assert "machine</h1>" not in page

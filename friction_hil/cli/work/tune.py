@@ -65,7 +65,7 @@ def tune_machine(
             tuning = tune(own, settings, terminal)
     except OptionError as error:
         raise located(config, error) from None
-    tuning.report = _report(settings.folder, tuning)
+    tuning.report = _report(settings.folder, tuning, is_simulated=simulate)
     if as_json:
         print_json(_as_dict(tuning))
     else:
@@ -93,11 +93,11 @@ def checked(config: Path) -> Configuration:
     return configuration
 
 
-def _report(folder: Path, tuning: Tuning) -> Path | None:
+def _report(folder: Path, tuning: Tuning, *, is_simulated: bool) -> Path | None:
     """Write the report; an error is printed, not raised, because the result of hours on a machine is worth more."""
     try:
         require_matplotlib()
-        return write_reports(folder, tuning)
+        return write_reports(folder, tuning, is_simulated=is_simulated)
     except FrictionHilError as error:  # e.g. a full disk
         click.echo(f"no report: {error}", err=True)
     except Exception as error:  # noqa: BLE001  a broken installation of matplotlib raises anything
