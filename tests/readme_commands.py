@@ -48,7 +48,7 @@ def shown_commands() -> Iterator[Shown]:
         for part in _PARTS.split(text):
             if block := _BLOCK.match(part):
                 for line in block[1].replace("\\\n", " ").splitlines():
-                    yield from _cut(name, line.split("  #")[0].strip(), is_complete=True)
+                    yield from _cut(name, re.split(r"  #| > ", line)[0].strip(), is_complete=True)
             elif not _PARTS.match(part):
                 for line in part.splitlines():
                     yield from _in_line(name, line)

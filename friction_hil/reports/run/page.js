@@ -89,7 +89,7 @@ function savePicture(charts, name) {
   canvas.width = Math.max(...charts.map((each) => each.ctx.canvas.width));
   canvas.height = charts.reduce((sum, each) => sum + row + each.ctx.canvas.height, 0);
   const pen = canvas.getContext("2d");
-  pen.fillStyle = getComputedStyle(document.body).backgroundColor;
+  pen.fillStyle = "#fff"; // the colours of the charts are those of a light page; a dark one inverts them
   pen.fillRect(0, 0, canvas.width, canvas.height);
   pen.font = `${13 * dots}px system-ui`;
   let top = 0;

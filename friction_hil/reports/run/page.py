@@ -25,6 +25,10 @@ _STYLE = """
 body { max-width: 100rem }
 .pair { display: flex; flex-wrap: wrap; gap: 1rem }
 .pair > div { flex: 1 1 30rem; min-width: 0 }
+@media (prefers-color-scheme: dark) {
+  .uplot { filter: invert(.92) hue-rotate(180deg); color: #222 } .note, figcaption { color: inherit }
+}
+@media (max-width: 40rem) { .pair > div { flex-basis: 100% } }
 """.strip()
 # The browser itself refuses whatever this page might load.
 _POLICY = (
