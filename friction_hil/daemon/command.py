@@ -85,7 +85,7 @@ class CommandWriter:
         self._lead_s = lead_s
         self._static = static_torque(config)
         self._last_static = 0.0
-        self._difference, self._fade_s, self._fade_left_s = 0.0, 1.0, 0.0  # from the torque before the last change
+        self._difference = self._fade_s = self._fade_left_s = 0.0  # from the torque before the last change
         self._largest_step = limits.torque_slew * period_s
         self._controller, self._integral = make_controller(config), 0.0
         self._is_held_by_loop = False  # the loop's own controller (cst) has carried the axis up to now

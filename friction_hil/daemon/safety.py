@@ -148,15 +148,14 @@ class Supervisor:
         self._allowed = math.nan  # speed of the motion that the user was told of
         self._fastest = limits.velocity
         self._last_position = math.nan
-        self._stale_cycles = 0
+        # periods without a cycle before this one, and the same since the last usable position
+        self._stale_cycles = self._missed = self._missed_since_position = 0
         self._max_stale_cycles = max_stale_cycles
         self._velocity_check = VelocityCheck(period_s, limits.velocity, position_resolution, velocity_resolution)
         self._trust = None if is_velocity_trusted else VelocityTrust(period_s, position_resolution, velocity_resolution)
         self._fast_cycles = 0  # in a row in which the drive reported more than the velocity limit
         self._fast_estimates = 0  # in a row beyond the limit: if the drive reports less, a frame may have been late
         self._steps = FastSteps(limits.velocity * period_s, position_resolution)
-        self._missed = 0  # periods without a cycle before this one
-        self._missed_since_position = 0  # the same since the last usable position
         self._missing = ""  # message about the feedback that is missing now
 
     def allow(self, speed: float) -> None:
@@ -340,7 +339,7 @@ class Supervisor:
                     f"{self._speed_limit()}"
                 )
         for _ in range(self._missed):
-            self._velocity_check.take(math.nan, math.nan, is_usable=False)
+            self._velocity_check.take(math.nan, math.nan)
         window = self._velocity_check.take(feedback.position, velocity, is_usable=is_usable)
         if window is None or not self._velocity_check.is_lasting:
             return None

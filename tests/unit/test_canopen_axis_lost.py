@@ -1,5 +1,6 @@
 """An axis whose node is out of reach, or whose feedback comes late: stops by SDO, and frames without their SYNC."""
 
+import itertools
 import struct
 
 import pytest
@@ -179,24 +180,29 @@ def test_a_drive_that_does_not_obey_the_quick_stop_is_disabled():
     assert words[-1] == DISABLE_BY_SDO
 
 
-def quick_stopping(velocity_of, ms):
-    """A drive in quick stop that tells velocities by SDO; the commands written until it is over, with their times."""
-    bench, commands, reads = Stopped(PRE_OPERATIONAL), [], 0
+def conversation(ms, velocity_of=lambda reads: velocity(0), state_of=lambda now_ms: 0x0217):
+    """What a drive is asked by SDO that answers after 2 ms each time, in quick stop unless told; with the times."""
+    bench, asked, reads = Stopped(PRE_OPERATIONAL), [], 0
     bench.cycle()
     frames = bench.ask()
     while bench.now_ns < ms * MS:
-        asked = next((frame for frame in frames if frame[0] == 0x605), None)
-        if asked is None or asked in (QUICK_STOP_BY_SDO, DISABLE_BY_SDO):
-            if asked is not None:
-                commands.append((bench.now_ns // MS, asked))
-            answer = WRITTEN
-        elif asked == READ_STATE:
-            answer = statusword(0x0217)
-        else:
-            answer, reads = velocity(velocity_of(reads)), reads + 1
+        frame = next((frame for frame in frames if frame[0] == 0x605), None)
+        answer = WRITTEN
+        if frame is not None:
+            asked.append((bench.now_ns // MS, frame))
+        if frame == READ_STATE:
+            answer = statusword(state_of(bench.now_ns // MS))
+        elif frame == READ_VELOCITY:
+            answer, reads = velocity_of(reads), reads + 1
         bench.heartbeat(PRE_OPERATIONAL)
         frames = bench.answer(answer, after_ms=2)[1]
-    return commands
+    return asked
+
+
+def quick_stopping(velocity_of, ms):
+    """The commands that are written until it is over, with their times."""
+    asked = conversation(ms, lambda reads: velocity(velocity_of(reads)))
+    return [(at, frame) for at, frame in asked if frame in (QUICK_STOP_BY_SDO, DISABLE_BY_SDO)]
 
 
 @pytest.mark.parametrize("speed", [400, -400])
@@ -213,6 +219,59 @@ def test_an_axis_that_brakes_in_either_direction_does_not_stand(speed):
     commands = quick_stopping(lambda reads: speed if reads < 100 else 0, 1000)
     assert DISABLE_BY_SDO in [word for _, word in commands]
     assert next(at for at, word in commands if word == DISABLE_BY_SDO) > 400
+
+
+@pytest.mark.parametrize("speed", [5, -5])
+def test_what_is_no_faster_than_standstill_is_disabled_soon(speed):
+    """0.01 rad/s are 5 of this drive's units."""
+    commands = quick_stopping(lambda reads: speed, 200)
+    assert [word for _, word in commands][:2] == [QUICK_STOP_BY_SDO, DISABLE_BY_SDO]
+    assert 50 <= commands[1][0] <= 70
+    faster = quick_stopping(lambda reads: speed + speed // 5, 1000)
+    assert [word for _, word in faster] == [QUICK_STOP_BY_SDO]
+
+
+def test_where_the_velocity_is_refused_a_quick_stop_has_half_a_second():
+    commands = conversation(600, lambda reads: bytes.fromhex("806c600000000206"))
+    (at, _), *_ = [one for one in commands if one[1] == DISABLE_BY_SDO]
+    assert 500 <= at <= 510
+
+
+def test_a_drive_that_stops_after_its_fault_is_let_alone_until_it_has_done_so():
+    asked = conversation(2100, state_of=lambda now_ms: 0x021F)
+    words = [(at, word) for at, word in asked if word != READ_STATE]
+    assert words[0][1] == QUICK_STOP_BY_SDO
+    assert words[1][1] == DISABLE_BY_SDO
+    assert 2000 <= words[1][0] <= 2010
+
+
+def test_a_drive_that_does_not_obey_gets_the_quick_stop_for_a_tenth_of_a_second_only():
+    asked = conversation(300, state_of=lambda now_ms: 0x0237)
+    assert QUICK_STOP_BY_SDO in [word for at, word in asked if 90 <= at <= 100]
+    assert {word for at, word in asked if at > 110} == {READ_STATE, DISABLE_BY_SDO}
+
+
+def test_a_drive_without_power_is_asked_ten_times_a_second_whether_that_is_still_so():
+    asked = conversation(1000, state_of=lambda now_ms: 0x0250 if now_ms < 800 else 0x0237)
+    assert asked[0][1] == QUICK_STOP_BY_SDO
+    reads = [at for at, word in asked if at < 800]
+    assert all(100 <= after - before <= 104 for before, after in itertools.pairwise(reads[1:]))
+    assert len(reads) == 9
+    assert DISABLE_BY_SDO in [word for at, word in asked if at > 800], "it has power again"
+
+
+def test_before_the_first_answer_nothing_is_proved():
+    bench = Stopped(PRE_OPERATIONAL)
+    bench.cycle()
+    assert bench.ask() == [NMT_START, QUICK_STOP_BY_SDO]
+    assert not bench.axis.is_proved_unpowered
+    bench.answer(WRITTEN)
+    bench.answer(statusword(0x0250))
+    assert bench.axis.is_proved_unpowered
+    bench.heartbeat(BOOT_UP)
+    bench.cycle()
+    assert bench.ask() == [QUICK_STOP_BY_SDO]
+    assert not bench.axis.is_proved_unpowered, "nor by what it said before its restart"
 
 
 def test_a_drive_that_stops_answering_is_not_called_unpowered_any_more():
@@ -280,6 +339,44 @@ def test_the_error_code_of_a_fault_without_emergency_is_read():
     bench.axis.handlers[0x585](bytes.fromhex("4b3f600011860000"))
     assert bench.heard(state=0x0218).error == "8611h following error"
     assert not bench.axis.needs_other_frames
+
+
+def test_an_error_code_that_is_not_answered_is_asked_for_five_times():
+    bench, asked = Bench(), []
+    bench.heard()
+    for _ in range(400):
+        bench.heard(state=0x0218)
+        if bench.axis.needs_other_frames:
+            asked += [
+                (bench.now_ns // MS, *frame) for frame in bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns)
+            ]
+    assert [data.hex() for _, _, data in asked] == ["403f600000000000"] * 5
+    assert [after - before for (before, *_), (after, *_) in itertools.pairwise(asked)] == [50] * 4
+    bench = Bench()
+    bench.heard()
+    for _ in range(220):
+        bench.heard(state=0x0218)
+        if bench.axis.needs_other_frames:
+            bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns)
+    bench.axis.handlers[0x585](bytes.fromhex("4b3f600011860000"))
+    assert bench.heard(state=0x0218).error == "8611h following error", "the fifth one is answered"
+
+
+def test_the_stop_does_not_wait_for_another_answer_and_what_was_asked_for_it_does_not_end_it():
+    """Nor is the answer to a request of the stop waited for once RPDOs reach the drive again."""
+    bench = Bench(Mode.CSV)
+    bench.axis.handlers[HEARTBEAT](OPERATIONAL)
+    bench.heard(mode=9)
+    bench.heard(state=0x0218, mode=9)
+    [(_, data)] = bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns)
+    assert data.hex() == "403f600000000000"
+    bench.axis.handlers[HEARTBEAT](PRE_OPERATIONAL)
+    bench.cycle()
+    assert bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns)[-1] == QUICK_STOP_BY_SDO
+    bench.axis.handlers[HEARTBEAT](OPERATIONAL)
+    bench.heard(state=0x0218, mode=9)
+    [(_, data)] = bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns)
+    assert data.hex() == "403f600000000000"
 
 
 def test_a_glitch_of_half_the_counters_range_is_over_with_the_next_cycle():

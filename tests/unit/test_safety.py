@@ -61,6 +61,16 @@ def test_a_position_may_jump_as_far_as_twice_the_velocity_limit_reaches_since_th
     assert one.position == (jump if abs(jump) <= reach else 0.0)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_position_may_jump_to_the_end_of_its_reach_and_not_a_step_further(sign):
+    """In numbers that floats hold exactly."""
+    step, reach = 2.0**-20, 2.0 * 8.0 * 2.0**-10 + 10.0 * 2.0**-20
+    for jump, is_usable in ((reach, True), (reach + step, False)):
+        one = Supervisor("x", SafetyLimits(torque=0.3, velocity=8.0), 2.0**-10, step)
+        one.take(heard())
+        assert one.take(heard(sign * jump)) is is_usable
+
+
 def test_a_single_glitch_is_passed_over():
     one = supervisor()
     assert not one.take(heard(5.0))
@@ -94,6 +104,30 @@ def test_feedback_may_be_missing_for_some_cycles_and_no_longer_in_any_state(stat
         assert one.find_fault(missing, state, 0.0, 0.0) is None
     one.take(missing)
     assert one.find_fault(missing, state, 0.0, 0.0) == f"x: no usable feedback for more than {limit} cycles [FH-103]"
+
+
+@pytest.mark.parametrize("position", [None, 0.0])
+def test_an_axis_is_silent_once_feedback_is_missing_for_longer_than_is_bridged(position):
+    one = supervisor(position=position, max_stale_cycles=3)
+    assert one.has_position is (position is not None)
+    seen = []
+    for _ in range(4):
+        one.take(heard(is_fresh=False))
+        seen.append((one.is_silent, one.find_fault(heard(is_fresh=False), LoopState.ENABLING, 0.0, 0.0) is not None))
+    assert seen == [(False, False)] * 3 + [(True, True)]
+    one.take(heard())
+    assert one.has_position
+    assert not one.is_silent
+
+
+def test_a_drive_that_is_out_of_reach_in_the_last_cycle_that_is_bridged_is_told_as_that():
+    one, missing = supervisor(), heard(is_fresh=False)
+    missing.is_reachable = False
+    for _ in range(MAX_STALE_CYCLES):
+        one.take(missing)
+    assert one.find_fault(missing, LoopState.RUNNING, 0.0, 0.0) == (
+        "x: commands do not reach the drive any more [FH-103]"
+    )
 
 
 @pytest.mark.parametrize("state", [LoopState.ENABLING, LoopState.FIRST_MOTION, LoopState.RUNNING, LoopState.STOPPING])
@@ -196,6 +230,7 @@ def test_a_drive_that_leaves_operation_enabled_in_motion_is_a_fault(state, drive
         (0.0, math.nan, 0.0, "x: velocity nan is beyond"),
         (0.0, math.inf, 0.0, "x: velocity inf is beyond"),
         (1.0, 0.0, 1.0, None),
+        (-1.0, 0.0, -1.0, None),
         (1.001, 0.0, 1.0, "x: position 1.001 rad is outside [-1, 1] rad"),
         (-1.001, 0.0, -1.0, "x: position -1.001 rad is outside"),
         (0.0, 0.0, 0.1, None),
@@ -223,6 +258,71 @@ def test_a_velocity_that_the_drive_does_not_confirm_is_a_fault_in_the_third_cycl
         assert find(velocity) is None
     assert [find(velocity, is_fresh) for velocity in (10.5, 10.5)] == [None, None]
     assert "velocity 10.5 is beyond its limit of 10 rad/s" in str(find(10.5, is_fresh))
+
+
+def test_an_estimate_beyond_the_limit_is_not_confirmed_by_a_drive_at_its_limit():
+    one = supervisor()
+    assert one.find_fault(heard(velocity=10.0), LoopState.RUNNING, 10.5, 0.0) is None
+    assert one.find_fault(heard(velocity=10.001), LoopState.RUNNING, 10.5, 0.0) is not None
+
+
+def faults_of(one, cycles):
+    """The faults, cycle by cycle, of (position, reported velocity); no estimate is beyond its limit."""
+    found = []
+    for position, velocity in cycles:
+        one.take(heard(position, velocity))
+        found.append(one.find_fault(heard(position, velocity), LoopState.RUNNING, 0.0, math.nan))
+    return found
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_three_reported_velocities_in_a_row_beyond_the_limit_are_a_fault(sign):
+    fast, slow = sign * 10.1, sign * 10.0
+    found = faults_of(supervisor(), [(0.0, each) for each in (slow, fast, fast, slow, fast, fast, slow)])
+    assert found == [None] * 7
+    found = faults_of(supervisor(), [(0.0, each) for each in (slow, fast, fast, fast)])
+    assert found[:3] == [None] * 3
+    assert "the drive reports a velocity of" in str(found[3])
+    assert faults_of(supervisor(), [(0.0, slow)] * 5) == [None] * 5, "the limit itself is allowed"
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_three_steps_of_the_position_beyond_the_limit_are_a_fault_whatever_is_reported(sign):
+    found = faults_of(supervisor(), [(sign * 0.012 * k, 0.0) for k in range(1, 4)])
+    assert found[:2] == [None, None]
+    assert f"velocity {sign * 12:.4g} by its positions is beyond its limit of 10 rad/s" in str(found[2])
+
+
+def test_a_lasting_contradiction_of_velocity_and_position_is_a_fault():
+    found = faults_of(supervisor(), [(0.0, 8.0)] * 60)
+    first = next(k for k, fault in enumerate(found) if fault)
+    assert 35 <= first <= 45, "two windows of 20 ms"
+    assert found[first] == ("x: the drive reports a velocity of 8 rad/s, but its position changes by 0 rad/s [FH-119]")
+    assert faults_of(supervisor(), [(0.002 * k, 2.0) for k in range(60)]) == [None] * 60
+
+
+@pytest.mark.parametrize("missed", [0, 3])
+def test_until_a_motion_has_confirmed_the_velocity_it_is_that_of_the_position(missed):
+    one, way = supervisor(position=None, is_velocity_trusted=False), 2.0 * PERIOD_S * (missed + 1)
+    assert math.isnan(one.velocity_contradiction)
+    for k in range(300):
+        feedback = heard(way * k, 2.0 * 9.55)
+        one.take(feedback, missed if k else 0)
+    assert one.velocity(feedback) == pytest.approx(2.0)
+    assert one.velocity_contradiction == pytest.approx(9.55)
+    assert not one.is_velocity_confirmed
+    other = supervisor(position=None, is_velocity_trusted=False)
+    for k in range(100):
+        other.take(heard(way * k, 2.0), missed if k else 0)
+    assert other.is_velocity_confirmed
+    assert math.isnan(other.velocity_contradiction)
+
+
+def test_a_velocity_that_is_trusted_is_used_as_it_is_reported():
+    one = supervisor()
+    one.take(heard(0.001, 7.0))
+    assert one.velocity(heard(0.001, 7.0)) == 7.0
+    assert math.isnan(one.velocity_contradiction)
 
 
 @given(

@@ -2,6 +2,8 @@
 
 import pytest
 from friction_hil_drivers.modbus.framing import RtuFraming
+from friction_hil_drivers.serial_line.scheduler import BusScheduler
+from friction_hil_drivers.serial_line.wire import Batch
 from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
@@ -365,3 +367,94 @@ def test_a_command_that_waited_when_the_line_went_away_is_not_sent_when_it_is_ba
     bench.go(200.0)
     assert bench.line.sent[sent:] == []
     assert bench.scheduler.is_finished
+
+
+def batch_of(bench, *exchanges):
+    return Batch.of(exchanges, 0, keeps_silence=bench.scheduler.keeps_silence)
+
+
+def test_a_line_whose_descriptor_is_0_is_a_line():
+    """As that of a daemon that was started without standard input."""
+    bench = Bench(**{"position?": b"12;"})
+    bench.line.descriptor = 0
+    assert bench.cycle() == 12.0
+    bench.go(SILENCE_MS)
+    assert bench.scheduler.send_batch(batch_of(bench, Ask(bench.image, "position")), None)
+    assert bench.line.sent == [b"position?"] * 2
+
+
+def test_a_line_that_is_gone_is_looked_for_five_times_a_second():
+    bench, tried = Bench(), []
+    bench.line.reopen = lambda: bool(tried.append(bench.time.ns))
+    bench.ask()
+    bench.line.pull_out()
+    gone_ns = bench.time.ns
+    bench.go(1100.0, each=1.0)
+    assert [(each - gone_ns) // MS for each in tried] == [200, 400, 600, 800, 1000]
+
+
+def test_what_is_said_at_once_on_a_line_that_goes_away_is_not_said_later():
+    bench = Bench()
+    bench.line.pull_out()
+    bench.line.write = bench.line.read
+    assert bench.scheduler.send_batch(batch_of(bench, Ask(bench.image, "position")), None), (
+        "there is nothing left to do"
+    )
+    assert bench.scheduler.is_finished
+    assert "gone" in bench.scheduler.last_error
+    assert not bench.scheduler.send_batch(batch_of(bench, Ask(bench.image, "position")), None)
+
+
+def test_the_time_until_a_drive_turns_around_counts_before_the_deadline():
+    bench = Bench(**{"position?": b"12;"})
+    bench.line.options = bench.line.options.model_copy(update={"turnaround_s": 2e-3})
+    needed_ms = (len("position?") + 8 + SILENCE_CHARS) * CHARACTER_MS + 2.0
+    for left_ms, sent in ((-0.01, 0), (0.01, 1)):
+        bench.scheduler.deadline_ns = bench.time.ns + round((needed_ms + left_ms) * MS)
+        bench.ask()
+        bench.scheduler.poll()
+        assert len(bench.line.sent) == sent
+        bench.scheduler.end_cycle()
+
+
+def test_what_is_still_on_its_way_takes_its_time_before_the_deadline():
+    bench = Bench()
+    bench.scheduler = BusScheduler(bench.line, [bench.image], 0.0, 0.05, bench.time)
+    bench.image.values["torque_command"] = 0.25
+    said, asked = len("torque_command=0.25;"), len("position?") + 8
+    tell, ask = Tell(bench.image, "torque_command"), Ask(bench.image, "position")
+    for left_ms, is_asked in ((-0.01, False), (0.01, True)):
+        sent = len(bench.line.sent)
+        bench.scheduler.deadline_ns = bench.time.ns + round(((2 * said + asked) * CHARACTER_MS + left_ms) * MS)
+        for exchange in (tell, tell, ask):
+            bench.scheduler.enqueue((exchange,))
+            bench.scheduler.poll()
+        assert (b"position?" in bench.line.sent[sent:]) is is_asked
+        bench.scheduler.end_cycle()
+        bench.go(10.0)
+
+
+class Both(Ask):
+    """A request to two drives at once, of which one may be left out."""
+
+    def __init__(self, image):
+        super().__init__(image, "both")
+        self.addressees = self.unanswered = frozenset(("first", "second"))
+        self.second = Ask(image, "second", "second")
+
+    def without(self, addressees):
+        return self.second if addressees == {"first"} else None
+
+
+def test_a_request_to_several_drives_is_made_to_those_that_owe_nothing_and_done_is_called_for_it():
+    calls = []
+    bench = Bench(**{"second?": b"2;", "third?": b"3;"})
+    bench.scheduler.enqueue((Ask(bench.image, "first", "first"),))
+    bench.go(5.0)
+    bench.scheduler.end_cycle()
+    bench.scheduler.enqueue((Both(bench.image),), lambda: calls.append("both"))
+    bench.scheduler.enqueue((Ask(bench.image, "third", "third"),), lambda: calls.append("third"))
+    bench.go(5.0)
+    assert bench.line.sent == [b"first?", b"second?", b"third?"]
+    assert calls == ["both", "third"]
+    assert bench.image.values == {"second": 2.0, "third": 3.0}

@@ -27,7 +27,8 @@ _COMPARISONS: dict[type[ast.cmpop], type[ast.cmpop]] = {
 }
 # What is only true at the very moment is no difference between times.
 _OF_TIMES: dict[type[ast.cmpop], type[ast.cmpop]] = {ast.Lt: ast.Gt, ast.LtE: ast.Gt, ast.Gt: ast.Lt, ast.GtE: ast.Lt}
-_TIME = re.compile(r"_s\b|_S\b")  # names of times end with their unit
+_TIME = re.compile(r"_n?s\b|_N?S\b")  # names of times end with their unit
+_SMALL = 10  # below, an integer counts something; from here on one more would be hardly another time
 _RETURNS: dict[str, float | int | str] = {"float": 0.0, "int": 0, "str": ""}  # by the annotation; bool: the opposite
 _NOT_ITSELF = ("body", "orelse", "finalbody", "handlers", "cases", "annotation", "decorator_list", "args", "returns")
 _WORDS = (ast.JoinedStr, ast.Raise, ast.Assert, ast.Import, ast.ImportFrom)  # messages, and what is no behaviour
@@ -129,6 +130,8 @@ def _of_statement(
     statement: ast.stmt, where: str, function: tuple[str, int] | None, returns: ast.expr | None = None
 ) -> Iterator[Change]:
     for parent, name, node in _expressions(statement):
+        if node is getattr(statement, "value", None) and _is_first_time(statement):
+            continue
         others = list(_others(node))
         if isinstance(statement, ast.Return) and node is statement.value:
             others += _other_return(node, returns)
@@ -150,7 +153,7 @@ def _expressions(parent: ast.AST) -> Iterator[tuple[ast.AST, str, ast.expr]]:
         if name in _NOT_ITSELF and isinstance(parent, ast.stmt | ast.ExceptHandler):
             continue
         for part in list(value) if isinstance(value, list) else [value]:
-            if not isinstance(part, ast.AST) or isinstance(part, _WORDS):
+            if not isinstance(part, ast.AST) or isinstance(part, _WORDS) or _is_strict(part):
                 continue
             if isinstance(part, ast.expr):
                 yield parent, name, part
@@ -174,7 +177,20 @@ def _others(node: ast.expr) -> Iterator[ast.expr]:
         yield ast.Constant(not node.value)
     elif isinstance(node, ast.Constant) and isinstance(node.value, int | float):
         value = node.value
-        yield ast.Constant(value + 1 if isinstance(value, int) else 2.0 * value if value else 1.0)
+        is_count = isinstance(value, int) and abs(value) < _SMALL
+        yield ast.Constant(value + 1 if is_count else 2 * value if value else 1.0)
+
+
+def _is_first_time(statement: ast.stmt) -> bool:
+    """Return True for ``self.next_ns = 0``: a nanosecond later is no other time."""
+    if not isinstance(statement, ast.Assign) or not isinstance(statement.value, ast.Constant):
+        return False
+    return statement.value.value == 0 and all(_TIME.search(ast.unparse(each)) for each in statement.targets)
+
+
+def _is_strict(part: ast.AST) -> bool:
+    """Return True for ``strict=``, a check of the program by itself."""
+    return isinstance(part, ast.keyword) and part.arg == "strict"
 
 
 def _is_of_times(node: ast.Compare) -> bool:

@@ -1,6 +1,7 @@
 """The command line ``tools/mutants``."""
 
 import json
+import math
 import os
 import queue
 import random
@@ -21,7 +22,6 @@ from tools.mutation.modules import MODULES, name_of, related_tests
 _REVIEWED = Path(__file__).with_name("reviewed.toml")
 _MOST = 400
 _MOST_S = 3600.0
-_SAMPLE_SHARE = 16  # mutants of a module in a sample: the next module's turn comes then
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ def command(only: tuple[str, ...], sample: float | None, seed: str | None, jobs:
             click.echo(f"{len(changes[path]):4}  {path}")
         return 0
     seed = seed or _date_of_commit()
-    chosen = _choice(changes, random.Random(seed), _SAMPLE_SHARE if sample else None)
+    chosen = _choice(changes, random.Random(seed))
     total = sum(len(numbers) for _, numbers in chosen)
     click.echo(f"{total} of {sum(map(len, changes.values()))} mutants, seed {seed!r}", err=True)
     began_s = time.monotonic()
@@ -72,20 +72,20 @@ def command(only: tuple[str, ...], sample: float | None, seed: str | None, jobs:
     return _report(outcomes, time.monotonic() - began_s)
 
 
-def _choice(changes: dict[str, list[Change]], rng: random.Random, share: int | None) -> list[tuple[str, list[int]]]:
-    """Return the mutants to try, by module; in a sample at most ``share`` of a module."""
+def _choice(changes: dict[str, list[Change]], rng: random.Random) -> list[tuple[str, list[int]]]:
+    """Return the mutants to try, by module."""
     every = [(path, number) for path, found in changes.items() for number in range(len(found))]
     rng.shuffle(every)
     numbers: dict[str, list[int]] = {}
-    for path, number in every if share else every[:_MOST]:
-        if share is None or len(numbers.get(path, ())) < share:
-            numbers.setdefault(path, []).append(number)
+    for path, number in every[:_MOST]:
+        numbers.setdefault(path, []).append(number)
     return list(numbers.items())
 
 
 def _try_all(
     chosen: list[tuple[str, list[int]]], changes: dict[str, list[Change]], end_s: float, jobs: int
 ) -> list[Outcome]:
+    """Try the mutants, each module for its part of the time."""
     waiting: queue.SimpleQueue[tuple[str, list[int]]] = queue.SimpleQueue()
     for each in chosen:
         waiting.put(each)
@@ -93,12 +93,14 @@ def _try_all(
     failures: list[str] = []
 
     def work() -> None:
-        while time.monotonic() < end_s and not failures:
+        while (now_s := time.monotonic()) < end_s and not failures:
+            turns = max(1, math.ceil(waiting.qsize() / jobs))
             try:
                 path, numbers = waiting.get_nowait()
             except queue.Empty:
                 return
-            if failure := _try_module(path, numbers, changes[path], end_s, outcomes):
+            turn_end_s = now_s + (end_s - now_s) / turns
+            if failure := _try_module(path, numbers, changes[path], turn_end_s, outcomes):
                 failures.append(failure)
 
     threads = [threading.Thread(target=work) for _ in range(jobs)]
@@ -117,7 +119,7 @@ def _try_module(path: str, numbers: list[int], changes: list[Change], end_s: flo
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join((root, f"{root}/drivers", *sys.path)),
         "PYTHONDONTWRITEBYTECODE": "1",
-        "HYPOTHESIS_STORAGE_DIRECTORY": f"/tmp/friction_hil-mutants-{os.getuid()}",
+        "HYPOTHESIS_STORAGE_DIRECTORY": os.devnull,  # examples of one mutant are not tried on the next
     }
     words = [sys.executable, "-P", "-m", "tools.mutation.worker", path, *related_tests(path)]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment) as worker:

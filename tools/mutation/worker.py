@@ -1,19 +1,23 @@
 """One process for the mutants of one module: it imports product and tests once, and forks for each mutant.
 
 The mutated code takes the place of a function's code, in memory alone: no file is written. Only the tests run that call
-the function, which the first run, without a change, has found out.
+the function, which the first run, without a change, has found out. That run is in this process: kernels are compiled
+once, and not once more in each fork.
 """
 
 import contextlib
 import gc
 import importlib
 import json
+import math
 import os
+import resource
 import select
 import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType
 from typing import Any
@@ -24,8 +28,8 @@ from _pytest.main import pytest_runtestloop as run_items
 from tools.mutation.changes import Change, changes_of, codes_of
 from tools.mutation.modules import name_of
 
-_LEAST_S, _FACTOR = 20.0, 6.0  # a mutant's time: at least, and times that of the same tests without a change
-_FIRST_S = 600.0
+_LEAST_S, _FACTOR = 20.0, 6.0  # a mutant's processor time: at least, and times that of its tests without a change
+_WAITING = 6.0  # times that passes at most: other programs may have the processors
 
 
 class _Worker:
@@ -36,7 +40,7 @@ class _Worker:
         self._source = Path(path).read_text()
         self._changes = changes_of(self._source)
         self._requests, self._replies = os.fdopen(requests), os.fdopen(replies, "w")
-        self._callers: dict[str, list[str]] = {}  # function as "name line": tests that call it
+        self._callers: dict[str, set[str]] = {}  # function as "name line": tests that call it
         self._times: dict[str, float] = {}
 
     @pytest.hookimpl(tryfirst=True)
@@ -44,10 +48,10 @@ class _Worker:
         gc.unfreeze()  # what is frozen is not found
         importlib.import_module(name_of(self._path))
         began_s = time.monotonic()
-        status, said = _forked(lambda: self._first_run(session), _FIRST_S)
-        if status == "passed":
-            self._callers, self._times = json.loads(said)
-        self._reply(status=status, tests=len(session.items), seconds=time.monotonic() - began_s)
+        is_passed = self._first_run(session)
+        self._reply(
+            status="passed" if is_passed else "failed", tests=len(session.items), seconds=time.monotonic() - began_s
+        )
         items = list(session.items)
         for line in self._requests:
             number = int(line)
@@ -57,7 +61,7 @@ class _Worker:
             limit_s = max(_LEAST_S, _FACTOR * sum(self._times.get(name, 0.0) for name in names))
             status = "not called"
             if session.items:
-                status, _ = _forked(lambda number=number, change=change: self._try(session, number, change), limit_s)
+                status = _forked(lambda number=number, change=change: self._try(session, number, change), limit_s)
             self._reply(status=status, tests=len(session.items), seconds=time.monotonic() - began_s)
         return True
 
@@ -71,16 +75,16 @@ class _Worker:
             return {name for names in self._callers.values() for name in names}
         return set(self._callers.get(f"{change.function[0]} {change.function[1]}", ()))
 
-    def _try(self, session: pytest.Session, number: int, change: Change) -> tuple[bool, str]:
+    def _try(self, session: pytest.Session, number: int, change: Change) -> bool:
         _apply(change, codes_of(self._source, number, self._file), self._file, name_of(self._path))
-        return _passes(session), ""
+        return _passes(session)
 
-    def _first_run(self, session: pytest.Session) -> tuple[bool, str]:
-        callers: dict[str, set[str]] = {}
+    def _first_run(self, session: pytest.Session) -> bool:
+        """Run all tests without a change, and note which of them call what, and how long they take."""
+        callers, times = self._callers, self._times
         by_file: dict[str, set[str]] = {}
         for item in session.items:
             by_file.setdefault(item.nodeid.partition("::")[0], set()).add(item.nodeid)
-        times: dict[str, float] = {}
         owners = _owners(self._changes)
         present: set[str] = set()
 
@@ -92,13 +96,13 @@ class _Worker:
         class Watch:
             @pytest.hookimpl(wrapper=True)
             def pytest_runtest_protocol(self, item: pytest.Item) -> Any:
-                began_s = time.monotonic()
+                began_s = time.process_time()
                 present.clear()
                 present.add(item.nodeid)
                 try:
                     return (yield)
                 finally:
-                    times[item.nodeid] = time.monotonic() - began_s
+                    times[item.nodeid] = time.process_time() - began_s
 
             @pytest.hookimpl(wrapper=True)
             def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Any:
@@ -111,12 +115,15 @@ class _Worker:
                     present.clear()
                     present.update(before)
 
-        session.config.pluginmanager.register(Watch())
+        watch = Watch()
+        session.config.pluginmanager.register(watch)
         threading.setprofile(note)
         sys.setprofile(note)
-        passed = _passes(session)
+        is_passed = _passes(session)
         sys.setprofile(None)
-        return passed, json.dumps([{name: sorted(names) for name, names in callers.items()}, times])
+        threading.setprofile(None)
+        session.config.pluginmanager.unregister(watch)
+        return is_passed
 
 
 def _owners(changes: list[Change]) -> dict[int, str]:
@@ -152,40 +159,28 @@ def _apply(change: Change, codes: list[CodeType], file: str, module: str) -> Non
             values[change.where] = scratch[change.where]
 
 
-def _forked(work: Any, limit_s: float) -> tuple[str, str]:
-    """Do something in a process of its own; return ``passed``, ``failed`` or ``timeout``, and what it returned."""
-    reading, writing = os.pipe()
+def _forked(work: Callable[[], bool], limit_s: float) -> str:
+    """Do something in a process of its own: ``passed``, ``failed``, or after so much processor time ``timeout``."""
     pid = os.fork()
     if pid == 0:
         status = 2
         try:
             os.setpgid(0, 0)
-            os.close(reading)
-            passed, said = work()
-            with os.fdopen(writing, "w") as file:
-                file.write(said)
-            status = 0 if passed else 1
+            resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(limit_s), resource.RLIM_INFINITY))
+            status = 0 if work() else 1
         finally:
             os._exit(status)
-    os.close(writing)
-    said, end_s = b"", time.monotonic() + limit_s
-    with contextlib.closing(os.fdopen(reading, "rb", buffering=0)) as file:
-        while True:
-            ready, _, _ = select.select([file], [], [], max(0.0, end_s - time.monotonic()))
-            part = file.read(1 << 16) if ready else None
-            if not part:
-                break
-            said += part
-    is_late = part is None
-    with contextlib.suppress(ProcessLookupError):
-        if is_late:
-            os.kill(pid, signal.SIGKILL)
+    ended = os.pidfd_open(pid)
+    is_late = not select.select([ended], [], [], _WAITING * limit_s)[0]
+    os.close(ended)
+    if is_late:
+        os.kill(pid, signal.SIGKILL)
     _, status = os.waitpid(pid, 0)
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(pid, signal.SIGKILL)  # what it has started
-    if is_late:
-        return "timeout", ""
-    return ("passed" if status == 0 else "failed"), said.decode()
+    if is_late or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
+        return "timeout"
+    return "passed" if status == 0 else "failed"
 
 
 def main(path: str, tests: list[str]) -> None:

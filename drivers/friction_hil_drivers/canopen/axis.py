@@ -340,13 +340,13 @@ class CanopenAxis:
         feedback.is_fresh = is_fresh
         if self._load is not None:
             feedback.load_position = self._load.position
+        is_asking = self._sdo.is_stopping or self._sdo.error_code.attempts_left > 0
         if is_fresh and is_reachable:
             feedback.state, feedback.missing = state, ""
-            is_asking = self._sdo.is_stopping or self._sdo.error_code.attempts_left > 0
             self.needs_other_frames = is_asking or now_ns >= self._temperature.due_ns
         else:
             feedback.state, feedback.missing = self.state, "" if is_fresh else self._missing()
-            self.needs_other_frames = self._sdo.is_active or not is_reachable or self._missed > _BLIND_CYCLES
+            self.needs_other_frames = is_asking or not is_reachable or self._missed > _BLIND_CYCLES
         feedback.error, feedback.status = self._error, self._status
         feedback.message = self._message
         is_over = is_fresh and is_reachable and self._asked is Request.DISABLE and not state.is_powered

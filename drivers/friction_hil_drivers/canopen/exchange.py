@@ -112,27 +112,25 @@ class CyclicExchange:
         self._reserve_ns = round(_COMMAND_FRACTION * period_s * 1e9)
         self._handlers = _join_handlers(axes)
         self._alarm = alarm or MasterAlarm()
-        self._is_alarm_told = False
         self._handlers |= self._alarm.handlers
         self._heartbeat_id = objects.HEARTBEAT_BASE + master_node
         half_ns = round(0.5e9 * period_s)  # a cycle that comes a little early sends it all the same
         self._heartbeat_ns = round(heartbeat_s * 1e9) - half_ns
-        self._next_heartbeat_ns = 0
-        self._is_commanding = False  # from the first command on; before, the loop may pause, and no drive has power
+        self._next_heartbeat_ns = self._sampled_ns = 0  # the second one: time of the last feedback
         self._feeders = feeders([axis.watch for axis in axes])
         self._pairs = list(zip(axes, self._feeders, strict=True))
-        self._has_new_words = False  # a controlword that was sent is not in force yet
-        self._is_complete = False  # every SYNC so far was answered by every axis
+        # commanding: from the first command on; before, the loop may pause, and no drive has power
+        # new words: a controlword that was sent is not in force yet; complete: every axis has answered every SYNC
+        self._is_commanding = self._has_new_words = self._is_complete = self._is_alarm_told = False
         guarded = {axis.node: axis.watch.beat_s for axis in axes if axis.watch.is_guarded}
         self._guards = [Guard(node, round(beat_s * 1e9) - half_ns) for node, beat_s in guarded.items()]
         self._max_missed = max_missed
-        self._unsent = 0  # cycles in a row in which the bus took no frames
+        # in a row: cycles in which the bus took no frames, and incomplete ones in simulated time
+        self._unsent = self._timeouts = 0
         self._is_unsent = [False] * len(axes)  # the last command to each axis
         self._oldest_ns = round(max_missed * period_s * 1e9)
-        self._sampled_ns = 0  # time of the last feedback
         self._cycles_since_probe = 0
         self._lost_since_ns: int | None = None  # a drive that may have power is out of reach since then
-        self._timeouts = 0  # incomplete cycles in a row, in simulated time
         self._spare = axes[0].copy()
         self._spare_feedback, self._spare_command = Feedback(), Command(Request.ENABLE)
 
@@ -155,18 +153,18 @@ class CyclicExchange:
         frame = self._bus.receive(0.0)
         if frame is not None:
             self._take_waiting_frames(frame)
-        now = self._sampled_ns = self._clock.now_ns()
+        now_ns = self._sampled_ns = self._clock.now_ns()
         self._cycles_since_probe += 1
         why_no_sync = _PROBE if not self._is_complete and self._is_probe_due() else self._send_sync()
         for axis in self._axes:
-            axis.begin_cycle(now, why_no_sync)
+            axis.begin_cycle(now_ns, why_no_sync)
         self._is_complete = self._collect(end_ns - self._reserve_ns)
         if not self._clock.is_real:
             self._require_answers()
         alarm = self._alarm.message
         is_none_taken = bool(why_no_sync)  # drives take RPDOs over at SYNC
         for axis, target, is_unsent in zip(self._axes, feedback, self._is_unsent, strict=True):
-            axis.report(target, now)
+            axis.report(target, now_ns)
             target.is_setpoint_lost = is_unsent or is_none_taken
             if alarm and not target.message:
                 target.message = alarm
@@ -201,12 +199,12 @@ class CyclicExchange:
         A drive that RPDOs do not reach is stopped by SDO. Commands that are too old, because the daemon was held up
         after their feedback, are not sent: the next cycle computes new ones.
         """
-        now = self._clock.now_ns()
+        now_ns = self._clock.now_ns()
         try:
             if not self._dry_run:
-                self._send_commands(commands, now)
-            if self._is_commanding and (self._guards or now >= self._next_heartbeat_ns):
-                self._feed(now)
+                self._send_commands(commands, now_ns)
+            if self._is_commanding:
+                self._feed(now_ns)
         except QueueFullError as error:  # what the drives did not get is a missed exchange
             self._unsent += 1
             if self._unsent > self._max_missed:
@@ -215,12 +213,12 @@ class CyclicExchange:
         else:
             self._unsent = 0
 
-    def _send_commands(self, commands: Sequence[Command], now: int) -> None:
+    def _send_commands(self, commands: Sequence[Command], now_ns: int) -> None:
         """Send the RPDOs of each axis that they reach, and what else is due.
 
         Before the RPDOs of an axis, its watchdog RPDO is sent when it is due, with the controlword in force.
         """
-        age_ns, send = now - self._sampled_ns, self._bus.send
+        age_ns, send = now_ns - self._sampled_ns, self._bus.send
         is_too_old = age_ns > self._oldest_ns and self._clock.is_real
         is_unsent = self._is_unsent
         for k in range(len(is_unsent)):
@@ -246,20 +244,21 @@ class CyclicExchange:
                     feeder.note(axis.controlword)
                     self._has_new_words = True
             if axis.needs_other_frames:
-                for can_id, data in axis.other_frames(request, now):
+                for can_id, data in axis.other_frames(request, now_ns):
                     send(can_id, data)
             is_unsent[k] = not axis.is_reachable  # then it has had at most an SDO, which carries no set-point
 
-    def _feed(self, now: int) -> None:
+    def _feed(self, now_ns: int) -> None:
         """Send the heartbeat and the remote frames of node guarding when due, unless the drives are to miss them."""
-        if now >= self._next_heartbeat_ns and not self._lets_heartbeat_lapse(now):
-            self._send_heartbeat(now)
+        if now_ns >= self._next_heartbeat_ns and not self._lets_heartbeat_lapse(now_ns):
+            self._bus.send(self._heartbeat_id, _OPERATIONAL)
+            self._next_heartbeat_ns = now_ns + self._heartbeat_ns
         for guard in self._guards:
-            if now >= guard.next_ns and not self._lets_heartbeat_lapse(now):
+            if now_ns >= guard.next_ns and not self._lets_heartbeat_lapse(now_ns):
                 self._bus.send_remote(guard.can_id, 1)
-                guard.next_ns = now + guard.period_ns
+                guard.next_ns = now_ns + guard.period_ns
 
-    def _lets_heartbeat_lapse(self, now: int) -> bool:
+    def _lets_heartbeat_lapse(self, now_ns: int) -> bool:
         """Return True if a drive that may have power can be stopped in no other way than by the lost heartbeat.
 
         All drives watch the same heartbeat: those in reach lose their power first, and a drive that answers SDO is
@@ -270,8 +269,8 @@ class CyclicExchange:
             self._lost_since_ns = None
             return False
         if self._lost_since_ns is None:
-            self._lost_since_ns = now
-        elapsed_ns = now - self._lost_since_ns
+            self._lost_since_ns = now_ns
+        elapsed_ns = now_ns - self._lost_since_ns
         if elapsed_ns <= _SDO_NS or elapsed_ns > _LAPSE_NS:
             return elapsed_ns > _LAPSE_NS
         is_answered = all(axis.state is not DriveState.UNKNOWN for axis in lost)
@@ -343,11 +342,6 @@ class CyclicExchange:
                 f"not every drive has answered SYNC for {waited_s:g} s: are they still running, and is 1005h of each "
             )
             raise DriveError(f"{text}{self._sync_id:03X}h (bus.sync_cob_id)?", code=codes.SYNC_NOT_ANSWERED)
-
-    def _send_heartbeat(self, now: int) -> None:
-        if not self._dry_run:
-            self._bus.send(self._heartbeat_id, _OPERATIONAL)
-        self._next_heartbeat_ns = now + self._heartbeat_ns
 
 
 def _join_handlers(axes: Sequence[CanopenAxis]) -> dict[int, Handler]:

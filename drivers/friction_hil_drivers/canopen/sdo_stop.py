@@ -16,13 +16,12 @@ from friction_hil_drivers.canopen.raw_sdo import SdoAnswer
 from friction_hil_drivers.canopen.temperature import TemperatureRead
 from friction_hil_drivers.cia402 import profile
 
-_MS = 1_000_000
-ANSWER_NS = 50 * _MS  # without an answer the request is repeated
-_OBEY_NS = 100 * _MS  # for the quick stop to begin; then voltage is disabled
-_QUICK_STOP_NS = 2_000 * _MS  # for the quick stop to end; then voltage is disabled all the same
-_BLIND_NS = 500 * _MS  # the same where 606Ch does not answer, or nothing does
-_STANDSTILL_NS = 50 * _MS
-_VERIFY_NS = 100 * _MS  # between two readings of a drive without power
+ANSWER_NS = 50_000_000  # without an answer the request is repeated
+_OBEY_NS = 100_000_000  # for the quick stop to begin; then voltage is disabled
+_QUICK_STOP_NS = 2_000_000_000  # for the quick stop to end; then voltage is disabled all the same
+_BLIND_NS = 500_000_000  # the same where 606Ch does not answer, or nothing does
+_STANDSTILL_NS = 50_000_000
+_VERIFY_NS = 100_000_000  # between two readings of a drive without power
 _ERROR_CODE_ATTEMPTS = 5
 _MOST_UNANSWERED = 2  # requests in a row; then the node may be in NMT state Stopped, which has no SDO
 
@@ -196,6 +195,14 @@ class ErrorCodeRead:
             self.code, self.attempts_left = answer.value(objects.ERROR_CODE), 0
 
 
+class _Pending(NamedTuple):
+    """Request that was sent, and who takes its answer."""
+
+    request: Request
+    taker: "SdoStop | ErrorCodeRead | TemperatureRead"
+    deadline_ns: int
+
+
 class CyclicSdo:
     """SDO requests to one node in the cyclic phase, one at a time; the stop comes first.
 
@@ -207,7 +214,7 @@ class CyclicSdo:
         See `SdoStop`.
     axis : int
         Number of the axis in a node with several.
-    temperature : TemperatureRead, optional
+    temperature : TemperatureRead
         What is read when nothing else is to be asked.
 
     Attributes
@@ -220,9 +227,6 @@ class CyclicSdo:
 
     __slots__ = (
         "_axis",
-        "_deadline_ns",
-        "_is_for_stop",
-        "_is_temperature",
         "_node",
         "_pending",
         "_temperature",
@@ -231,21 +235,14 @@ class CyclicSdo:
         "stop",
     )
 
-    def __init__(self, node: int, standstill: float, axis: int = 0, temperature: TemperatureRead | None = None) -> None:
+    def __init__(self, node: int, standstill: float, axis: int, temperature: TemperatureRead) -> None:
         self._node = node
         self._axis = axis
         self.stop = SdoStop(standstill)
         self.error_code = ErrorCodeRead()
         self.is_stopping = False
-        self._pending: Request | None = None
-        self._is_for_stop = self._is_temperature = False
-        self._temperature = TemperatureRead(None) if temperature is None else temperature
-        self._deadline_ns = 0
-
-    @property
-    def is_active(self) -> bool:
-        """True if `next` may return a frame."""
-        return self.is_stopping or self.error_code.attempts_left > 0
+        self._pending: _Pending | None = None
+        self._temperature = temperature
 
     def begin_stop(self, now_ns: int) -> None:
         """Begin to stop the drive."""
@@ -255,38 +252,41 @@ class CyclicSdo:
     def end_stop(self) -> None:
         """Leave the drive to RPDOs again."""
         self.is_stopping = False
-        if self._is_for_stop:
+        if self._pending is not None and self._pending.taker is self.stop:
             self._pending = None
 
     def next(self, now_ns: int) -> Frame | None:
         """Return the frame that is due; None while an answer is awaited, or if nothing is to be done."""
         if self._pending is not None:
-            if now_ns < self._deadline_ns:
+            if now_ns < self._pending.deadline_ns:
                 return None
             self._answered(self._pending, None, now_ns)
-        request = self.stop.request(now_ns) if self.is_stopping else None
-        self._is_for_stop = request is not None
-        request = request or self.error_code.request()
-        self._is_temperature = request is None
-        if request is None:
-            entry = self._temperature.request(now_ns)
-            if entry is None:
-                return None
-            request = Request(entry)
-        self._pending, self._deadline_ns = request, now_ns + ANSWER_NS
-        return request.of_axis(self._axis).frame(self._node)
+        pending = self._due(now_ns)
+        if pending is None:
+            return None
+        self._pending = pending
+        return pending.request.of_axis(self._axis).frame(self._node)
+
+    def _due(self, now_ns: int) -> _Pending | None:
+        """Return the request that is due: the stop comes first, the temperature last."""
+        deadline_ns = now_ns + ANSWER_NS
+        if self.is_stopping and (request := self.stop.request(now_ns)) is not None:
+            return _Pending(request, self.stop, deadline_ns)
+        if (request := self.error_code.request()) is not None:
+            return _Pending(request, self.error_code, deadline_ns)
+        if (entry := self._temperature.request(now_ns)) is not None:
+            return _Pending(Request(entry), self._temperature, deadline_ns)
+        return None
 
     def take(self, data: bytes, now_ns: int) -> None:
         """Take a frame of the SDO server; what answers no request of this client is ignored."""
         answer, pending = raw_sdo.decode(data), self._pending
-        if answer is not None and pending is not None and pending.of_axis(self._axis).is_answered_by(answer):
+        if answer is not None and pending is not None and pending.request.of_axis(self._axis).is_answered_by(answer):
             self._answered(pending, answer, now_ns)
 
-    def _answered(self, request: Request, answer: SdoAnswer | None, now_ns: int) -> None:
+    def _answered(self, pending: _Pending, answer: SdoAnswer | None, now_ns: int) -> None:
         self._pending = None
-        if self._is_for_stop:
-            self.stop.take(request, answer, now_ns)
-        elif self._is_temperature:
-            self._temperature.take(answer)
+        if isinstance(pending.taker, SdoStop):
+            pending.taker.take(pending.request, answer, now_ns)
         else:
-            self.error_code.take(answer)
+            pending.taker.take(answer)

@@ -103,7 +103,7 @@ class BusScheduler(ReplyReceiver):
     @property
     def keeps_silence(self) -> bool:
         """True if silence has to pass between frames."""
-        return self._silence_ns > 0
+        return bool(self._silence_ns)
 
     @property
     def is_finished(self) -> bool:
@@ -145,14 +145,14 @@ class BusScheduler(ReplyReceiver):
         """
         if self.queue or self._received or self.line.descriptor < 0:
             return False
-        now = self._now_ns()
-        if self._verdict(batch, now, deadline_ns) is not _SEND:
+        now_ns = self._now_ns()
+        if self._verdict(batch, now_ns, deadline_ns) is not _SEND:
             return False
         try:
             data = b""
             for exchange in batch.exchanges:
                 data += exchange.constant or exchange.encode()
-            self._write(data, now, batch.answered)
+            self._write(data, now_ns, batch.answered)
         except LineGoneError as gone:
             self._lose_line(gone)
             return True
@@ -225,22 +225,22 @@ class BusScheduler(ReplyReceiver):
             self._expect_late()
             self.line.acknowledge()
 
-    def _verdict(self, batch: Batch, now: int, deadline_ns: int | None, chars: int = 0) -> Verdict:
+    def _verdict(self, batch: Batch, now_ns: int, deadline_ns: int | None, chars: int = 0) -> Verdict:
         """Decide if requests may be sent; all requests on the line obey this rule.
 
         Parameters
         ----------
         batch : Batch
             A single request, or the requests of an undisturbed cycle.
-        now : int
-            Monotonic time, ns.
+        now_ns : int
+            Monotonic time.
         deadline_ns : int or None
             Time by which all replies have to be complete.
         chars : int
             Characters of other requests that precede it in the same write.
         """
         outstanding = self.outstanding
-        if not (batch.are_joint if self.state.is_normal else self._is_permitted(batch, is_joined=chars > 0)):
+        if not (batch.are_joint if self.state.is_normal else self._is_permitted(batch, is_joined=bool(chars))):
             return _WAIT
         ahead_chars = batch.ahead_chars
         if outstanding:
@@ -250,13 +250,13 @@ class BusScheduler(ReplyReceiver):
         elif chars:
             if self._silence_ns:
                 return _WAIT
-        elif now < self._quiet_until_ns:
+        elif now_ns < self._quiet_until_ns:
             return _WAIT
         if ahead_chars and self._unread_chars + chars + ahead_chars > self._ahead_chars:
             return _WAIT
         if deadline_ns is not None:
             busy_ns = self._busy_until_ns
-            if (busy_ns if busy_ns > now else now) + batch.wire_ns > deadline_ns:
+            if (busy_ns if busy_ns > now_ns else now_ns) + batch.wire_ns > deadline_ns:
                 return _TOO_LATE
         return _SEND
 
@@ -281,15 +281,17 @@ class BusScheduler(ReplyReceiver):
 
     def _send_next(self) -> bool:
         """Send the next request, or several together; return True if another one may be sent without a wait."""
-        index: int | None = 0
-        is_on_time = self.state.timeliness is Timeliness.ON_TIME
-        queue = self.queue if is_on_time else deque(self._late.for_others(self.queue))
-        if not is_on_time and (index := self._late.first_to_send(queue)) is None:
-            return False
-        verdict = self._verdict(self._single(queue[index or 0]), self._now_ns(), self.deadline_ns)
+        index, queue = 0, self.queue
+        if self.state.timeliness is not Timeliness.ON_TIME:
+            queue = deque(self._late.for_others(queue))
+            first = self._late.first_to_send(queue)
+            if first is None:
+                return False
+            index = first
+        verdict = self._verdict(self._single(queue[index]), self._now_ns(), self.deadline_ns)
         if verdict is _WAIT:
             return False
-        if not is_on_time:
+        if queue is not self.queue:
             self._replace_queue(queue)
         if self._received and not self.outstanding:  # otherwise it is the beginning of an expected reply
             self._take_unsolicited()
@@ -297,8 +299,8 @@ class BusScheduler(ReplyReceiver):
         sending: list[Exchange] = []
         unanswered: list[Exchange] = []
         while verdict is _SEND:
-            exchange = self.queue[index or 0]
-            del self.queue[index or 0]
+            exchange = self.queue[index]
+            del self.queue[index]
             data += exchange.encode()
             sending.append(exchange)
             (self.outstanding if exchange.reply_size else unanswered).append(exchange)
@@ -307,7 +309,7 @@ class BusScheduler(ReplyReceiver):
             index = 0
             verdict = self._verdict(self._single(self.queue[0]), self._now_ns(), self.deadline_ns, len(data))
         if verdict is _TOO_LATE:
-            self._drop_queue(self.queue[index or 0])
+            self._drop_queue(self.queue[index])
         if data:
             self._write(data, self._now_ns(), self.outstanding)
             self.sent.update(sending)
@@ -332,7 +334,7 @@ class BusScheduler(ReplyReceiver):
         for exchange in unanswered:
             if exchange.reports_refusal:
                 self.refusals.unconfirmed.append(exchange)
-            if self._callbacks and exchange in self._callbacks:
+            if exchange in self._callbacks:
                 self._callbacks.pop(exchange)()
 
     def _single(self, exchange: Exchange) -> Batch:
@@ -346,14 +348,14 @@ class BusScheduler(ReplyReceiver):
             self._singles[exchange] = batch
         return batch
 
-    def _write(self, data: bytes, now: int, answered: Collection[Exchange]) -> None:
+    def _write(self, data: bytes, now_ns: int, answered: Collection[Exchange]) -> None:
         """Write requests to the line; ``answered`` are those with a reply."""
         self.line.write(data)
         size = len(data)
         self._unread_chars += size
-        self._sent_ns = now
+        self._sent_ns = now_ns
         busy_ns = self._busy_until_ns
-        self._busy_until_ns = busy_ns = (busy_ns if busy_ns > now else now) + size * self._character_ns
+        self._busy_until_ns = busy_ns = (busy_ns if busy_ns > now_ns else now_ns) + size * self._character_ns
         if self._silence_ns and not answered:
             self._quiet_until_ns = busy_ns + self._silence_ns
 
@@ -371,7 +373,7 @@ class BusScheduler(ReplyReceiver):
         """Try to reopen the line; queued requests are dropped."""
         self.queue.clear()
         self._callbacks.clear()
-        now = self._now_ns()
-        if now >= self._next_reopen_ns:
-            self._next_reopen_ns = now + _REOPEN_NS
+        now_ns = self._now_ns()
+        if now_ns >= self._next_reopen_ns:
+            self._next_reopen_ns = now_ns + _REOPEN_NS
             self.line.reopen()
