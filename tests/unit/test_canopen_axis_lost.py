@@ -330,6 +330,18 @@ def test_a_node_that_answers_no_sdo_is_started_unless_it_restarted(is_restarted)
         assert sent.index(NMT_START) == 2, "after two requests without an answer"
 
 
+def test_a_node_that_has_answered_is_started_only_after_two_more_requests_without_an_answer():
+    bench, sent = Bench(Mode.CSV), []
+    bench.heard(mode=9)
+    for _ in range(200):
+        bench.cycle()
+        for frame in bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns):
+            sent.append(frame)
+            if sent == [QUICK_STOP_BY_SDO]:
+                bench.axis.handlers[0x585](WRITTEN)
+    assert sent[:4] == [QUICK_STOP_BY_SDO, READ_STATE, QUICK_STOP_BY_SDO, NMT_START]
+
+
 def test_the_error_code_of_a_fault_without_emergency_is_read():
     bench = Bench()
     bench.heard()

@@ -42,6 +42,7 @@ class _Worker:
         self._requests, self._replies = os.fdopen(requests), os.fdopen(replies, "w")
         self._callers: dict[str, set[str]] = {}  # function as "name line": tests that call it
         self._times: dict[str, float] = {}
+        self._functions: list[FunctionType] = []
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
@@ -52,6 +53,8 @@ class _Worker:
         self._reply(
             status="passed" if is_passed else "failed", tests=len(session.items), seconds=time.monotonic() - began_s
         )
+        self._functions = [each for each in gc.get_objects() if self._is_own(each)]
+        gc.freeze()  # a fork that collects what was there before would copy it
         items = list(session.items)
         for line in self._requests:
             number = int(line)
@@ -65,6 +68,9 @@ class _Worker:
             self._reply(status=status, tests=len(session.items), seconds=time.monotonic() - began_s)
         return True
 
+    def _is_own(self, found: object) -> bool:
+        return isinstance(found, FunctionType) and found.__code__.co_filename == self._file
+
     def _reply(self, **values: Any) -> None:
         self._replies.write(json.dumps(values) + "\n")
         self._replies.flush()
@@ -76,7 +82,7 @@ class _Worker:
         return set(self._callers.get(f"{change.function[0]} {change.function[1]}", ()))
 
     def _try(self, session: pytest.Session, number: int, change: Change) -> bool:
-        _apply(change, codes_of(self._source, number, self._file), self._file, name_of(self._path))
+        _apply(change, codes_of(self._source, number, self._file), self._functions, name_of(self._path))
         return _passes(session)
 
     def _first_run(self, session: pytest.Session) -> bool:
@@ -139,16 +145,13 @@ def _passes(session: pytest.Session) -> bool:
     return not session.testsfailed
 
 
-def _apply(change: Change, codes: list[CodeType], file: str, module: str) -> None:
+def _apply(change: Change, codes: list[CodeType], functions: list[FunctionType], module: str) -> None:
     """Put the changed code in the place of that of the function, or the changed value in that of the constant."""
     if change.function is not None:
-        name, line = change.function
-        new = next(each for each in codes if (each.co_name, each.co_firstlineno) == (name, line))
-        for found in gc.get_objects():
-            if isinstance(found, FunctionType):
-                old = found.__code__
-                if (old.co_filename, old.co_name, old.co_firstlineno) == (file, name, line):
-                    found.__code__ = new
+        new = next(each for each in codes if (each.co_name, each.co_firstlineno) == change.function)
+        for found in functions:
+            if (found.__code__.co_name, found.__code__.co_firstlineno) == change.function:
+                found.__code__ = new
         return
     own = vars(sys.modules[module])
     before, scratch = own[change.where], dict(own)
