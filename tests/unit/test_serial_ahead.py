@@ -1,10 +1,11 @@
 """Requests on a serial line that are sent before the reply to the last one, where the drive takes them in."""
 
 import pytest
+from friction_hil_drivers.serial_line.wire import Batch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.scheduler_bench import Ahead
+from tests.scheduler_bench import Ahead, Bench
 from tests.serial_peers import Push, Word
 
 
@@ -132,3 +133,14 @@ def test_while_a_drive_owes_a_reply_what_has_to_wait_for_it_is_not_sent_later():
     bench.scheduler.flush()
     assert not bench.scheduler.queue
     assert bench.line.sent == [b"a?", b"torque=0.1;"]
+
+
+def test_requests_are_said_at_once_only_where_no_silence_has_to_pass_between_them():
+    silent, ahead = Bench(), Ahead()
+    for bench, is_joint in ((silent, False), (ahead, True)):
+        bench.image.values.update(torque=0.1, velocity=0.2)
+        commands = [Push(bench.image, "torque"), Push(bench.image, "velocity")]
+        batch = Batch.of(commands, 0, keeps_silence=bench.scheduler.keeps_silence)
+        assert bench.scheduler.send_batch(batch, None) is is_joint
+        assert bench.line.sent == ([b"torque=0.1;velocity=0.2;"] if is_joint else [])
+        assert bench.scheduler.sent == (set(commands) if is_joint else set())

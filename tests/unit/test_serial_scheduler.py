@@ -2,6 +2,7 @@
 
 import pytest
 from friction_hil_drivers.modbus.framing import RtuFraming
+from friction_hil_drivers.serial_line.protocol import Image
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.wire import Batch
 from hypothesis import given
@@ -458,3 +459,35 @@ def test_a_request_to_several_drives_is_made_to_those_that_owe_nothing_and_done_
     assert bench.line.sent == [b"first?", b"second?", b"third?"]
     assert calls == ["both", "third"]
     assert bench.image.values == {"second": 2.0, "third": 3.0}
+
+
+def test_the_moment_at_which_there_is_something_to_do_is_known_where_nothing_needs_to_arrive_first():
+    bench = Bench(**{"position?": b"12;"})
+    bench.line.descriptor = 0
+    bench.scheduler.enqueue((Ask(bench.image, "position"), Ask(bench.image, "velocity"), Ask(bench.image, "torque")))
+    bench.scheduler.poll()
+    assert bench.scheduler.due_ns is None, "a reply is awaited"
+    bench.scheduler.poll()
+    assert bench.scheduler.due_ns == bench.time.ns + round(SILENCE_MS * MS)
+    bench.line.close()
+    assert bench.scheduler.due_ns is None
+
+
+def test_where_replies_have_no_name_the_next_one_after_a_broken_one_is_dropped_and_those_that_may_follow():
+    bench = Bench(**{"position?": b"1x;"})
+    bench.scheduler = BusScheduler(bench.line, [bench.image, Image()], 0.0, 0.05, bench.time, anonymous_reply_s=5e-3)
+    bench.ask()
+    bench.go(4.0)
+    bench.answers["position?"] = b"12;"
+    bench.ask()
+    bench.scheduler.poll()
+    bench.scheduler.poll()
+    assert bench.line.sent == [b"position?"] * 2
+    assert not bench.image.fresh
+    assert bench.scheduler.due_ns == bench.time.ns + 5 * MS, "for as long as a reply takes"
+    bench.ask()
+    bench.go(4.9)
+    assert len(bench.line.sent) == 2
+    bench.go(0.4)
+    assert len(bench.line.sent) == 3
+    assert bench.image.values == {"position": 12.0}

@@ -9,7 +9,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "friction_hil/daemon/command.py": ("command",),
     f"{_CANOPEN}/sdo_stop.py": ("canopen_axis_lost",),
     f"{_CANOPEN}/exchange.py": ("canopen_cycle",),
-    f"{_SERIAL}/scheduler.py": ("serial_ahead", "serial_scheduler", "serial_stalls"),
+    f"{_SERIAL}/scheduler.py": ("serial_ahead", "serial_scheduler"),
 }
 
 
