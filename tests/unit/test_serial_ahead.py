@@ -1,12 +1,14 @@
 """Requests on a serial line that are sent before the reply to the last one, where the drive takes them in."""
 
 import pytest
+from friction_hil_drivers.serial_line.protocol import Image
+from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.wire import Batch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.scheduler_bench import Ahead, Bench
-from tests.serial_peers import Push, Word
+from tests.serial_peers import Ask, Push, Word
 
 
 def test_requests_whose_replies_differ_go_out_together_and_are_answered_in_order():
@@ -144,3 +146,79 @@ def test_requests_are_said_at_once_only_where_no_silence_has_to_pass_between_the
         assert bench.scheduler.send_batch(batch, None) is is_joint
         assert bench.line.sent == ([b"torque=0.1;velocity=0.2;"] if is_joint else [])
         assert bench.scheduler.sent == (set(commands) if is_joint else set())
+
+
+def test_as_much_is_sent_ahead_as_the_drive_takes_in():
+    bench = Ahead(chars=len("a?abc?"))
+    bench.scheduler.enqueue((bench.one, bench.three))
+    bench.scheduler.poll()
+    assert bench.line.sent == [b"a?abc?"]
+
+
+def broken(bench, noisy_ms=0.0):
+    """After a broken reply, and bytes that came for so long; then the line is quiet."""
+    bench.image.values["t"] = 0.0
+    bench.scheduler.enqueue((bench.one,))
+    bench.scheduler.poll()
+    bench.line.arrived += b"xx 1;"
+    for _ in range(round(10.0 * noisy_ms)):
+        bench.scheduler.poll()
+        bench.line.arrived += b"#"
+        bench.time.pass_ms(0.1)
+    bench.go(5.0)
+    bench.line.sent.clear()
+    return bench
+
+
+def said(bench, *exchanges):
+    bench.scheduler.enqueue(exchanges)
+    bench.scheduler.poll()
+    bench.scheduler.poll()
+    return bench.line.sent
+
+
+def anonymous():
+    """A line on which a reply does not show which of two drives it is from."""
+    bench = Ahead()
+    bench.scheduler = BusScheduler(
+        bench.line, [bench.image, Image()], 0.0, 0.05, bench.time, ahead_chars=64, anonymous_reply_s=3e-3
+    )
+    return bench
+
+
+def test_where_the_next_reply_may_be_an_old_one_each_request_is_said_alone():
+    bench = broken(anonymous())
+    assert said(bench, bench.one, bench.three) == [b"a?"]
+    bench = broken(anonymous())
+    assert said(bench, Push(bench.image, "t"), bench.one) == [b"t=0;", b"a?"]
+    bench = broken(Ahead())
+    assert said(bench, Push(bench.image, "t"), bench.one, bench.three) == [b"t=0;a?abc?"], "in step again"
+
+
+def test_on_a_line_that_never_was_quiet_requests_go_together_but_not_behind_a_command():
+    bench = broken(Ahead(), noisy_ms=200.0)
+    assert said(bench, bench.one, bench.three) == [b"a?abc?"]
+    bench = broken(Ahead(), noisy_ms=200.0)
+    assert said(bench, Push(bench.image, "t"), bench.one) == [b"t=0;", b"a?"]
+
+
+def test_while_a_drive_is_silent_a_cycle_is_not_said_at_once():
+    """It is asked after the others."""
+    bench = Bench(reply_limit_ms=0.0)
+    assert bench.cycle() is None
+    batch = Batch.of([Ask(bench.image, "position")], 0, keeps_silence=True)
+    assert not bench.scheduler.send_batch(batch, None)
+    assert bench.line.sent == [b"position?"]
+
+
+@pytest.mark.parametrize(("is_noisy", "is_command"), [(False, False), (False, True), (True, False), (True, True)])
+def test_while_a_late_reply_is_coming_in_only_a_command_on_a_noisy_line_does_not_wait(is_noisy, is_command):
+    bench = broken(Ahead(), noisy_ms=200.0 if is_noisy else 0.0)
+    bench.scheduler.enqueue((bench.one,))
+    bench.go(5.0)
+    bench.scheduler.end_cycle()
+    bench.line.sent.clear()
+    bench.line.arrived += b"a"
+    bench.scheduler.poll()
+    exchange = Push(bench.image, "t") if is_command else Ask(bench.image, "there", "second")
+    assert said(bench, exchange) == [b"t=0;"] * (is_noisy and is_command)
