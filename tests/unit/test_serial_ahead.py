@@ -222,3 +222,16 @@ def test_while_a_late_reply_is_coming_in_only_a_command_on_a_noisy_line_does_not
     bench.scheduler.poll()
     exchange = Push(bench.image, "t") if is_command else Ask(bench.image, "there", "second")
     assert said(bench, exchange) == [b"t=0;"] * (is_noisy and is_command)
+
+
+def test_the_beginning_of_a_reply_stays_when_the_next_request_follows():
+    bench = Ahead()
+    bench.scheduler.enqueue((bench.three,))
+    bench.scheduler.poll()
+    bench.line.arrived = b"ab"
+    bench.scheduler.enqueue((bench.one,))
+    bench.scheduler.poll()
+    assert bench.line.sent == [b"abc?", b"a?"]
+    bench.line.arrived = b"c 3;a 1;"
+    bench.scheduler.poll()
+    assert bench.image.values == {"abc": 3.0, "a": 1.0}

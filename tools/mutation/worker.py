@@ -18,6 +18,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType
 from typing import Any
@@ -64,7 +65,7 @@ class _Worker:
             limit_s = max(_LEAST_S, _FACTOR * sum(self._times.get(name, 0.0) for name in names))
             status = "not called"
             if session.items:
-                status = _forked(lambda number=number, change=change: self._try(session, number, change), limit_s)
+                status = _forked(partial(self._try, session, number, change), limit_s)
             self._reply(status=status, tests=len(session.items), seconds=time.monotonic() - began_s)
         return True
 
