@@ -171,8 +171,8 @@ def broken(bench, noisy_ms=0.0):
 
 
 def said(bench, *exchanges):
+    """What is said at once, in whole writes."""
     bench.scheduler.enqueue(exchanges)
-    bench.scheduler.poll()
     bench.scheduler.poll()
     return bench.line.sent
 

@@ -454,9 +454,9 @@ def test_a_request_to_several_drives_is_made_to_those_that_owe_nothing_and_done_
     bench.go(5.0)
     bench.scheduler.end_cycle()
     bench.scheduler.enqueue((Both(bench.image),), lambda: calls.append("both"))
-    bench.scheduler.enqueue((Ask(bench.image, "third", "third"),), lambda: calls.append("third"))
+    bench.scheduler.enqueue((Both(bench.image), Ask(bench.image, "third", "third")), lambda: calls.append("third"))
     bench.go(5.0)
-    assert bench.line.sent == [b"first?", b"second?", b"third?"]
+    assert bench.line.sent == [b"first?", b"second?", b"second?", b"third?"]
     assert calls == ["both", "third"]
     assert bench.image.values == {"second": 2.0, "third": 3.0}
 
