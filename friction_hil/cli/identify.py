@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from friction_hil.cli.options import option_families, option_json, option_validate, result_options
+from friction_hil.cli.options import option_families, option_json, option_validate, option_verbose, result_options
 from friction_hil.cli.recording_options import recording_options
 
 
@@ -124,6 +124,7 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
     "the axis in closed loop, from position_demand.",
 )
 @result_options
+@option_verbose
 @option_json
 def command(**options: Any) -> int:
     """Identify the friction model of an axis, its parameters with errors, inertia, offset and gravity.

@@ -11,6 +11,7 @@ from friction_hil.cli.completion import complete_models
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 option_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
+option_verbose = click.option("-v", "--verbose", is_flag=True, help="Print the details too.")
 option_reset_fault = click.option("--reset-fault", is_flag=True, help="Reset a fault of a drive before enabling it.")
 option_axes = click.option(
     "--axis", "axes", multiple=True, metavar="NAME", help="Only the axis NAME; may be repeated. Default: all axes."

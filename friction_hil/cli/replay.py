@@ -33,7 +33,12 @@ from friction_hil.cli.recording_options import recording_options
 )
 @recording_options
 @option_lowpass
-@click.option("--decimate", type=click.IntRange(min=1), default=1, metavar="N", help="Use every N-th sample.")
+@click.option(
+    "--decimate",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Use every N-th sample; as 'identify' does by default. 1 compares every sample, with the noise of the torque.",
+)
 @click.option("--output", type=click.Path(path_type=Path), metavar="PICTURE", help="Draw into PICTURE (.png, .svg).")
 @click.option(
     "--scheduler",
@@ -49,8 +54,8 @@ def command(**options: Any) -> int:
     that cannot be read is reported and does not stop the others. Formats and columns are those of `convert`.
 
     Without --model, a recording of the daemon is compared with the model that it ran with. Velocity and acceleration
-    are derived from the position if there is no velocity, or with --lowpass. relative error = norm(measured -
-    predicted) / norm(measured).
+    are derived from the position if there is no velocity, or with --lowpass. The error is the relative_error that
+    'identify' and 'train' print, of torques that were prepared alike: norm(measured - predicted) / norm(measured).
 
     --verify feeds the recording through the whole compensator, which must reproduce the recorded compensation. If it
     does not, the first cycle that differs is reported, and the exit status is 1.

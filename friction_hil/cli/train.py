@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from friction_hil.cli.completion import complete_model
-from friction_hil.cli.options import option_json, option_lowpass, option_validate, result_options
+from friction_hil.cli.options import option_json, option_lowpass, option_validate, option_verbose, result_options
 from friction_hil.cli.recording_options import recording_options
 
 
@@ -91,6 +91,7 @@ def _names(context: click.Context, parameter: click.Parameter, text: str) -> tup
 @recording_options
 @option_lowpass
 @result_options
+@option_verbose
 @option_json
 def command(**options: Any) -> int:
     """Train a network on the friction of an axis, with the Levenberg-Marquardt method.

@@ -12,6 +12,7 @@ from friction_hil.cli.options import (
     option_json,
     option_reset_fault,
     option_simulate,
+    option_verbose,
 )
 
 
@@ -38,18 +39,25 @@ from friction_hil.cli.options import (
     is_flag=True,
     help="Shake each axis too while it slides, for half a minute, to find masses and resonance behind the motor.",
 )
+@click.option(
+    "--apply",
+    is_flag=True,
+    help="Write model and gain that helped into CONFIG; its comments stay.",
+)
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation before the axes move.")
 @option_simulate
 @option_reset_fault
 @option_daemon_pace
+@option_verbose
 @option_json
 def command(**options: Any) -> int:
     """Identify the friction of the axes of CONFIG on the machine, and test the compensation.
 
     Each axis moves as far and as fast as its 'experiment' allows. From this motion a friction model and the inertia are
     identified. They are tested on the trajectories of the axes and on slow, small and fast motions, without and with
-    compensation, and kept if the following error is smaller with it. The model file that CONFIG names need not exist:
-    tune writes it. An existing one is not changed; the new model is then in DIR.
+    compensation, and the best one at other gains too. Model and gain with the smallest following error are
+    recommended; --apply writes them into CONFIG. The model file that CONFIG names need not exist: tune writes it. An
+    existing one is not changed; the new model is then in DIR.
 
     Exit status 1 if a model did not help, after a fault, or if a drive was not left as it was found.
     """

@@ -61,10 +61,13 @@ class ConditionFigures(Figures):
     counted, left_out : int
         Cycles that count, and those that do not because a period was missed or feedback was late, in them or shortly
         before.
+    is_whole : bool
+        False if they are less than a period of the motion, and so miss parts of it.
     """
 
     counted: int
     left_out: int
+    is_whole: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +115,8 @@ class AxisFigures:
     def reduction(self) -> Figures | None:
         """Ratios of the following error without to with compensation; None if there is nothing to compare."""
         if self.without is None or self.compensated is None or not self.is_comparable:
+            return None
+        if not (self.without.is_whole and self.compensated.is_whole):
             return None
         return self.without.times(self.compensated)
 
@@ -320,7 +325,8 @@ class FollowingErrors:
         rms, peak = math.sqrt(total.square / total.count), total.peak
         if delay:
             rms, peak = total.sums.rms(delay), total.sums.peak(delay)
-        return ConditionFigures(rms, peak, total.count, total.left_out)
+        is_whole = math.isinf(self._length) or self._parts[condition].whole.count > 0
+        return ConditionFigures(rms, peak, total.count, total.left_out, is_whole)
 
     def intervals(self, condition: Condition) -> list[tuple[int, int]]:
         """Return the first cycle of what counts, from the begin of the motion, and the first one after it."""

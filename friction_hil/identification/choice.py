@@ -187,6 +187,9 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks", kind: str = "") -> tuple
     else:
         shown = "whose parameters the data determine"
     first = f"of {len(ordered)} {kind}candidates {best.label} predicts {where} best, with an error of {_percent(best)}"
+    least = min(ordered, key=lambda each: each.held_out.rmse)
+    if _percent(least) != _percent(best):
+        first += f" (the smallest, {_percent(least)} of {least.label}, comes from a few stretches of time)"
     if chosen is best:
         return chosen, f"{first}, and no simpler one within one standard error of it does as well"
     if chosen in close:

@@ -18,6 +18,7 @@ from friction_hil.recordings.segments import (
     LEAST_KNOWN_FRACTION,
     EvenSignals,
     Segment,
+    default_decimation,
     even_signals,
     is_position_integrated,
     known_fraction,
@@ -28,11 +29,9 @@ Mask = NDArray[np.bool_]
 
 LEAST_ROWS = 50  # after decimation: below, errors of parameters and folds of cross-validation mean nothing
 _STEADY_RATIO = 0.02  # of the top speed: if the speed changes by less, the end of a segment is steady
-_DEFAULT_DECIMATION = 10
 _SLOW = ("load_torque", "temperature", "position_demand")  # used where they are known
 _NOISE_RATIO = 0.2  # of the acceleration: more noise of the counts makes an inertia too small
 _CUT_STEP, _LEAST_CUT = 0.8, 0.1  # of the low-pass, for the acceleration alone
-_ROWS_TO_KEEP = 1000  # the default decimation leaves at least as many
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,7 +174,7 @@ def prepare(
 def _decimation(rows: int, wanted: int | None) -> int:
     """Return the decimation of segments of up to ``rows`` rows."""
     if wanted is None:
-        return min(_DEFAULT_DECIMATION, max(1, rows // _ROWS_TO_KEEP))
+        return default_decimation(rows)
     if wanted < 1:
         raise UsageError(f"decimate by a whole number from 1, not {wanted}")
     return wanted

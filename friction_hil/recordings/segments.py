@@ -22,6 +22,7 @@ from friction_hil.recordings.recording import Recording
 _LONGEST_DELAY_S = 1.0  # of a torque that a driver reads late
 
 INTEGRATED = "velocity, integrated"  # source of a position that no file has
+_DEFAULT_DECIMATION, _ROWS_TO_KEEP = 10, 1000  # 1 in 10, or more where fewer rows would be left
 DEFAULT_LOWPASS_RATIO = 0.1  # of the sampling rate, where the velocity is derived from the position
 LEAST_KNOWN_FRACTION = 0.9  # of the rows: a slow input with fewer values is not used
 
@@ -171,6 +172,11 @@ def is_position_integrated(recording: Recording) -> bool:
 def known_fraction(recording: Recording, name: str) -> float:
     """Return the fraction of rows in which a column has a value; 0 if there is no such column."""
     return float(np.mean(np.isfinite(without_overflow(recording[name])))) if name in recording else 0.0
+
+
+def default_decimation(rows: int) -> int:
+    """Return the decimation of the torques that identification, training and replay compare, where none is given."""
+    return min(_DEFAULT_DECIMATION, max(1, rows // _ROWS_TO_KEEP))
 
 
 def even_signals(

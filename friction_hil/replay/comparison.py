@@ -16,7 +16,7 @@ from friction_hil.errors import RecordingError, UsageError
 from friction_hil.models.model_file import ModelFile, TorqueSignal
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
-from friction_hil.recordings.segments import Segment
+from friction_hil.recordings.segments import Segment, default_decimation
 from friction_hil.replay.preparation import Reduction, replay_segments
 from friction_hil.replay.wrong_units import wrong_unit
 
@@ -77,7 +77,7 @@ def replay(
     models: Mapping[str, ModelFile],
     *,
     lowpass_hz: float | None = None,
-    decimate: int = 1,
+    decimate: int | None = 1,
 ) -> Replay:
     """Predict the torque of a recording with each model.
 
@@ -90,8 +90,9 @@ def replay(
     lowpass_hz : float, optional
         Cut-off of a 4th-order Butterworth low-pass, forward and backward, over everything; velocity and
         acceleration then come from the position. A tenth of the sampling rate where there is no velocity.
-    decimate : int
-        Keep each n-th sample, after an 8th-order Chebyshev filter, forward and backward.
+    decimate : int, optional
+        Keep each n-th sample, after an 8th-order Chebyshev filter, forward and backward; None: as identification
+        does by default, so that both have the same error.
 
     Raises
     ------
@@ -100,10 +101,10 @@ def replay(
     UsageError
         A filter does not fit the sampling rate.
     """
-    if decimate < 1:
+    if decimate is not None and decimate < 1:
         raise UsageError(f"decimate by a whole number from 1, not {decimate}")
     segments, settling, problems = replay_segments(recording, lowpass_hz, decimate)
-    reduced = Reduction(settling, decimate)
+    reduced = Reduction(settling, decimate or default_decimation(max(len(each.torque) for each in segments)))
     recorded = reduced([each.torque for each in segments])
     predictions = []
     for name, model in models.items():

@@ -19,6 +19,7 @@ from friction_hil.recordings.segments import (
     LEAST_KNOWN_FRACTION,
     EvenSignals,
     Segment,
+    default_decimation,
     even_signals,
     known_fraction,
     with_position,
@@ -26,7 +27,7 @@ from friction_hil.recordings.segments import (
 
 
 def replay_segments(
-    recording: Recording, lowpass_hz: float | None = None, factor: int = 1
+    recording: Recording, lowpass_hz: float | None = None, factor: int | None = 1
 ) -> tuple[list[Segment], int, list[str]]:
     """Bring a recording to low-passed segments that are long enough for the filters.
 
@@ -34,8 +35,8 @@ def replay_segments(
     ----------
     recording, lowpass_hz
         As of `friction_hil.replay.comparison.replay`.
-    factor : int
-        Decimation that is to follow.
+    factor : int, optional
+        Decimation that is to follow; that of identification by default.
 
     Returns
     -------
@@ -53,9 +54,10 @@ def replay_segments(
     recording = with_position(recording)
     recording.require("torque")
     problems = list(recording.problems)
-    signals = even_signals(recording, _known_inputs(recording, problems), lowpass_hz=lowpass_hz)
+    inputs = _known_inputs(recording, problems)
+    signals = even_signals(recording, inputs, lowpass_hz=lowpass_hz, is_torque_delay_removed=True)
     problems += signals.problems
-    rows = _long_enough(signals, factor, problems)
+    rows = _long_enough(signals, default_decimation(signals.longest) if factor is None else factor, problems)
     return [signals.segment(each).lowpassed() for each in rows], signals.settling_rows, problems
 
 

@@ -47,7 +47,7 @@ class ReplayTask:
     where: str | None = None
     rate_hz: float | None = None
     lowpass_hz: float | None = None
-    decimate: int = 1
+    decimate: int | None = None
     picture: str | None = None
     draw: Callable[[Replay, Path], None] | None = None
     name: str = ""

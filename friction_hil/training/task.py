@@ -46,6 +46,10 @@ class TrainingTask:
         Error of the model beside the network, or of the best physical one, on the same samples.
     physical : str
         Name of that model.
+    prepared : tuple of RegressionSegment
+        Records of the validation samples as `identify` prepares them, for the relative error.
+    is_at_full_rate : bool
+        True if the samples are not low-passed.
     least_speed : float
         Slowest speed that the recordings visit and the encoder shows, see `visited.least_speed`; 0 without recordings.
     """
@@ -61,6 +65,8 @@ class TrainingTask:
     base_error: Array = field(default_factory=lambda: np.zeros(0))
     physical: str = ""
     least_speed: float = 0.0
+    prepared: tuple[RegressionSegment, ...] = ()
+    is_at_full_rate: bool = False
 
     @property
     def base(self) -> FrictionModel | None:
@@ -142,7 +148,8 @@ def task_of_recordings(
             "is not known. Beside a model (without --structure, or with residual) that model remains there"
         )
     notes += dict.fromkeys(problem for record in (*records, *others) for problem in record.problems)
-    if lowpass_hz is None and all(map(_is_counted, (*records, *others))):
+    prepared = others or records
+    if is_fine := lowpass_hz is None and all(map(_is_counted, (*records, *others))):
         records, others = [list(map(fine.at_full_rate, each)) for each in (records, others)]
         notes.append("velocity derived from the counts of the encoder, in bands, each as far as it exceeds their noise")
     records, others = _in_torque(records, recordings, known), _in_torque(others, validation, known)
@@ -168,6 +175,8 @@ def task_of_recordings(
         base_error=data.of_records(compared, known.mechanics, base).torque,
         physical=name,
         least_speed=slowest,
+        prepared=tuple(prepared),
+        is_at_full_rate=is_fine,
     )
 
 

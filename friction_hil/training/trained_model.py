@@ -105,12 +105,31 @@ class TrainedModel:
 
     @property
     def relative_errors(self) -> dict[str, float]:
-        """norm(error) / norm(measured torque) on the validation samples, for the network and the physical models."""
+        """norm(error) / norm(measured torque) on the validation samples, for the network and the physical models.
+
+        The torques are prepared as `identify` and `replay` prepare them.
+        """
         if not self.task.total.size:
             return {}
-        weight = np.sqrt(self.task.validation.weight)
-        norm = float(np.linalg.norm(weight * self.task.total))
-        return {name: float(np.linalg.norm(weight * left)) / norm for name, left in self._left().items()}
+        norm = self._norm(self.task.total)
+        return {name: self._norm(left) / norm for name, left in self._left().items()}
+
+    def _norm(self, torque: Array) -> float:
+        """Return the norm of a torque (n,) on the validation samples, low-passed and decimated."""
+        samples, task = self.task.validation, self.task
+        begins = np.flatnonzero(samples.starts)[1:]
+        parts = zip(task.prepared, np.split(torque, begins), np.split(samples.weight, begins), strict=True)
+        return math.sqrt(
+            sum(
+                float(
+                    np.sum(
+                        each.kept_rows(weight)
+                        * (each.reduce if task.is_at_full_rate else each.reduce_smooth)(part) ** 2
+                    )
+                )
+                for each, part, weight in parts
+            )
+        )
 
     @property
     def gains(self) -> dict[str, Gain]:

@@ -10,6 +10,7 @@ from friction_hil.daemon.safety import SPEED_MARGIN
 from friction_hil.motion.experiment import coarsest, is_fast
 from friction_hil.motion.trajectory import extent
 from friction_hil.numerics.readable import brief
+from friction_hil.tuning.gains import MOST
 from friction_hil.tuning.trial_motions import RESTS, SLOW, SMALL, TINY
 
 _ROUNDING = 1e-6
@@ -109,8 +110,12 @@ def trial_text(
     speeds = allowed_speeds(run, bounds)
     lines = [line for name in bounds for line in _motions(name, run, speeds[name])]
     turns = ", ".join(["without compensation", *(f"compensated by {_models(each)}" for each in labels)])
+    has_other_gains = any(run.axes[name].compensation.gain_negative is None for name in bounds)
+    more = f", then at most {MOST} times more by the best model at other gains" if has_other_gains else ""
     every = "all of it" if len(bounds) == 1 else "all axes at once, all of it"
-    return "\n".join([*lines, f"{every} in {duration_s:.0f} s, {len(labels) + 1} times: {turns}{_others(run, bounds)}"])
+    return "\n".join(
+        [*lines, f"{every} in {duration_s:.0f} s, {len(labels) + 1} times: {turns}{more}{_others(run, bounds)}"]
+    )
 
 
 def once_more_text(

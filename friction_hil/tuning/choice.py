@@ -15,6 +15,7 @@ from friction_hil.identification.export import add_mechanics, as_model_file
 from friction_hil.identification.inference import VAGUE
 from friction_hil.identification.mechanics import Mechanics
 from friction_hil.models.model_file import ModelFile
+from friction_hil.tuning.gains import Clipping, GainTrial
 from friction_hil.tuning.torque_ratio import with_torque_ratio
 from friction_hil.tuning.trial import Trial
 from friction_hil.tuning.trial_motions import MOTIONS
@@ -32,6 +33,7 @@ class TriedModel:
     model: dict[str, Any]
     trial: Trial
     is_scaled: bool = False  # to the commanded torque, by a ratio that the trial showed
+    clipping: Clipping | None = None  # by the torque limit, in the trial
 
     @property
     def label(self) -> str:
@@ -51,11 +53,19 @@ class AxisTuning:
         Model file of the best of them.
     is_in_place : bool
         True if the file is the one that the configuration names.
+    gains : tuple of GainTrial
+        Gains that were tried with the best model, the configured one first.
     """
 
     candidates: tuple[TriedModel, ...]
     file: Path
     is_in_place: bool
+    gains: tuple[GainTrial, ...] = ()
+
+    @property
+    def recommended(self) -> GainTrial:
+        """Gain with which the best model follows best and oscillates nowhere."""
+        return min(self.gains, key=lambda each: each.trial.rank) if self.gains else GainTrial(None, self.best.trial)
 
     @property
     def best(self) -> TriedModel:
@@ -69,7 +79,7 @@ def best_of(candidates: tuple[TriedModel, ...]) -> TriedModel:
     First come models that helped (`Trial.has_helped`), among them those by which the axis never oscillated, among
     these those that made no motion worse. Then the smallest error of all motions decides (`Trial.error`).
     """
-    return min(candidates, key=_rank)
+    return min(candidates, key=lambda each: each.trial.rank)
 
 
 def motion_names(axes: Iterable[AxisTuning]) -> tuple[str, ...]:
@@ -112,7 +122,12 @@ def inertia_problem(fit: Fit) -> str:
 
 
 def keep_best(
-    axis: AxisConfig, candidates: tuple[TriedModel, ...], file: Path, *, is_simulated: bool = False
+    axis: AxisConfig,
+    candidates: tuple[TriedModel, ...],
+    file: Path,
+    gains: tuple[GainTrial, ...] = (),
+    *,
+    is_simulated: bool = False,
 ) -> AxisTuning:
     """Write the best model to ``file``, and to the file that the configuration names if it helped.
 
@@ -132,7 +147,7 @@ def keep_best(
     if wanted is not None and is_in_place:
         file = wanted
         write_model(file, model)
-    return AxisTuning(candidates, file, is_in_place)
+    return AxisTuning(candidates, file, is_in_place, gains)
 
 
 def write_model(path: Path, model: dict[str, Any]) -> None:
@@ -165,8 +180,3 @@ def refuse_unwritable_model(name: str, axis: AxisConfig) -> None:
         raise OptionError(name, "model", f"there is no folder {wanted.parent} to make it in")
     if not os.access(wanted.parent, os.W_OK):
         raise OptionError(name, "model", f"cannot be made: {wanted.parent} is not writable")
-
-
-def _rank(candidate: TriedModel) -> tuple[bool, bool, bool, float]:
-    trial = candidate.trial
-    return not trial.has_helped, bool(trial.swinging), bool(trial.worse), trial.error

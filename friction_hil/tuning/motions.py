@@ -155,7 +155,10 @@ def sliding_part(recording: Recording, configuration: Configuration, part_s: flo
 
 
 def trial_run(
-    configuration: Configuration, models: Mapping[str, ModelFile], resolutions: Mapping[str, float]
+    configuration: Configuration,
+    models: Mapping[str, ModelFile],
+    resolutions: Mapping[str, float],
+    gains: Mapping[str, float] | None = None,
 ) -> tuple[Configuration, float]:
     """Return the run in which axes make the motions of a trial, compensated by these models; its duration, s.
 
@@ -169,6 +172,8 @@ def trial_run(
         Model to try, by axis.
     resolutions : dict of float
         One count of the encoder by axis, rad or m.
+    gains : dict of float, optional
+        Gain by axis; by default the configured one.
 
     Raises
     ------
@@ -188,7 +193,8 @@ def trial_run(
     axes = {name: _held(axis) for name, axis in configuration.axes.items()}
     for name, model in models.items():
         axis = configuration.axes[name]
-        compensation = axis.compensation.model_copy(update={"baseline_s": 0.0})
+        gain = (gains or {}).get(name, axis.compensation.gain)
+        compensation = axis.compensation.model_copy(update={"baseline_s": 0.0, "gain": gain})
         axes[name] = axis.model_copy(update={"trajectory": paths[name], "model": model, "compensation": compensation})
     duration_s = max(path.duration_s for path in paths.values()) + ramp_s(axes.values())
     return configuration.model_copy(update={"axes": axes}), duration_s + _REST_S

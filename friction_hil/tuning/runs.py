@@ -64,7 +64,7 @@ class TuningRuns:
             result = run_session(configuration, session, stop, self._report_once)
         self._check(result, path, tuple(configuration.axes), speeds)
         if stop.is_by_user:
-            self._dialog.report(f"stopped, the axes are at rest; the results so far are in {self._settings.folder}")
+            self._dialog.tell(f"stopped, the axes are at rest; the results so far are in {self._settings.folder}")
             raise KeyboardInterrupt
         return path
 

@@ -89,7 +89,12 @@ class Unknown:
     @property
     def share(self) -> float:
         """The larger one of deviation and change; infinity after the first part, which nothing confirms."""
-        return math.inf if math.isnan(self.change) else max(self.deviation, self.change)
+        return math.inf if math.isnan(self.change) else self.known_to
+
+    @property
+    def known_to(self) -> float:
+        """Share to which the friction is known, after the first part too."""
+        return self.deviation if math.isnan(self.change) else max(self.deviation, self.change)
 
     @property
     def is_negligible(self) -> bool:

@@ -1,9 +1,14 @@
 """Settings of a tuning, and the dialog with its user."""
 
+import os
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
+
+from friction_hil.config import Configuration
+from friction_hil.errors import UsageError, choices
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +50,14 @@ class ShowStep(Protocol):
 
 
 class Dialog(Protocol):
-    """Messages to the user, and questions. While axes move, only `report` is called."""
+    """Messages to the user, and questions. While axes move, nothing is asked."""
 
     def report(self, line: str) -> None:
-        """Show a line about the progress or about something unusual."""
+        """Show a detail of the progress or of what was found."""
+        ...
+
+    def tell(self, line: str) -> None:
+        """Show a line that everybody has to see."""
         ...
 
     def confirm(self, motion: str) -> None:
@@ -58,3 +67,36 @@ class Dialog(Protocol):
     def working(self, text: str) -> AbstractContextManager[ShowStep]:
         """Show that a long computation goes on; the function that is given shows its current step."""
         ...
+
+
+def chosen_axes(configuration: Configuration, wanted: Sequence[str]) -> tuple[str, ...]:
+    """Return the axes to tune: those wanted, or all.
+
+    Raises
+    ------
+    UsageError
+        There is no such axis.
+    """
+    for name in wanted:
+        if name not in configuration.axes:
+            raise UsageError(f"no axis is called {name!r}; {choices(name, configuration.axes)}")
+    return tuple(dict.fromkeys(wanted)) or tuple(configuration.axes)
+
+
+def claim(folder: Path) -> None:
+    """Create the folder of the results.
+
+    Raises
+    ------
+    UsageError
+        It is not empty, or not writable.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        is_empty = not any(folder.iterdir())
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be made: {error.strerror}; name another folder with --output") from None
+    if not os.access(folder, os.W_OK):
+        raise UsageError(f"{folder} cannot be written: permission denied; name another folder with --output")
+    if not is_empty:
+        raise UsageError(f"{folder} is not empty, and nothing in it is replaced; name another folder with --output")

@@ -122,6 +122,11 @@ class Trial:
         return self.reduction.rms >= LEAST_REDUCTION and self.reduction.peak >= 1.0 and not self.own.is_swinging
 
     @property
+    def rank(self) -> tuple[bool, bool, bool, float]:
+        """Order of trials, best first: helped, oscillated nowhere, made no motion worse, smallest `error`."""
+        return not self.has_helped, bool(self.swinging), bool(self.worse), self.error
+
+    @property
     def error(self) -> float:
         """Figure of merit, smaller is better: RMS times peak, the own motion weighing as much as all others together.
 

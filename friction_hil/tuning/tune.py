@@ -2,15 +2,14 @@
 
 import contextlib
 import math
-import os
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from friction_hil.config import Configuration
-from friction_hil.errors import FrictionHilError, RecordingError, UsageError, choices, internal_error
+from friction_hil.errors import FrictionHilError, RecordingError, UsageError, internal_error
 from friction_hil.identification import Identification
 from friction_hil.identification.mechanics import Mechanics, find_mechanics
 from friction_hil.identification.settings import chosen_families
@@ -31,6 +30,7 @@ from friction_hil.tuning.choice import (
     write_model,
 )
 from friction_hil.tuning.experiment import refuse_limit_cycle, with_torque
+from friction_hil.tuning.gains import MOST, Gains, GainTrial, find_clipping
 from friction_hil.tuning.motions import (
     experiment_of,
     experiment_run,
@@ -43,7 +43,7 @@ from friction_hil.tuning.motions import (
 from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, rehearse, to_try
 from friction_hil.tuning.runs import TuningRuns
 from friction_hil.tuning.sequential import ExperimentResult, Observer, part_durations
-from friction_hil.tuning.settings import Dialog, TuneSettings
+from friction_hil.tuning.settings import Dialog, TuneSettings, chosen_axes, claim
 from friction_hil.tuning.torque_lag import TorqueLag, find_torque_lag, with_torque_lag
 from friction_hil.tuning.torque_ratio import TorqueRatio, find_torque_ratio, with_torque_ratio
 from friction_hil.tuning.trial import judge
@@ -96,7 +96,7 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
     3. Candidates: each model compensates each plausible axis in simulation, with the loops that the experiment showed;
        the best two or three that swing nowhere are tried.
     4. Trials: all axes make their own motion, slow, small, tiny and fast ones, and strokes with rests; first without
-       compensation, then again with each candidate.
+       compensation, then again with each candidate, and with the best one at other gains.
     5. Torque lag and ratio: how the reported torque follows the commanded one in the trial. Where it clearly is another
        multiple of it than the model says, the best model is scaled by that, and tried once more.
     6. Choice: the candidate with the smallest following error that does harm in no motion. If it helped and the
@@ -125,14 +125,14 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
             "with bus.role: sidecar another controller moves the axes, so 'tune' cannot: record its motion with 'run', "
             "and identify the friction from the recording with 'identify'"
         )
-    names = _names(configuration, settings.names)
+    names = chosen_axes(configuration, settings.names)
     chosen_families(settings.families)
     for name in names:
         refuse_shared_beam(name, configuration)
         experiment_of(name, configuration.axes[name])
         if not settings.is_simulated:
             refuse_unwritable_model(name, configuration.axes[name])
-    _claim(settings.folder)
+    claim(settings.folder)
     tuner = _Tuner(configuration, settings, names, dialog)
     try:
         return tuner.tune()
@@ -158,8 +158,10 @@ class _Turn:
     def judged(self, name: str, without: Recording, compensated: Recording) -> TriedModel:
         """Compare the recordings of an axis without and with compensation."""
         fade_s = max(self.run.axes[each].compensation.fade_s for each in self.fits)
-        trial = judge(without, compensated, self.run.axes[name], self.run.period_s, fade_s)
-        return TriedModel(*self.fits[name], self.files[name], trial, name in self.scaled)
+        axis, period_s = self.run.axes[name], self.run.period_s
+        trial = judge(without, compensated, axis, period_s, fade_s)
+        clipping = find_clipping(compensated, axis, period_s)
+        return TriedModel(*self.fits[name], self.files[name], trial, name in self.scaled, clipping)
 
 
 class _Tuner:
@@ -176,6 +178,7 @@ class _Tuner:
         self._torque_lags: dict[str, TorqueLag] = {}
         self._torque_ratios: dict[str, TorqueRatio] = {}
         self._experiments: dict[str, ExperimentResult] = {}
+        self._gains: dict[str, Gains] = {}
         self._all_rehearsed: dict[str, tuple[RehearsedFit, ...]] = {}
         self._recorded: dict[str, list[Path]] = {}  # complete parts of experiments, by axis
 
@@ -198,7 +201,13 @@ class _Tuner:
         tried = self._trials({name: self._candidates(name, recorded.pop(name)) for name in self._names})
         is_simulated = self._settings.is_simulated
         axes = {
-            name: keep_best(self._configuration.axes[name], each, self._file(name), is_simulated=is_simulated)
+            name: keep_best(
+                self._configuration.axes[name],
+                each,
+                self._file(name),
+                tuple(self._gains[name].tried),
+                is_simulated=is_simulated,
+            )
             for name, each in tried.items()
         }
         return Tuning(
@@ -257,7 +266,7 @@ class _Tuner:
         unit = "rad" if axis.model.axis == "rotary" else "m"
         slow = sliding_part(recording, self._configuration, part_s)
         if warning := refuse_limit_cycle(slow, experiment_of(name, axis).velocity, unit):
-            self._dialog.report(warning)
+            self._warn(warning)
         return with_torque(recording, axis.mode)
 
     def _shake(self, name: str) -> dict[str, Recording]:
@@ -373,7 +382,36 @@ class _Tuner:
                     tried[name].append(again.judged(name, without[name], compensated[name]))
             except FrictionHilError as error:
                 self._warnings.append(f"the scaled models could not be tried: {error}")
+        self._try_gains(tried, without, recorded)
         return {name: self._with_torque_lag(each, without[name], runs[name]) for name, each in tried.items()}
+
+    def _try_gains(
+        self,
+        tried: Mapping[str, Sequence[TriedModel]],
+        without: Mapping[str, Recording],
+        record: Callable[[Configuration, str], dict[str, Recording]],
+    ) -> None:
+        """Try other gains with the best model of each axis, as long as they are better."""
+        best = {name: best_of(tuple(each)) for name, each in tried.items()}
+        fits = {name: (each.identification, each.fit) for name, each in best.items()}
+        files = {name: each.model for name, each in best.items()}
+        for name, each in best.items():
+            given, unknown = self._configuration.axes[name].compensation, self._experiments[name].unknown
+            self._gains[name] = Gains(given, each.trial, unknown, each.clipping)
+        for number in range(1, MOST + 1):
+            gains = {name: gain for name, each in self._gains.items() if (gain := each.next()) is not None}
+            if not gains:
+                return
+            turn = _Turn(fits, files, *self._run_with(files, gains))
+            try:
+                compensated = record(turn.run, f"trial_gain_{number}.mcap")
+                for name, gain in gains.items():
+                    found = turn.judged(name, without[name], compensated[name])
+                    self._gains[name].tried.append(GainTrial(gain, found.trial, found.clipping))
+            except FrictionHilError as error:
+                said = ", ".join(f"{gain:g} ({name})" for name, gain in gains.items())
+                self._warnings.append(f"gain {said} could not be tried: {error}")
+                return
 
     def _scaled_turn(
         self,
@@ -406,9 +444,11 @@ class _Tuner:
         self._dialog.report(text)
         self._warnings.append(text)
 
-    def _run_with(self, files: Mapping[str, dict[str, Any]]) -> tuple[Configuration, float]:
+    def _run_with(
+        self, files: Mapping[str, dict[str, Any]], gains: Mapping[str, float] | None = None
+    ) -> tuple[Configuration, float]:
         models = {name: ModelFile.model_validate(model) for name, model in files.items()}
-        return trial_run(self._configuration, models, self._resolutions)
+        return trial_run(self._configuration, models, self._resolutions, gains)
 
     def _with_torque_lag(
         self, tried: Sequence[TriedModel], without: Recording, compensated: Sequence[Recording]
@@ -445,23 +485,3 @@ class _Tuner:
 
     def _file(self, name: str) -> Path:
         return self._settings.folder / f"{name}.yaml"
-
-
-def _names(configuration: Configuration, wanted: Sequence[str]) -> tuple[str, ...]:
-    for name in wanted:
-        if name not in configuration.axes:
-            raise UsageError(f"no axis is called {name!r}; {choices(name, configuration.axes)}")
-    return tuple(dict.fromkeys(wanted)) or tuple(configuration.axes)
-
-
-def _claim(folder: Path) -> None:
-    """Create the folder; refuse one that is not empty."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        is_empty = not any(folder.iterdir())
-    except OSError as error:
-        raise UsageError(f"{folder} cannot be made: {error.strerror}; name another folder with --output") from None
-    if not os.access(folder, os.W_OK):
-        raise UsageError(f"{folder} cannot be written: permission denied; name another folder with --output")
-    if not is_empty:
-        raise UsageError(f"{folder} is not empty, and nothing in it is replaced; name another folder with --output")

@@ -22,12 +22,14 @@ from friction_hil.identification.export import as_json as result_as_json
 from friction_hil.identification.mechanics import Mechanics, find_mechanics
 from friction_hil.identification.moving_beside import moving_beside
 from friction_hil.identification.plausibility import Finding, check_result
+from friction_hil.identification.prediction_errors import PredictionError
 from friction_hil.numerics.readable import brief
 from friction_hil.recordings import Recording, read_all
 from friction_hil.recordings.segments import with_position
 from friction_hil.reports.identification_report import write_report
 
 _SHOWN = 12  # candidates in the table, besides the simplest; JSON has all
+_REMARKS = 2  # in the summary; -v has all
 _CONTROLLER = {"position_gain", "velocity_gain"}
 
 
@@ -45,6 +47,7 @@ def identify_axis(
     output: Path | None,
     report: Path | None,
     as_json: bool,
+    verbose: bool = False,
     is_static: bool = False,
     **options: Any,
 ) -> int:
@@ -97,10 +100,11 @@ def identify_axis(
         found = {"mechanics": None if mechanics is None else mechanics_as_json(mechanics)}
         print_json({**result_as_json(result), **found, **told, "free_run": free, "output": written, "report": report})
     else:
-        _print(result, free, findings)
-        if mechanics is not None:
-            _print_mechanics(mechanics)
-        print_files({"model file": written, "report": report})
+        if verbose:
+            _print_details(result, free, findings, mechanics)
+        _print_summary(result, findings, mechanics, written, report)
+        if free["relative_error"] is not None:
+            click.echo(f"Closed-loop simulation: relative_error of the torque {100.0 * free['relative_error']:.2f} %.")
         if is_worthless and output is not None:
             say(f"{output} is not written.")
     return int(is_worthless)
@@ -158,46 +162,91 @@ def _free_run(result: Identification, controller: dict[str, float]) -> dict[str,
     return {"relative_error": run.relative_error(record.torque, record.begin), "reason": None}
 
 
-def _print(result: Identification, free: dict[str, Any], findings: Sequence[Finding]) -> None:
-    for problem in dict.fromkeys(each for record in result.records for each in record.problems):
+def _print_summary(
+    result: Identification,
+    findings: Sequence[Finding],
+    mechanics: Mechanics | None,
+    written: Path | None,
+    report: Path | None,
+) -> None:
+    """Print what was found, what it is worth, what is uncertain and what to do next: ten lines at most."""
+    problems = list(dict.fromkeys(each for record in result.records for each in record.problems))
+    for problem in _first(problems):
         say(problem)
+    best = result.best
+    texts = [each.text for each in sorted(findings, key=lambda each: not each.is_fatal)]
+    if any(each.is_fatal for each in findings):
+        say(f"No usable model; the best candidate is {best.label}.", stderr=False)
+    else:
+        say(f"Chosen: {best.label}. {_capital(result.reason)}.", stderr=False)
+        held = "" if best.held_out is best.train else f", {_percent(best.held_out)} on held-out data"
+        say(f"relative_error of the torque: {_percent(best.train)} on the fitted data{held}", stderr=False)
+        errors = best.inference.standard_errors
+        named = (f"{name} {_with_error(value, errors.get(name))}" for name, value in best.values.items())
+        say(f"parameters (standard error): {', '.join(named)}", stderr=False)
+    for text in _first([f"! {_capital(each)}." for each in texts] + [f"- {each}" for each in best.flags]):
+        say(text, stderr=False)
+    if mechanics is not None:
+        known = [f"{each.label} {brief(each.value, 4)} {each.unit}" for each in mechanics.quantities if each.value]
+        unknown = [line.partition(":")[0] for line in mechanics.missing]
+        more = f"; not determined: {', '.join(unknown)} (-v names the motion that shows each)" if unknown else ""
+        say(f"mechanics: {', '.join(known) or 'nothing behind the motor'}{more}", stderr=False)
+        for text in _first([f"! {_capital(flag)}." for flag in mechanics.flags]):
+            say(text, stderr=False)
+    print_files({"model file": written, "report": report})
+    if written is not None:
+        say(f"next: friction-hil replay ANOTHER_RECORDING --model {written}", stderr=False)
+    elif not any(each.is_fatal for each in findings):
+        say("next: the same with --output MODEL.yaml, which writes the model file", stderr=False)
+
+
+def _first(texts: Sequence[str]) -> list[str]:
+    """Return the first few texts, and how many more there are."""
+    if len(texts) <= _REMARKS + 1:
+        return list(texts)
+    return [*texts[:_REMARKS], f"- {len(texts) - _REMARKS} more remarks: -v"]
+
+
+def _capital(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}"
+
+
+def _percent(error: PredictionError) -> str:
+    return f"{100.0 * error.relative_error:.2f} %"
+
+
+def _with_error(value: float, error: float | None) -> str:
+    return brief(value, 4) if error is None else f"{brief(value, 4)} ({brief(error, 2)})"
+
+
+def _print_details(
+    result: Identification, free: dict[str, Any], findings: Sequence[Finding], mechanics: Mechanics | None
+) -> None:
+    """Print all candidates, parameters and notes."""
     for note in result.notes:
         say(note)
     _print_candidates(result)
     click.echo()
     _print_parameters(result.best)
     click.echo()
-    fatal = [each.text for each in findings if each.is_fatal]
-    if fatal:
-        say(f"No usable model; the best candidate is {result.best.label}.", stderr=False)
-    else:
-        say(f"Chosen: {result.best.label}. {result.reason[0].upper()}{result.reason[1:]}.", stderr=False)
-    for text in (*fatal, *(each.text for each in findings if not each.is_fatal)):
-        say(f"! {text[0].upper()}{text[1:]}.", stderr=False)
-    if fatal:
-        return
-    for flag in result.best.flags:
-        say(f"- {flag}", stderr=False)
+    for text in (*(f"! {_capital(each.text)}." for each in findings), *(f"- {flag}" for flag in result.best.flags)):
+        say(text, stderr=False)
     if free["relative_error"] is None:
         say(f"No closed-loop simulation: {free['reason']}.", stderr=False)
-    else:
-        click.echo(f"Closed-loop simulation: relative error of the torque {100.0 * free['relative_error']:.2f} %.")
+    if mechanics is not None:
+        _print_mechanics(mechanics)
+    click.echo()
 
 
 def _print_mechanics(found: Mechanics) -> None:
     """Print what was found behind the motor, and what was not with the motion that would show it."""
-    click.echo()
     known = [each for each in found.quantities if each.value is not None]
     table = new_table("mechanics", number("value"), number("standard error"), "unit", "from")
     for each in known:
         table.add_row(each.label, brief(each.value or 0.0, 4), brief(_or_nan(each.error), 2), each.unit, each.source)
     print_table(table)
-    for line in found.missing:
+    for line in (*found.missing, *found.notes):
         say(f"- {line}", stderr=False)
-    for note in found.notes:
-        say(f"- {note}", stderr=False)
-    for flag in found.flags:
-        say(f"! {flag[0].upper()}{flag[1:]}.", stderr=False)
 
 
 def _or_nan(value: float | None) -> float:
@@ -208,7 +257,7 @@ def _print_candidates(result: Identification) -> None:
     is_grouped = len({record.group for record in result.records}) > 1
     groups = f"the recordings of each {result.settings.group_by}" if is_grouped else "blocks of time"
     say(
-        "Number of free parameters; relative error of the torque on the fitted data, on "
+        "Number of free parameters; relative_error of the torque on the fitted data, on "
         f"{groups} held out, on speeds held out, on other recordings.",
         stderr=False,
     )

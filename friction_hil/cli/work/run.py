@@ -92,7 +92,8 @@ def run(
     if as_json:
         print_json(_summary(result))
     else:
-        _print(result, configuration, dry_run=dry_run, is_real=pace == "real")
+        is_cut = stop.is_by_user or bool(result.loop.faults)
+        _print(result, configuration, dry_run=dry_run, is_real=pace == "real", is_cut=is_cut)
     return _report_problems(result)
 
 
@@ -158,14 +159,16 @@ def _report_problems(result: "SessionResult") -> int:
     return 1 if result.loop.faults or result.loop.leftovers or is_incomplete else 0
 
 
-def _print(result: "SessionResult", configuration: "Configuration", *, dry_run: bool, is_real: bool) -> None:
+def _print(
+    result: "SessionResult", configuration: "Configuration", *, dry_run: bool, is_real: bool, is_cut: bool
+) -> None:
     loop, timing = result.loop, "in simulated time"
     if is_real:
         late = f"late p50 {loop.late_p50_us:.0f} µs, p99 {loop.late_p99_us:.0f} µs; " if loop.cycles else ""
         timing = f"{late}{loop.missed} missed"
     click.echo(f"{loop.cycles} cycles of {configuration.period_s * 1e3:g} ms; {timing}")
     if not dry_run:
-        _print_errors(result.axes, configuration)
+        _print_errors(result.axes, configuration, is_cut=is_cut)
     for name, figures in result.axes.items():
         if figures.bridged:
             was = "cycle without usable feedback was" if figures.bridged == 1 else "cycles without usable feedback were"
@@ -178,7 +181,7 @@ def _print(result: "SessionResult", configuration: "Configuration", *, dry_run: 
         click.echo(f"recorded: {path}")
 
 
-def _print_errors(axes: "dict[str, AxisFigures]", configuration: "Configuration") -> None:
+def _print_errors(axes: "dict[str, AxisFigures]", configuration: "Configuration", *, is_cut: bool) -> None:
     """Print the following error without and with compensation, and why one of them is missing."""
     shown = {}
     for name, figures in axes.items():
@@ -200,7 +203,7 @@ def _print_errors(axes: "dict[str, AxisFigures]", configuration: "Configuration"
             say(f"{name}: {left_out} of {of} cycles are left out: {reason}", stderr=False)
         if math.isfinite(figures.delay):
             say(f"{name}: {_delay_text(figures)}", stderr=False)
-        if hint := _hint(figures, configuration.axes[name]):
+        if hint := _hint(figures, configuration.axes[name], is_cut=is_cut):
             say(f"{name}: {hint}", stderr=False)
 
 
@@ -214,13 +217,21 @@ def _delay_text(figures: "AxisFigures") -> str:
     )
 
 
-def _hint(figures: "AxisFigures", axis: "AxisConfig") -> str:
-    """Say how to get what a comparison lacks; nothing if it is complete, or the axis has no set-point."""
+def _hint(figures: "AxisFigures", axis: "AxisConfig", *, is_cut: bool = False) -> str:
+    """Say how to get what a comparison lacks; nothing if it is complete, or the axis has no set-point.
+
+    No longer run is advised where a fault or the user ended this one.
+    """
     from friction_hil.daemon.figures import SETTLE_S  # imported here: with the daemon
 
     given, trajectory = axis.compensation, axis.trajectory
     if trajectory.kind == "none" or figures.reduction is not None:
         return ""
+    advice = "the run was cut short" if is_cut else "take a longer --duration"
+    partial = [each for each in (figures.without, figures.compensated) if each is not None and not each.is_whole]
+    if partial:
+        which = "with compensation" if partial[-1] is figures.compensated else "without compensation"
+        return f"the figures {which} cover less than a period of the motion, so they do not compare: {advice}"
     if figures.without is not None and figures.compensated is not None:
         return f"a motion of kind {trajectory.kind} does not repeat itself, so that the two do not compare"
     if figures.lacks_demand:
@@ -230,7 +241,7 @@ def _hint(figures: "AxisFigures", axis: "AxisConfig") -> str:
     if not given.enabled:
         return "compensation.enabled is false: nothing was compensated"
     if figures.compensated is None:
-        return "the run ended before it was compensated long enough to compare: take a longer --duration"
+        return f"the run ended before it was compensated long enough to compare: {advice}"
     ramp_s, period_s = getattr(trajectory, "ramp_s", 0.0), 1.0 / getattr(trajectory, "frequency", math.inf)
     enough_s = math.ceil(ramp_s + SETTLE_S + max(_BASELINE_S, _BASELINE_PERIODS * period_s))
     return f"compensation: {{baseline_s: {enough_s}}} makes the first {enough_s} s a comparison without compensation"

@@ -25,6 +25,7 @@ def select(
     output: Path | None,
     report: Path | None,
     as_json: bool,
+    verbose: bool,
     *,
     kept_apart: tuple[Path, ...],
     axis: str | None,
@@ -56,21 +57,29 @@ def select(
     if as_json:
         print_json({**found.as_json(seconds), "output": output, "report": report})
     else:
-        _print(found, seconds)
+        _print(found, seconds, verbose=verbose)
         print_files({"model file": output, "report": report})
+        say_next(output)
     return 0
 
 
-def _print(found: Selection, seconds: float) -> None:
+def say_next(output: Path | None) -> None:
+    """Say how to go on with a model file, or how to get one."""
+    if output is None:
+        click.echo("next: the same with --output MODEL.yaml, which writes the model file")
+    else:
+        click.echo(f"next: friction-hil replay ANOTHER_RECORDING --model {output}")
+
+
+def _print(found: Selection, seconds: float, *, verbose: bool) -> None:
     kinds = list(found.physical.errors)
+    shown = [each for each in found.judged if verbose or each in (found.chosen, found.physical)]
     click.echo(f"{found.chosen.label}: {found.network or 'no network'}, after {seconds:.1f} s")
-    click.echo()
     click.echo(
-        "Relative error of the torque on held-out data, and by how much the mean square error is lower than that of "
-        f"{found.physical.label}."
+        f"relative_error of the torque on held-out data; mean square error lower than that of {found.physical.label} by"
     )
     table = new_table("model", *(number(text) for kind in kinds for text in (kind, "lower by")))
-    for each in found.judged:
+    for each in shown:
         gains = {} if each is found.physical else each.gains(found.physical)
         cells = [
             text
@@ -82,9 +91,8 @@ def _print(found: Selection, seconds: float) -> None:
         ]
         table.add_row(each.label, *cells)
     print_table(table)
-    click.echo()
     click.echo(f"Chosen: {found.chosen.label}, because {found.reason}.")
     if found.network is None:
         click.echo("The model file holds this model without a network. --structure trains a network in any case.")
-    for note in found.notes:
+    for note in found.notes if verbose else ():
         click.echo(f"- {note}")

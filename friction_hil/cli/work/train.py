@@ -16,7 +16,7 @@ from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.read import kind_of, read_recordings
 from friction_hil.cli.work.result_files import check_result_files
-from friction_hil.cli.work.select_network import select
+from friction_hil.cli.work.select_network import say_next, select
 from friction_hil.cli.work.tables import console, new_table, number, print_files, print_table
 from friction_hil.errors import UsageError
 from friction_hil.models.files import model_from_argument
@@ -39,6 +39,7 @@ def train(
     output: Path | None,
     report: Path | None,
     as_json: bool,
+    verbose: bool,
     **options: Any,
 ) -> int:
     """Train a network, write model file and report, and print the result; ``options`` concern recordings."""
@@ -49,7 +50,7 @@ def train(
         if hidden:
             raise UsageError("--hidden needs a --structure: auto averages small networks of its own")
         training.NetworkSpec(inputs=inputs)  # raises on an unknown input
-        return select(sources, inputs, base, seed, output, report, as_json, **options)
+        return select(sources, inputs, base, seed, output, report, as_json, verbose, **options)
     structure = "gated" if structure == "auto" else structure
     spec = training.NetworkSpec(structure=structure, hidden=hidden, inputs=inputs, seed=seed)
     known = None if base is None else model_from_argument(base)
@@ -72,8 +73,9 @@ def train(
     if as_json:
         print_json({**candidate.as_json(seconds), "output": output, "report": report})
     else:
-        _print(candidate, seconds)
+        _print(candidate, seconds, verbose=verbose)
         print_files({"model file": output, "report": report})
+        say_next(output)
     return 0
 
 
@@ -144,8 +146,8 @@ def _progress() -> Iterator[Callable[[Progress], None]]:
 
 
 _MEANING = (
-    "Several random starts are tried briefly, and the best ones are continued. Error: in free run on validation data, "
-    "over the standard deviation of its torque."
+    "Several random starts are tried briefly, and the best ones are continued. Their error is the NRMSE: the RMS error "
+    "in free run on validation data, over the standard deviation of its torque."
 )
 _CONTINUED = "parallel"  # stage
 
@@ -182,19 +184,19 @@ class Tries:
         return [] if self._key is None else [self.now]
 
 
-def _print(candidate: TrainedModel, seconds: float) -> None:
+def _print(candidate: TrainedModel, seconds: float, *, verbose: bool) -> None:
     trained = candidate.trained
     click.echo(f"{candidate.network}: {trained.iterations} iterations in {seconds:.1f} s")
-    table = new_table("NRMSE", number("one step"), number("free run"))
-    for name, errors in (("training", trained.train), ("validation", trained.validation)):
-        table.add_row(name, f"{errors.one_step:.4f}", f"{errors.free_run:.4f}")
-    print_table(table)
+    if verbose or not candidate.relative_errors:
+        table = new_table("NRMSE", number("one step"), number("free run"))
+        for name, errors in (("training", trained.train), ("validation", trained.validation)):
+            table.add_row(name, f"{errors.one_step:.4f}", f"{errors.free_run:.4f}")
+        print_table(table)
     if candidate.relative_errors:
-        click.echo()
         gains = candidate.gains
-        compared = new_table("relative error of the torque, held out", number(""), number("network lower by"))
+        compared = new_table("relative_error of the torque, held out", number(""), number("network lower by"))
         for name, error in candidate.relative_errors.items():
             compared.add_row(name, f"{100.0 * error:.3f} %", str(gains.get(name, "")))
         print_table(compared)
-    for note in (*candidate.task.notes, *trained.flags):
+    for note in (*trained.flags, *(candidate.task.notes if verbose else ())):
         click.echo(f"- {note}")

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -10,10 +10,14 @@ from typing import Any
 
 import click
 
+from friction_hil.analysis.following import Figures
+from friction_hil.checked_yaml.edit import edit, with_value
+from friction_hil.checked_yaml.text import FieldPath
 from friction_hil.cli.colour import echo_labelled, yellow
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.progress import status_line
+from friction_hil.cli.work.result_files import check_writable
 from friction_hil.cli.work.simulated import simulated_drives
 from friction_hil.cli.work.tables import Table, new_table, number, print_table, prose, say
 from friction_hil.config import Configuration, file_problems, load, located
@@ -24,6 +28,7 @@ from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.tuning_report import write_reports
 from friction_hil.tuning import AxisTuning, TriedModel, TuneSettings, Tuning, tune
 from friction_hil.tuning.choice import motion_names
+from friction_hil.tuning.gains import GainTrial
 from friction_hil.tuning.settings import ShowStep
 
 _FOLDER = Path("out/tune")
@@ -37,9 +42,11 @@ def tune_machine(
     output: Path | None,
     mechanics: bool,
     yes: bool,
+    apply: bool,
     simulate: bool,
     reset_fault: bool,
     pace: str,
+    verbose: bool,
     as_json: bool,
 ) -> int:
     """Tune the axes of a configuration and print the result; return 1 if one did not help, or one is not restored."""
@@ -49,6 +56,8 @@ def tune_machine(
             "--yes moves it without asking"
         )
     configuration = checked(config)
+    if apply:
+        _refuse_unchangeable(config, names or configuration.axes)
     settings = TuneSettings(
         folder=free_path(_FOLDER, 0) if output is None else output,
         names=names,
@@ -59,24 +68,34 @@ def tune_machine(
         is_shaken=mechanics,
         is_simulated=simulate,
     )
-    terminal = Terminal(is_asked=not yes)
+    terminal = Terminal(is_asked=not yes, is_verbose=verbose)
     try:
         with simulated_drives(configuration, pace, terminal.report) if simulate else nullcontext(configuration) as own:
             tuning = tune(own, settings, terminal)
     except OptionError as error:
         raise located(config, error) from None
     tuning.report = _report(settings.folder, tuning, is_simulated=simulate)
+    applied, problem = dict[str, dict[str, Any]](), ""
+    if apply:
+        try:
+            applied = _apply(tuning, config)
+        except FrictionHilError as error:  # hours on a machine are not lost with it
+            problem = str(error)
     if as_json:
-        print_json(_as_dict(tuning))
+        print_json(_as_dict(tuning, config, applied))
     else:
-        _print(tuning, config, is_simulated=simulate)
+        if verbose:
+            _print_details(tuning)
+        _print_summary(tuning, config, applied)
+    if problem:
+        click.echo(problem, err=True)
     for warning in tuning.warnings:
         echo_labelled("warning:", warning, yellow)
-    failed = [name for name, axis in tuning.axes.items() if not axis.best.trial.has_helped]
+    failed = [name for name, axis in tuning.axes.items() if not axis.recommended.trial.has_helped]
     for name in failed:
-        why = "makes it oscillate" if tuning.axes[name].best.trial.own.is_swinging else "did not help"
+        why = "makes it oscillate" if tuning.axes[name].recommended.trial.own.is_swinging else "did not help"
         say(f"{name}: compensation {why}: its model is not used")
-    return 1 if failed or tuning.leftovers else 0  # the runs have told what was not restored
+    return 1 if failed or tuning.leftovers or problem else 0  # the runs have told what was not restored
 
 
 def checked(config: Path) -> Configuration:
@@ -106,18 +125,26 @@ def _report(folder: Path, tuning: Tuning, *, is_simulated: bool) -> Path | None:
 
 
 class Terminal:
-    """Messages and questions on stderr."""
+    """Messages and questions on stderr; details only if they are wanted."""
 
-    def __init__(self, *, is_asked: bool) -> None:
-        self._is_asked = is_asked
+    def __init__(self, *, is_asked: bool, is_verbose: bool = True) -> None:
+        self._is_asked, self._is_verbose = is_asked, is_verbose
 
     def report(self, line: str) -> None:
-        """Show a line."""
+        """Show a detail."""
+        if self._is_verbose:
+            say(line)
+
+    def tell(self, line: str) -> None:
+        """Show a line that everybody has to see."""
         say(line)
 
     def confirm(self, motion: str) -> None:
         """Show what will move, and ask whether it may."""
-        self.report(motion)
+        if not (self._is_asked or self._is_verbose):  # how far, how fast, how long
+            lines = [line for line in motion.split("\n") if not line.startswith(" ")]
+            motion = "\n".join(line.split("; ")[0] for line in lines)
+        say(motion)
         if self._is_asked:
             click.confirm("Is the way clear?", default=False, abort=True, err=True)
 
@@ -130,9 +157,16 @@ class Terminal:
             yield show
 
 
-def _as_dict(tuning: Tuning) -> dict[str, Any]:
+def _as_dict(tuning: Tuning, config: Path, applied: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     return {
-        "axes": {name: _axis(name, tuning) for name in tuning.axes},
+        "axes": {
+            name: {
+                **_axis(name, tuning),
+                "recommended": _settings(axis, config) if axis.recommended.trial.has_helped else {},
+                "is_applied": name in applied,
+            }
+            for name, axis in tuning.axes.items()
+        },
         "recordings": tuning.recordings,
         "report": tuning.report,
         "warnings": tuning.warnings,
@@ -163,41 +197,151 @@ def _axis(name: str, tuning: Tuning) -> dict[str, Any]:
             }
             for each in axis.candidates
         ],
+        "gains": [each.figures for each in axis.gains],
     }
 
 
-def _print(tuning: Tuning, config: Path, *, is_simulated: bool) -> None:
+def _print_details(tuning: Tuning) -> None:
     print_table(_table(tuning))
     click.echo()
     print_table(_motions_table(tuning))
     click.echo()
     for name, axis in tuning.axes.items():
-        for each in axis.candidates:
-            for problem in each.trial.problems:
-                say(f"{name}: {each.label}: {problem}", stderr=False)
+        lag, ratio, experiment = (
+            each.get(name) for each in (tuning.torque_lags, tuning.torque_ratios, tuning.experiments)
+        )
+        for text in (
+            *(f"{each.label}: {problem}" for each in axis.candidates for problem in each.trial.problems),
+            *axis.best.fit.flags,
+            *(each.text for each in (experiment, lag, ratio) if each is not None),
+            *(f"gain {each.gain:g}: {_times(each)}" for each in axis.gains),
+        ):
+            say(f"{name}: {text}", stderr=False)
+
+
+def _print_summary(tuning: Tuning, config: Path, applied: Mapping[str, Mapping[str, Any]]) -> None:
+    """Print what was found, what it is worth and what to do next."""
+    rows = [Compared((name, _best_label(axis)), *_compared(axis)) for name, axis in tuning.axes.items()]
+    print_table(following_table(("axis", prose("model")), rows))
     for name, axis in tuning.axes.items():
-        for flag in axis.best.fit.flags:
-            say(f"{name}: {flag}", stderr=False)
-    for name, experiment in tuning.experiments.items():
-        say(f"{name}: {experiment.text}", stderr=False)
-    for name, lag in tuning.torque_lags.items():
-        say(f"{name}: {lag.text}", stderr=False)
-    for name, ratio in tuning.torque_ratios.items():
-        say(f"{name}: {ratio.text}", stderr=False)
-    for name, axis in tuning.axes.items():
-        say(f"{name}: model file: {axis.file}; {_use(axis, config, is_simulated=is_simulated)}", stderr=False)
+        say(f"{name}: {_recommendation(axis, config, applied.get(name))}", stderr=False)
+        for text in (_uncertainty(name, axis, tuning), _clipped(axis)):
+            if text:
+                say(f"{name}: {text}", stderr=False)
     if tuning.report is not None:
         click.echo(f"report: {tuning.report}")
+    helped = [name for name, axis in tuning.axes.items() if axis.recommended.trial.has_helped]
+    left = [name for name in helped if name not in applied and _settings(tuning.axes[name], config)]
+    first = f"write these keys into {config} (--apply does that), then: " if left else ""
+    more = f"next: {first}friction-hil run {config} --duration 20"
+    say(
+        more if helped else f"next: compare models: friction-hil replay {tuning.recordings[0]} --model ...",
+        stderr=False,
+    )
+
+
+def _best_label(axis: AxisTuning) -> str:
+    gain = axis.recommended.gain
+    return axis.best.label if gain is None else f"{axis.best.label}, gain {gain:g}"
+
+
+def _settings(axis: AxisTuning, config: Path) -> dict[str, Any]:
+    """Return the keys of an axis that differ from those of the configuration."""
+    found: dict[str, Any] = {} if axis.is_in_place else {"model": os.path.relpath(axis.file, config.parent)}
+    gain = axis.recommended.gain
+    if gain is not None and axis.gains and gain != axis.gains[0].gain:
+        found["compensation"] = {"gain": gain}
+    return found
+
+
+def _recommendation(axis: AxisTuning, config: Path, applied: Mapping[str, Any] | None) -> str:
+    best = axis.recommended
+    if not best.trial.has_helped:
+        return f"model not used, because it did not help; its file is {axis.file}"
+    keys = ", ".join(f"{key}: {_flow(value)}" for key, value in _settings(axis, config).items())
+    done = f"written into {config}: " if applied else "recommended: "
+    said = f"{done}{keys}" if keys else f"the configuration stays as it is; its model file is {axis.file}"
+    others = [each for each in axis.gains if each is not best]
+    than = "; ".join(f"gain {each.gain:g}: {_times(each)}" for each in others)
+    return f"{said} ({than})" if than else said
+
+
+def _flow(value: Any) -> str:
+    return f"{{gain: {value['gain']:g}}}" if isinstance(value, dict) else str(value)
+
+
+def _times(tried: GainTrial) -> str:
+    """Say what a gain did in the own motion, and where it did harm."""
+    harm = [f"oscillates in {', '.join(tried.trial.swinging)}"] if tried.trial.swinging else []
+    return ", ".join([f"{digits(tried.trial.reduction.rms, 2)} times lower", *harm])
+
+
+def _uncertainty(name: str, axis: AxisTuning, tuning: Tuning) -> str:
+    """Say how well the friction is known, and what was not determined."""
+    said = list(axis.recommended.trial.problems)
+    experiment = tuning.experiments.get(name)
+    if experiment is not None and experiment.unknown is not None:
+        said.append(f"parameters uncertain by {100.0 * experiment.unknown.known_to:.2g} % of the friction")
+    lag, ratio = tuning.torque_lags.get(name), tuning.torque_ratios.get(name)
+    unknown = ["torque lag"] if lag is not None and not lag.is_determined else []
+    unknown += ["torque ratio"] if ratio is not None and not ratio.is_determined else []
+    if unknown:
+        said.append(f"not determined: {', '.join(unknown)}")
+    if flags := axis.best.fit.flags:
+        said.append(f"{len(flags)} remark{'s' if len(flags) > 1 else ''} on the fit")
+    if (unknown or flags) and tuning.report is not None:
+        said.append("the report says why")
+    return "; ".join(said)
+
+
+def _clipped(axis: AxisTuning) -> str:
+    found = axis.recommended.clipping
+    if found is None:
+        return ""
+    unit = "N m" if _unit(axis) == "rad" else "N"
+    where = f"limits.torque {found.limit:g} {unit} clipped the compensation in {100.0 * found.share:.2g} % of the rows"
+    return where if found.enough is None else f"{where}; {found.enough:g} {unit} would not, if the machine bears it"
+
+
+def _unit(axis: AxisTuning) -> str:
+    return "rad" if axis.best.identification.settings.axis == "rotary" else "m"
+
+
+def _compared(axis: AxisTuning) -> tuple[str, Figures, Figures, Figures]:
+    own = axis.recommended.trial.own
+    return _unit(axis), own.uncompensated, own.compensated, own.reduction
+
+
+def _apply(tuning: Tuning, config: Path) -> dict[str, dict[str, Any]]:
+    """Write what is recommended into the configuration; return it by axis."""
+    found = {name: _settings(axis, config) for name, axis in tuning.axes.items() if axis.recommended.trial.has_helped}
+    changes: dict[FieldPath, Any] = {}
+    for name, keys in found.items():
+        if "model" in keys:
+            changes["axes", name, "model"] = keys["model"]
+        if "compensation" in keys:
+            changes["axes", name, "compensation", "gain"] = keys["compensation"]["gain"]
+    if changes:
+        edit(config, changes)
+    return {name: keys for name, keys in found.items() if keys}
+
+
+def _refuse_unchangeable(config: Path, names: Iterable[str]) -> None:
+    """Refuse a configuration that cannot be rewritten, before anything moves."""
+    check_writable(config, "--apply")
+    text = config.read_text(encoding="utf-8-sig")
+    for name in names:
+        for keys, value in ((("model",), "x.yaml"), (("compensation", "gain"), 1.0)):
+            with_value(text, ("axes", name, *keys), value, str(config))
 
 
 def _table(tuning: Tuning) -> Table:
     rows = []
     for name, axis in tuning.axes.items():
-        unit = "rad" if axis.best.identification.settings.axis == "rotary" else "m"
         for each in axis.candidates:
             own = each.trial.own
             labels = name, _label(axis, each)
-            rows.append(Compared(labels, unit, own.uncompensated, own.compensated, own.reduction))
+            rows.append(Compared(labels, _unit(axis), own.uncompensated, own.compensated, own.reduction))
     return following_table(("axis", prose("model")), rows)
 
 
@@ -220,14 +364,3 @@ def _motions_table(tuning: Tuning) -> Table:
 
 def _label(axis: AxisTuning, each: TriedModel) -> str:
     return f"{each.label}{' (kept)' if each is axis.best and each.trial.has_helped else ''}"
-
-
-def _use(axis: AxisTuning, config: Path, *, is_simulated: bool) -> str:
-    """Say what is to be done with the model file of an axis."""
-    if is_simulated:
-        return "the friction of the simulated drive, not that of the machine: the configuration is as it was"
-    if axis.is_in_place:
-        return "the configuration names it already"
-    if axis.best.trial.has_helped:
-        return f"to use it, write 'model: {os.path.relpath(axis.file, config.parent)}' in {config}"
-    return "not used: it did not help"
