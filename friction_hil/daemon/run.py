@@ -182,8 +182,9 @@ class RunControl:
             if not self._is_slowness_told:
                 self._is_slowness_told = True
                 text = (
-                    f"periods are missed regularly, {_REGULAR_TIMES} times in {cycle - before[0][0] + 1}: set-points "
-                    "do not wait for single ones any more; take a longer period_s"
+                    f"the computer is too slow for {1e3 * self._settings.period_s:g} ms: it missed periods "
+                    f"{_REGULAR_TIMES} times in {cycle - before[0][0] + 1}, so set-points no longer wait for a missed "
+                    "one; take a longer period_s"
                 )
                 self._log.warn(cycle, text)
         if missed > 0:

@@ -17,7 +17,7 @@ class UnitRow:
     source : str
         Where the scale comes from, e.g. ``608Fh 4096/1``.
     confirmation : str
-        What agrees with it, or ``nothing confirms it``.
+        What agrees with it, or ``not cross-checked``.
     limit : str
         Limit of the configuration in increments of the drive.
     """
@@ -32,9 +32,9 @@ class UnitRow:
 def unit_table(name: str, rows: Iterable[UnitRow]) -> Iterator[str]:
     """Yield the lines of the table of one axis.
 
-    >>> row = UnitRow("torque", "0.64 N m at 1000 per mille", "6076h", "nothing confirms it", "0.3 N m = 468 per mille")
+    >>> row = UnitRow("torque", "0.64 N m at 1000 per mille", "6076h", "not cross-checked", "0.3 N m = 468 per mille")
     >>> print(*unit_table("x", [row]), sep="\\n")
-    x: torque: 0.64 N m at 1000 per mille from 6076h; nothing confirms it; limit 0.3 N m = 468 per mille
+    x: torque: 0.64 N m at 1000 per mille from 6076h; not cross-checked; limit 0.3 N m = 468 per mille
     """
     for row in rows:
         yield f"{name}: {row.quantity}: {row.value} from {row.source}; {row.confirmation}; limit {row.limit}"

@@ -194,8 +194,8 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks", kind: str = "") -> tuple
         return chosen, f"{first}, and no simpler one within one standard error of it does as well"
     if chosen in close:
         return chosen, (
-            f"{first}; {chosen.label}, with {_percent(chosen)}, is the simplest that is as good within the standard "
-            f"error of the difference, {shown}: {_searched(chosen)} parameters, not {_searched(best)}"
+            f"{first}; {chosen.label} has {_percent(chosen)} with {_searched(chosen)} parameters instead of "
+            f"{_searched(best)}: the simplest one within the standard error, {shown}"
         )
     doubt = f"{', '.join(at_bound(best))} at a bound" if at_bound(best) else "parameters that the data do not determine"
     return chosen, (

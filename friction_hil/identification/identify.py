@@ -241,8 +241,8 @@ def _not_far(fitter: CandidateFitter, fits: Mapping[str, Fit]) -> list[str]:
     left = [family for family in fits if family not in kept]
     if left:
         fitter.notes.append(
-            f"fitted without parameters for each direction only, because their errors are more than {_FAR:g} times "
-            f"that of the best family: {', '.join(left)}"
+            f"{', '.join(left)}: not fitted for each direction, because the error is more than {_FAR:g} times that of "
+            "the best family"
         )
     return kept
 
@@ -346,8 +346,7 @@ def _refine(fitter: CandidateFitter, fits: list[Fit], again: list[Fit]) -> tuple
     return (
         fits,
         best,
-        "the recordings show presliding, so that the dynamic families were fitted once more at the resolution of the "
-        f"encoder, with several model steps per sample: {further}",
+        f"the recordings show presliding, so the dynamic families were fitted again at full resolution: {further}",
     )
 
 

@@ -348,9 +348,9 @@ def _missing(why: str, torques: TorqueFits | None, held: str) -> dict[str, str]:
     open.
     """
     if torques is None:
-        other = "is too short, or its encoder too coarse for its accelerations"
+        other = "is too short, or the encoder is too coarse for its accelerations"
     else:
-        other = "shows one mass that explains the torque over time as well as two"
+        other = "is explained by one mass as well as by two"
     stiff = f"{why or _UNEXCITED}; the recording {other}; {_SHAKEN}"
     keys = ("motor_inertia", "load_inertia", "antiresonance_hz", "resonance_hz", "stiffness", "damping")
     found = dict.fromkeys(keys, stiff)

@@ -78,18 +78,18 @@ class TorqueTiming:
         """One sentence for the user."""
         age = f"{1e3 * self.delay_s:.3g} ms (standard error {1e3 * self.error_s:.2g} ms)"
         if self.meaning == "mean":
-            return f"the reported torque is {age} old, like its mean over the period before the sample: taken as that"
+            return f"torque is averaged over the period before the sample: it is {age} old"
         if self.meaning == "instant":
-            return f"the reported torque is {age} old, less than a mean over the period: taken as that of the instant"
+            return f"torque is sampled, not averaged: it is {age} old"
         if self.meaning == "late":
-            return f"the reported torque is {age} old, more than a mean over the period: it is moved back by as much"
-        taken, other = "a mean is assumed", "instant"
+            return f"torque is {age} old, more than an average over the period: it is moved back by as much"
+        taken, other = "averaged", "instant"
         if self.assumed == "instant":
-            taken, other = "that of the instant is assumed, because the driver states how old its torque is", "mean"
+            taken, other = "sampled, because the driver states how old its torque is", "mean"
         return (
-            "the recordings do not tell whether the reported torque is a mean over the period or that of the instant: "
-            f"{taken}; if it is not (--torque-is {other}), damping of presliding is wrong by its stiffness times half "
-            f"a period, {0.5 * self.period_s:.3g} s"
+            "the recordings do not show whether torque is averaged over the period or sampled. It is taken as "
+            f"{taken}; otherwise give --torque-is {other}: the damping of presliding would be wrong by its stiffness "
+            f"times half a period, {0.5 * self.period_s:.3g} s"
         )
 
 

@@ -137,7 +137,7 @@ class Belief:
         seconds : float
         """
         drifts = np.full(len(self.x), drift)
-        # not that an inertia changes: what a model is wrong by is in every record of a motion the same
+        # an inertia does not change, but the error of a model is the same in all records of one motion
         drifts[-MECHANICS:] = _MECHANICS_DRIFT * self.first[-MECHANICS:]
         added = drifts**2 * seconds / 60.0
         variance = np.diag(self.covariance)

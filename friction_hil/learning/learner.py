@@ -32,11 +32,11 @@ from friction_hil.numerics.readable import quantity
 _SETTLING_TICKS = 3  # beyond the fade: the first strokes after a change are of neither side
 _UNJUDGED_TICKS = 1  # errors may be due to the change itself, in the midst of a reversal
 _MISLED_TICKS = 2
-_FIRST_PART, _FIRST_TICKS = 1.0 / 3.0, 4  # of a change, for so long: if wrong, it does a ninth of the harm
+_FIRST_PART, _FIRST_TICKS = 1.0 / 3.0, 4  # part of a change that is tried first: a wrong one does a ninth of the harm
 _DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
 _WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
 _OTHER = 0.03  # the same: change since a trial that was taken back, after which the next one does not wait
-_FALLS = 0.02  # relative change of the friction since the last change of parameters: it falls
+_FALLS = 0.02  # decrease of the friction since the last change of parameters, beyond which it counts as falling
 _GAIN_WORTH = 0.01
 _LESS_GAIN = 0.05  # step of a lower gain
 _DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1

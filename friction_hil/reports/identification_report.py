@@ -117,10 +117,14 @@ def _mechanics(found: Mechanics | None) -> str:
             "" if each.value is None else f"{each.value:.4g}",
             "" if each.error is None else f"± {1.96 * each.error:.2g}",
             html.escape(each.unit),
-            f"<span class='note'>{html.escape(each.source or each.missing)}</span>",
+            f"<span class='note'>{html.escape(each.source)}</span>",
         )
         for each in found.quantities
+        if each.value is not None or not each.missing
     ]
+    for line in found.missing:  # one row for each reason
+        labels, _, why = line.partition(": not determined: ")
+        rows.append((html.escape(labels), "", "", "", f"<span class='note'>not determined: {html.escape(why)}</span>"))
     shown = table(("", "value", "95 %", "unit", ""), rows, ("", "", "text", "text"))
     remarks = [*found.flags, *found.notes]
     drawn = ""

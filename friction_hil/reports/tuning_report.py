@@ -95,8 +95,10 @@ def _identifications(name: str, axis: "AxisTuning") -> Iterator[tuple[str, "Trie
 
 
 def _section(name: str, axis: "AxisTuning", tuning: "Tuning") -> str:
-    best = axis.best
-    verdict = f"kept: {html.escape(str(axis.file))}" if best.trial.has_helped else "not used: no model helped"
+    best, gain = axis.best, axis.recommended
+    with_gain = "" if gain.gain is None else f" with compensation: {{gain: {gain.gain:g}}}"
+    has_helped = gain.trial.has_helped
+    verdict = f"recommended: {html.escape(str(axis.file))}{with_gain}" if has_helped else "not used: no model helped"
     rows: list[tuple[str, ...]] = []
     problems: list[str] = []
     for each in axis.candidates:
@@ -109,6 +111,7 @@ def _section(name: str, axis: "AxisTuning", tuning: "Tuning") -> str:
     said = f"<p>{html.escape(_sentence(lag.text))}</p>" if lag is not None else ""
     if experiment := tuning.experiments.get(name):
         said = f"<p>{html.escape(_sentence(experiment.text))}</p>{said}"
+    problems += [f"gain {each.gain:g}: {each.text}" for each in axis.gains]
     return f"""
 <h2>{html.escape(name)}: {html.escape(best.label)}</h2>
 <p>{verdict}. Identification of the models, with standard errors: {links}.</p>

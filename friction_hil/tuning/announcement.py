@@ -80,12 +80,11 @@ def shaken_text(run: Configuration, name: str, bounds: ExperimentBounds, duratio
 def _presliding(run: Configuration, bounds: ExperimentBounds, unit: str) -> str:
     """Return what it takes to show presliding: which encoder there is, is known when the drive answers."""
     if not is_fast(1.0 / run.period_s):
-        return (
-            f"; a period of {1e3 * run.period_s:g} ms does not show presliding: only friction while sliding is sought"
-        )
+        text = "is too long to show presliding: only sliding friction is identified"
+        return f"; a period of {1e3 * run.period_s:g} ms {text}"
     acceleration = math.inf if bounds.acceleration is None else bounds.acceleration
     count = coarsest(bounds.velocity, bounds.travel, acceleration=acceleration)
-    return f"; to show presliding too, the encoder needs counts of {count:.2g} {unit} or less"
+    return f"; presliding is identified too if one encoder count is {count:.2g} {unit} or less"
 
 
 def trial_text(

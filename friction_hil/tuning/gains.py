@@ -10,6 +10,7 @@ from friction_hil.config import AxisConfig, Compensation
 from friction_hil.daemon.assembly import make_compensator
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.static_torque import static_torque
+from friction_hil.numerics.readable import digits
 from friction_hil.recordings import Recording
 from friction_hil.replay.changes import inputs_of
 from friction_hil.replay.verify import facts_of
@@ -50,6 +51,12 @@ class GainTrial:
     gain: float | None  # None where no other one was tried
     trial: Trial
     clipping: Clipping | None = None
+
+    @property
+    def text(self) -> str:
+        """What it did in the own motion, and where it did harm."""
+        harm = [f"oscillates in {', '.join(self.trial.swinging)}"] if self.trial.swinging else []
+        return ", ".join([f"{digits(self.trial.reduction.rms, 2)} times lower", *harm])
 
     @property
     def figures(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""An experiment in parts, which ends when what is unknown of the friction does not matter any more. Pure.
+"""An experiment in parts, which ends when the friction is known well enough. Pure.
 
 The parameters of LuGre's model and their covariance are estimated from each part by itself
 (`friction_hil.learning.estimate`), and combined with those of the parts before; without presliding, those of Stribeck's
@@ -146,10 +146,12 @@ class ExperimentResult:
         found = self.unknown
         if found is None:
             return f"the configured duration is over; what is unknown is not estimated: {self.problem}"
-        enough = f"{_percent(found.negligible)} would add {_percent(_DIFFERENCE)} to the following error"
+        known = f"friction is known to {_percent(found.known_to)}, and {_percent(found.negligible)} suffices"
         if self.is_ended_early:
-            return f"what is unknown does not matter any more: {found.text}; {enough}"
-        said = f"the configured duration is over: {found.text}; {enough}"
+            return f"stopped early: {known} ({found.text})"
+        said = f"the configured duration is over: {known} ({found.text})"
+        if found.known_to > found.negligible:
+            said = said.replace(" suffices", " would suffice")
         if found.deviation <= found.negligible:
             return said
         named = "; ".join(f"{name}: {motion_that_shows(name)}" for name in found.parameters)

@@ -32,7 +32,7 @@ def swing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_model_file_loads_and_predicts(swing: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["identify", "swing.csv", "--models", "coulomb,dahl", "--output", "axis.yaml"]
+    words = ["identify", "swing.csv", "--models", "coulomb,dahl", "--output", "axis.yaml", "-v"]
     assert main(words) == 0
     text = capsys.readouterr().out
     assert "Chosen: coulomb" in text

@@ -64,7 +64,7 @@ def tuned(configuration, *options, check=True):
     """Tune against drives of their own; return the JSON and the process."""
     folder = configuration.parent / "tuned"
     with simulated_drives(configuration):
-        done = run("tune", configuration, *ONE, *UNASKED, "--output", folder, "--json", *options, check=check)
+        done = run("tune", configuration, *ONE, *UNASKED, "--output", folder, "--json", "-v", *options, check=check)
     return (json.loads(done.stdout) if done.stdout else None), done
 
 
@@ -210,19 +210,19 @@ def test_a_model_that_does_not_help_is_not_put_to_use(tmp_path) -> None:
     configuration = configured("modbus rtu", tmp_path, compensation=compensation, experiment=experiment)
 
     with simulated_drives(configuration):
-        tuning = ("tune", configuration, *UNASKED, "--output", tmp_path / "tuned", "--models", "coulomb")
+        tuning = ("tune", configuration, *UNASKED, "--output", tmp_path / "tuned", "--models", "coulomb", "-v")
         done = run(*tuning, check=False)
 
     assert done.returncode == 1
     assert "x: compensation did not help" in done.stderr
-    assert ("(kept)" in done.stdout, "to use it" in done.stdout, "it did not help" in done.stdout) == (
+    assert ("(kept)" in done.stdout, "recommended:" in done.stdout, "it did not help" in done.stdout) == (
         False,
         False,
         True,
     )
     assert "for at most 6" in done.stderr
     assert "it moves in parts of 15, 15, 30 s, as many as needed" in done.stderr
-    ended = "x: the experiment took 30 s of 60 s in 2 parts: what is unknown does not matter any more: "
+    ended = "x: the experiment took 30 s of 60 s in 2 parts: stopped early: "
     assert ended in done.stderr
     assert ended in " ".join(done.stdout.split())
     files = {path.name for path in (tmp_path / "tuned").glob("x_experiment*.mcap")}
@@ -342,7 +342,7 @@ def test_ctrl_c_while_it_moves_brings_the_axis_to_rest(tmp_path) -> None:
     recording = tmp_path / "tuned" / "x_experiment_1.mcap"
     with simulated_drives(configuration):
         moving = subprocess.Popen(
-            [*COMMAND, "tune", str(configuration), *ONE, *UNASKED, "--output", str(tmp_path / "tuned")],
+            [*COMMAND, "tune", str(configuration), *ONE, *UNASKED, "-v", "--output", str(tmp_path / "tuned")],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

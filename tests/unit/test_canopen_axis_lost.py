@@ -457,4 +457,4 @@ def test_tpdos_that_come_after_their_cycle_say_so():
     bench.axis.handlers[TPDO1](struct.pack("<Hih", 0x0637, 2, 0))
     bench.axis.handlers[TPDO2](struct.pack("<ib", 0, 8))
     feedback = cycle_of(bench, [])
-    assert feedback.missing.endswith("it came after the time kept for it in its cycle [FH-235]")
+    assert feedback.missing.endswith("it arrived too late in its cycle [FH-235]")

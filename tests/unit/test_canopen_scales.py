@@ -145,7 +145,7 @@ def test_a_resolution_that_is_missing_or_a_default_is_asked_for(values):
     with pytest.raises(DriveError, match=r"does not report its encoder resolution.*give counts_per_unit"):
         scales({(0x6076, 0): 640} | values)
     found = scales({(0x6076, 0): 640} | values, counts_per_unit=652.0)
-    assert found.position.confirmation == "nothing confirms it"
+    assert found.position.confirmation == "not cross-checked"
 
 
 # Contradictions
@@ -194,7 +194,7 @@ def test_a_small_rated_torque_may_differ_by_half_a_step_of_6076h():
 
 def test_a_linear_axis_is_compared_where_the_drive_counts_metres():
     options = {"kind": "linear", "counts_per_unit": 1e6, "rated_torque": 20.0}
-    assert scales(ENCODER, **options).position.confirmation == "nothing confirms it"  # counts of a revolution
+    assert scales(ENCODER, **options).position.confirmation == "not cross-checked"  # counts of a revolution
     assert scales(ENCODER | {(0x60A8, 0): 0xFA010000}, **options).position.confirmation == "60A8h 1e-06 m agrees"
     with pytest.raises(DriveError, match="a factor of 1000"):
         scales(ENCODER | {(0x60A8, 0): 0xFD010000}, **options)
@@ -282,8 +282,8 @@ def test_the_table_says_for_each_unit_where_it_comes_from_and_what_confirms_it()
         "x: position: 652 counts per rad from counts_per_unit; 608Fh 4096 per revolution agrees; "
         "limit [-4, 4] rad = [-2608, 2608] counts",
         "x: velocity: 652 increments per rad/s from the assumption counts/s, as there is no 60A9h; "
-        "nothing confirms it; examined by the first motion; limit 10 rad/s = 6520 increments",
-        "x: torque: 0.64 N m at 1000 per mille from 6076h; nothing confirms it; limit 0.3 N m = 468 per mille",
+        "not cross-checked; examined by the first motion; limit 10 rad/s = 6520 increments",
+        "x: torque: 0.64 N m at 1000 per mille from 6076h; not cross-checked; limit 0.3 N m = 468 per mille",
     ]
 
 

@@ -306,7 +306,17 @@ def test_a_load_heavier_than_the_axis_is_refused() -> None:
 def test_command_prints_what_was_found_and_what_was_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, report = tmp_path / "shaken.npz", tmp_path / "report.html"
     np.savez(path, **shaken(Axis()).columns)  # type: ignore[arg-type]
-    options = ["identify", str(path), "--models", "coulomb", "--gravity", "none", "--output", str(tmp_path / "m.yaml")]
+    options = [
+        "identify",
+        str(path),
+        "--models",
+        "coulomb",
+        "--gravity",
+        "none",
+        "-v",
+        "--output",
+        str(tmp_path / "m.yaml"),
+    ]
     assert main([*options, "--report", str(report)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "anti-resonance" in shown

@@ -122,19 +122,18 @@ def uncertain():
 def test_an_experiment_says_why_it_ended_and_what_is_uncertain(uncertain) -> None:
     whole = ExperimentResult((15.0, 15.0, 30.0), 60.0, uncertain)
     assert whole.text == (
-        "the experiment took 60 s in 3 parts: the configured duration is over: standard deviation 3 % of the friction "
-        "along the own motion, the last part differs by 1 %; 1.4 % would add 1 % to the following error. Still "
-        "uncertain: sigma1: reverse fast with presliding amplitudes: 20 to 200 Hz at a few deflections; static: creep: "
-        "constant speeds far below the Stribeck velocity, and slow starts from rest"
+        "the experiment took 60 s in 3 parts: the configured duration is over: friction is known to 3 %, and 1.4 % "
+        "would suffice (standard deviation 3 % of the friction along the own motion, the last part differs by 1 %). "
+        "Still uncertain: sigma1: reverse fast with presliding amplitudes: 20 to 200 Hz at a few deflections; static: "
+        "creep: constant speeds far below the Stribeck velocity, and slow starts from rest"
     )
     assert [each["parameter"] for each in whole.figures["uncertain"]] == ["sigma1", "static"]
 
     enough = ExperimentResult((15.0, 15.0), 60.0, Unknown("own", 0.002, 0.003, 0.014, {"coulomb": 1.0}))
     assert enough.is_ended_early
     assert enough.text == (
-        "the experiment took 30 s of 60 s in 2 parts: what is unknown does not matter any more: standard deviation 0.2 "
-        "% of the friction along the own motion, the last part differs by 0.3 %; 1.4 % would add 1 % to the "
-        "following error"
+        "the experiment took 30 s of 60 s in 2 parts: stopped early: friction is known to 0.3 %, and 1.4 % suffices "
+        "(standard deviation 0.2 % of the friction along the own motion, the last part differs by 0.3 %)"
     )
 
     none = ExperimentResult((10.0,), 10.0, None, "the axis stood")

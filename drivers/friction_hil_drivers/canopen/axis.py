@@ -493,5 +493,5 @@ class CanopenAxis:
         lost = [f"TPDO {number + 1}" for number in range(len(self.tpdos)) if not self._arrived >> number & 1]
         text = f"{' and '.join(lost)} of node {self.node} did not arrive in time"
         if self._comes_late:
-            return coded(f"{text}: it came after the time kept for it in its cycle", codes.FEEDBACK_LATE)
+            return coded(f"{text}: it arrived too late in its cycle", codes.FEEDBACK_LATE)
         return text

@@ -127,7 +127,7 @@ class CanopenOptions(BaseModel):
             if axis.model.axis == "linear":
                 for field in ("counts_per_unit", "rated_torque"):
                     if getattr(options, field) is None:
-                        yield name, field, "must be given for a linear axis: drives report neither per metre"
+                        yield name, field, "must be given for a linear axis: drives do not report it per metre"
         if bus is not None:
             yield from _sidecar_mistakes(axes, is_sidecar=bus.role == "sidecar")
 

@@ -33,7 +33,7 @@ from friction_hil_drivers.torque_sign import InvertedTorque, torque_signs
 
 Kind = Literal["rotary", "linear"]
 
-NOTHING_CONFIRMS = "nothing confirms it"
+NOTHING_CONFIRMS = "not cross-checked"
 TRUSTED = "trusted although"
 TOLERANCE = 2e-3  # relative; users round counts per rad
 _TORQUE_TOLERANCE = 1e-2

@@ -71,7 +71,7 @@ def disable_axes(axes: Sequence[int]) -> "Script[dict[int, DriveState]]":
 def _stop_axis(node: int, axis: int, status: Upload) -> "Script[Stop]":
     before = _state(status)
     if status.is_silent:
-        # deaf one way is not deaf the other way: the commands go out all the same
+        # a drive that does not answer may still receive: the commands are sent anyway
         yield from _command(axis, profile.QUICK_STOP)
         yield from _command(axis, profile.DISABLE_VOLTAGE)
         return _no_drive(node, status)

@@ -212,8 +212,8 @@ def _delay_text(figures: "AxisFigures") -> str:
     whole, _, part = f"{figures.delay:.2f}".partition(".")
     fit = f"{whole}.{part.rstrip('0') or '0'}"
     return (
-        "the following error is in proportion to the speed, which is a delay of the set-points, not friction: it fits "
-        f"{fit} periods; setpoint_delay_cycles: {fit} (now {figures.configured_delay:g}). Compared without it"
+        f"the set-points arrive {fit} periods late (setpoint_delay_cycles is {figures.configured_delay:g}): the "
+        f"following error grows with the speed. Set setpoint_delay_cycles: {fit}; the figures above leave this out"
     )
 
 

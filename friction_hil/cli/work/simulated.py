@@ -65,7 +65,7 @@ def simulated_drives(
             words.append("--master")
         with Child(words, folder) as drives:
             where, *notes = _wait_until_ready(drives, is_interrupted)
-            report(f"simulated drives: {where}; {former} is not used")
+            report(f"simulated drives: {where}, on a private bus instead of {former}")
             for line in notes:
                 report(line)
             yield private

@@ -28,7 +28,6 @@ from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.tuning_report import write_reports
 from friction_hil.tuning import AxisTuning, TriedModel, TuneSettings, Tuning, tune
 from friction_hil.tuning.choice import motion_names
-from friction_hil.tuning.gains import GainTrial
 from friction_hil.tuning.settings import ShowStep
 
 _FOLDER = Path("out/tune")
@@ -214,7 +213,7 @@ def _print_details(tuning: Tuning) -> None:
             *(f"{each.label}: {problem}" for each in axis.candidates for problem in each.trial.problems),
             *axis.best.fit.flags,
             *(each.text for each in (experiment, lag, ratio) if each is not None),
-            *(f"gain {each.gain:g}: {_times(each)}" for each in axis.gains),
+            *(f"gain {each.gain:g}: {each.text}" for each in axis.gains),
         ):
             say(f"{name}: {text}", stderr=False)
 
@@ -262,18 +261,12 @@ def _recommendation(axis: AxisTuning, config: Path, applied: Mapping[str, Any] |
     done = f"written into {config}: " if applied else "recommended: "
     said = f"{done}{keys}" if keys else f"the configuration stays as it is; its model file is {axis.file}"
     others = [each for each in axis.gains if each is not best]
-    than = "; ".join(f"gain {each.gain:g}: {_times(each)}" for each in others)
+    than = "; ".join(f"gain {each.gain:g}: {each.text}" for each in others)
     return f"{said} ({than})" if than else said
 
 
 def _flow(value: Any) -> str:
     return f"{{gain: {value['gain']:g}}}" if isinstance(value, dict) else str(value)
-
-
-def _times(tried: GainTrial) -> str:
-    """Say what a gain did in the own motion, and where it did harm."""
-    harm = [f"oscillates in {', '.join(tried.trial.swinging)}"] if tried.trial.swinging else []
-    return ", ".join([f"{digits(tried.trial.reduction.rms, 2)} times lower", *harm])
 
 
 def _uncertainty(name: str, axis: AxisTuning, tuning: Tuning) -> str:
