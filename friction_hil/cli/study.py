@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from friction_hil.cli.completion import complete_models
-from friction_hil.cli.options import folder_option, numbers, option_json
+from friction_hil.cli.options import folder_option, numbers, option_json, option_verbose
 
 
 @click.command("study")
@@ -40,8 +40,9 @@ from friction_hil.cli.options import folder_option, numbers, option_json
     "circle.",
 )
 @folder_option("out/study", "the report")
+@option_verbose
 @option_json
-def command(machine: Path | None, names: str | None, **options: Any) -> int:
+def command(machine: Path | None, names: str | None, verbose: bool, **options: Any) -> int:
     """Show what friction does to a servo, model by model, or what compensation does on a MACHINE.
 
     Without MACHINE: nine experiments with each friction model. Static curves, velocity pulse, presliding, stress and
@@ -66,4 +67,4 @@ def command(machine: Path | None, names: str | None, **options: Any) -> int:
         return run_machine_study(machine=machine, **options)
     from friction_hil.cli.work.study import run_study  # imported here: --help must not wait for numba
 
-    return run_study(names=names, **options)
+    return run_study(names=names, verbose=verbose, **options)

@@ -41,15 +41,13 @@ class TrainingTask:
     unseen : dict of str to Samples
         Signals by name that are used neither for training nor for validation; for the report.
     total : array
-        Measured torque of the validation samples, to which errors are related; empty without recordings.
-    base_error : array
-        Error of the model beside the network, or of the best physical one, on the same samples.
+        Measured torque of the judged samples, to which errors are related; empty without recordings.
     physical : str
-        Name of that model.
+        Name of the model beside the network, or of the best physical one.
     prepared : tuple of RegressionSegment
-        Records of the validation samples as `identify` prepares them, for the relative error.
-    is_at_full_rate : bool
-        True if the samples are not low-passed.
+        Records of the validation samples as `identify` and `replay` prepare them, for the relative error.
+    judged : Samples
+        Samples of these records, as `validation`.
     least_speed : float
         Slowest speed that the recordings visit and the encoder shows, see `visited.least_speed`; 0 without recordings.
     """
@@ -62,11 +60,10 @@ class TrainingTask:
     notes: tuple[str, ...] = ()
     unseen: dict[str, Samples] = field(default_factory=dict)
     total: Array = field(default_factory=lambda: np.zeros(0))
-    base_error: Array = field(default_factory=lambda: np.zeros(0))
     physical: str = ""
     least_speed: float = 0.0
     prepared: tuple[RegressionSegment, ...] = ()
-    is_at_full_rate: bool = False
+    judged: Samples | None = None
 
     @property
     def base(self) -> FrictionModel | None:
@@ -133,6 +130,7 @@ def task_of_recordings(
         Without counts, the low-pass of `identification.data.prepare` is used.
     """
     notes: list[str] = []
+    asked_hz = lowpass_hz
     if lowpass_hz is None and is_static:
         lowpass_hz = _STATIC_LOWPASS * prepare(recordings[0])[0].rate_hz
     name = "the model of --base"
@@ -148,8 +146,7 @@ def task_of_recordings(
             "is not known. Beside a model (without --structure, or with residual) that model remains there"
         )
     notes += dict.fromkeys(problem for record in (*records, *others) for problem in record.problems)
-    prepared = others or records
-    if is_fine := lowpass_hz is None and all(map(_is_counted, (*records, *others))):
+    if lowpass_hz is None and all(map(_is_counted, (*records, *others))):
         records, others = [list(map(fine.at_full_rate, each)) for each in (records, others)]
         notes.append("velocity derived from the counts of the encoder, in bands, each as far as it exceeds their noise")
     records, others = _in_torque(records, recordings, known), _in_torque(others, validation, known)
@@ -163,7 +160,9 @@ def task_of_recordings(
             "without --validate, every fourth of twenty blocks of time is held out; if the motion repeats itself, they "
             "resemble the others, which flatters a network. Without --structure, strokes of other speeds are held out"
         )
-    compared = others or records
+    shown = validation or recordings
+    prepared = _in_torque([part for each in shown for part in prepare(each, lowpass_hz=asked_hz)], shown, known)
+    error_of = data.of_records(prepared, known.mechanics, base if is_residual else None)
     return TrainingTask(
         samples,
         judged,
@@ -171,12 +170,11 @@ def task_of_recordings(
         is_residual=is_residual,
         sources={"recordings": [{"path": each.path, "rows": len(each)} for each in recordings]},
         notes=tuple(notes),
-        total=data.total_torque(compared),
-        base_error=data.of_records(compared, known.mechanics, base).torque,
+        total=data.total_torque(prepared),
         physical=name,
         least_speed=slowest,
         prepared=tuple(prepared),
-        is_at_full_rate=is_fine,
+        judged=error_of if others else data.held_out(error_of)[1],
     )
 
 

@@ -109,27 +109,22 @@ class TrainedModel:
 
         The torques are prepared as `identify` and `replay` prepare them.
         """
-        if not self.task.total.size:
+        if self.task.judged is None:
             return {}
         norm = self._norm(self.task.total)
-        return {name: self._norm(left) / norm for name, left in self._left().items()}
+        return {name: self._norm(left) / norm for name, left in self._left(self.task.judged).items()}
 
     def _norm(self, torque: Array) -> float:
-        """Return the norm of a torque (n,) on the validation samples, low-passed and decimated."""
-        samples, task = self.task.validation, self.task
+        """Return the norm of a torque (n,) on the judged samples, decimated."""
+        samples = self.task.judged
+        assert samples is not None
         begins = np.flatnonzero(samples.starts)[1:]
-        parts = zip(task.prepared, np.split(torque, begins), np.split(samples.weight, begins), strict=True)
-        return math.sqrt(
-            sum(
-                float(
-                    np.sum(
-                        each.kept_rows(weight)
-                        * (each.reduce if task.is_at_full_rate else each.reduce_smooth)(part) ** 2
-                    )
-                )
-                for each, part, weight in parts
-            )
-        )
+        parts = zip(self.task.prepared, np.split(torque, begins), np.split(samples.weight, begins), strict=True)
+        # low-passed already, where the records are
+        squares = [
+            float(np.sum(each.kept_rows(weight) * each.reduce_smooth(part) ** 2)) for each, part, weight in parts
+        ]
+        return math.sqrt(math.fsum(squares))
 
     @property
     def gains(self) -> dict[str, Gain]:
@@ -142,16 +137,16 @@ class TrainedModel:
             return {}
         blocks = _blocks(self.task.validation)
         network, *others = (
-            (name, [float(np.mean(left[block] ** 2)) for block in blocks]) for name, left in self._left().items()
+            (name, [float(np.mean(left[block] ** 2)) for block in blocks])
+            for name, left in self._left(self.task.validation).items()
         )
         return {name: gain(network[1], errors) for name, errors in others}
 
-    def _left(self) -> dict[str, Array]:
-        """Return the error of the torque on the validation samples, (n,), of the network and the physical models."""
-        samples = self.task.validation
+    def _left(self, samples: Samples) -> dict[str, Array]:
+        """Return the error of the torque on samples of the validation, (n,), of the network and the physical models."""
         left = {str(self.network): samples.torque - self.free_run(samples)}
         if self.task.is_residual:
-            return left | {self.task.physical: self.task.base_error}
+            return left | {self.task.physical: samples.torque}  # what the model beside the network leaves
         return left | {
             name: samples.torque - physical.simulate(model, samples) for name, model in self.compared.items()
         }

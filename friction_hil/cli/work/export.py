@@ -71,11 +71,10 @@ def export(
     else:
         given, lag_s = compensator.settings, file.mechanics.torque_lag_s
         begin_s = round(given.lead_s - 0.5 * given.period_s - lag_s, 9) + 0.0  # no minus before a zero
-        lag = f" and {lag_s:g} s, the torque_lag_s of the model file," if lag_s > 0.0 else ""
+        lag = f" and {lag_s:g} s (torque_lag_s of the model file)" if lag_s > 0.0 else ""
         click.echo(
-            f"Model, and compensator with a period of {given.period_s:g} s. Its torque begins to act {begin_s:g} s "
-            f"after the position was sampled (--delay), and half a period{lag} later on average: it is computed for "
-            f"{given.lead_s:.6g} s after."
+            f"Model and compensator, period {given.period_s:g} s. Its torque is computed for {given.lead_s:.6g} s "
+            f"after the position was sampled: {begin_s:g} s (--delay), half a period{lag}."
         )
 
 

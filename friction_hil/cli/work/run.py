@@ -177,8 +177,11 @@ def _print(
                 say(f"   {count} of them: {reason}", stderr=False)
     for name, learned in result.learning.get("axes", {}).items():
         say(learning_words.last_line(name, learned), stderr=False)
-    for path in result.report.recording if result.report else ():
+    paths = result.report.recording if result.report else ()
+    for path in paths:
         click.echo(f"recorded: {path}")
+    if paths and not dry_run:
+        click.echo(f"next: friction-hil plot {paths[0]} --output run.html")
 
 
 def _print_errors(axes: "dict[str, AxisFigures]", configuration: "Configuration", *, is_cut: bool) -> None:

@@ -35,6 +35,7 @@ def run_study(
     motion: dict[str, float],
     output: Path,
     as_json: bool,
+    verbose: bool,
 ) -> int:
     """Run the experiments, write the report and print the main numbers; return 1 if a number is not finite."""
     chosen = None if names is None else [name.strip() for name in names.split(",") if name.strip()]
@@ -48,7 +49,7 @@ def run_study(
     if as_json:
         print_json(result.facts)
     else:
-        _print(result, report)
+        _print(result, report, verbose=verbose)
     wrong = [
         f"{name}: {fact}" for name, facts in result.facts.items() for fact in facts if not math.isfinite(facts[fact])
     ]
@@ -91,7 +92,7 @@ def study_progress() -> Iterator[Callable[[str, float], None]]:
         yield lambda text, done: bar.update(task, description=text.replace("_", " "), completed=done)
 
 
-def _print(result: Study, report: Path) -> None:
+def _print(result: Study, report: Path, *, verbose: bool) -> None:
     columns = summary_columns()
     table = new_table("model", *(number(column.brief) for column in columns))
     remarks = new_table("model", prose("what to look at"))
@@ -100,6 +101,8 @@ def _print(result: Study, report: Path) -> None:
         remarks.add_row(name, look(name))
     print_table(table)
     click.echo("lag: width of the loop at 25 rad/s; break-away: slow → fast rise of the force;")
-    click.echo("stuck, hunting, reversal: without → with compensation by the same model\n")
-    print_table(remarks)
-    click.echo(f"\nreport: {report}")
+    click.echo("stuck, hunting, reversal: without → with compensation by the same model")
+    if verbose:
+        print_table(remarks)
+    click.echo(f"report: {report}")
+    click.echo("next: open the report; -v says what to look at, model by model")
