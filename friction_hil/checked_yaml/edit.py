@@ -75,7 +75,7 @@ def with_value(text: str, steps: FieldPath, value: Any, path: str = "") -> str:
 
 
 def _changed(text: str, steps: FieldPath, value: Any) -> str:
-    node = yaml.compose(text, Loader=yaml.SafeLoader)  # its marks count characters
+    node: Any = yaml.compose(text, Loader=yaml.SafeLoader)  # its marks count characters
     after_key = 0
     for k, step in enumerate(steps):
         entries = node.value if isinstance(node, yaml.MappingNode) else []

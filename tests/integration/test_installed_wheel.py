@@ -42,7 +42,7 @@ ADDED = {
     "friction-hil identify": ("--models", "coulomb"),
 }
 LONGEST_S = 2.0  # of a run, in simulated time
-TRIAL_S = 6.0  # of the first one; its first 4 s are without compensation
+TRIAL_S = 8.0  # of the first one; its first 4 s are without compensation, and a period with it is 2 s
 PERIOD_S = 4e-3
 EXPERIMENT = {"velocity": 4.0, "travel": 1.0, "duration_s": 5.0, "ramp_s": 0.25}
 LIMITS = {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0, "following_error": 2.0}

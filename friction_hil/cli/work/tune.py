@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -69,7 +69,7 @@ def tune_machine(
     )
     terminal = Terminal(is_asked=not yes, is_verbose=verbose)
     try:
-        with simulated_drives(configuration, pace, terminal.report) if simulate else nullcontext(configuration) as own:
+        with simulated_drives(configuration, pace, terminal.tell) if simulate else nullcontext(configuration) as own:
             tuning = tune(own, settings, terminal)
     except OptionError as error:
         raise located(config, error) from None
@@ -156,7 +156,7 @@ class Terminal:
             yield show
 
 
-def _as_dict(tuning: Tuning, config: Path, applied: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _as_dict(tuning: Tuning, config: Path = Path(), applied: Collection[str] = ()) -> dict[str, Any]:
     return {
         "axes": {
             name: {
