@@ -161,7 +161,7 @@ def test_an_axis_that_is_moved_by_hand_is_not_said_to_be_held() -> None:
     assert text == (
         "x moves by up to 0.8 rad to either side of where it stands, at up to 5 rad/s (stopped above 7.5 rad/s), "
         "for 21 s, without compensation; y free; "
-        "to show presliding too, the encoder needs counts of 0.00064 rad or less"
+        "presliding is identified too if one encoder count is 0.00064 rad or less"
     )
 
     text = experiment_text(run, "x", experiment_of("x", configuration.axes["x"]), 66.0, (15.0, 15.0, 30.0))

@@ -23,8 +23,6 @@ from friction_hil.replay.batch import replay_many
 from friction_hil.replay.task import ReplayOutcome, ReplayTask
 from friction_hil.reports.replay_picture import draw
 
-_POOR = 0.5  # relative_error: worse models are not worth a table alone
-
 
 def replay(
     *,
@@ -137,20 +135,9 @@ def _print(outcomes: Sequence[ReplayOutcome]) -> None:
             click.echo(_verdict(name, facts))
     if table.rows:
         print_table(table)
-        _print_worth(outcomes)
     for outcome in outcomes:
         if outcome.picture is not None:
             click.echo(f"picture: {outcome.picture}")
-
-
-def _print_worth(outcomes: Sequence[ReplayOutcome]) -> None:
-    """Print what the errors are worth, and what to do next."""
-    found = [each for outcome in outcomes for each in outcome.facts["models"]]
-    best = min(found, key=lambda each: each["relative_error"] if math.isfinite(each["relative_error"]) else math.inf)
-    if not best["relative_error"] >= _POOR:
-        return
-    path = next(outcome.facts["path"] for outcome in outcomes if best in outcome.facts["models"])
-    say(f"No model explains half of the torque. next: friction-hil identify {path}", stderr=False)
 
 
 def _common_unit(outcomes: Sequence[ReplayOutcome]) -> tuple[float, str]:
