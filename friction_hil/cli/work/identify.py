@@ -83,7 +83,9 @@ def identify_axis(
             if is_worthless
             else find_mechanics(recordings, result, disturbed=disturbed, report=lambda step: show(f"mechanics: {step}"))
         )
-    free = {"relative_error": None, "reason": "no usable model"} if is_worthless else _free_run(result, controller)
+    free: dict[str, Any] = {"relative_error": None, "reason": "no usable model"}
+    if not is_worthless:
+        free = _free_run(result, controller)
     if output is not None and not is_worthless:
         signal = recordings[0].sources.get("torque", "torque")
         model_file(result, signal=signal)  # raises before a file that could not be read again is written
