@@ -66,7 +66,7 @@ def test_a_machine_on_a_real_bus_is_simulated_and_judged(tmp_path):
     record = tmp_path / "run.mcap"
     words = ("run", "--simulate", path, "--pace", "sync", "--duration", "4", "--record", record)
     done = run(*words)
-    where = r"simulated drives: x=node 1 on udp_multicast 239.74.163.\d+:\d+, on a private bus instead of socketcan can0"
+    where = r"simulated drives: x=node 1 on \S+ 239.74.163.\d+:\d+, on a private bus instead of socketcan can0"
     assert re.match(where, done.stderr)
 
     # the table shows what the recording holds: one figure without, one with compensation
