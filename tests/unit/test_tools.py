@@ -339,13 +339,15 @@ def test_arguments_reach_pytest(project: Pytest) -> None:
     called = project.called("rest") or []
     assert called[-3:] == ["tests/unit", "-k", "a or b"]
     assert called[called.index("-n") + 1] == "auto"
-    assert called[called.index("-m") + 1] == "not socketcan"
+    assert called[called.index("-m") + 1] == "not socketcan and not deep"
 
 
 @pytest.mark.parametrize("path", ["tests/unit/test_a.py", "tests/unit/test_a.py::test_b[1]"])
-def test_single_files_need_no_workers(project: Pytest, path: str) -> None:
+def test_single_files_need_no_workers_and_are_run_whole(project: Pytest, path: str) -> None:
     project.run_tests(path)
-    assert "-n" not in (project.called("rest") or ["-n"])
+    called = project.called("rest") or ["-n"]
+    assert "-n" not in called
+    assert called[called.index("-m") + 1] == "not socketcan"
 
 
 def test_a_file_that_is_left_out_takes_no_workers_away(project: Pytest) -> None:
