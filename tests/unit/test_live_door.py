@@ -138,3 +138,12 @@ def test_what_comes_after_the_head_is_passed_on_as_it_is(echo, size):
 )
 def test_headers_that_could_be_read_in_two_ways_are_refused(echo, head):
     assert b"HTTP/1.1 4" in answered(echo, b"GET / HTTP/1.1\r\n" + head + b"\r\n\r\n")[:10]
+
+
+def test_a_door_through_which_nobody_went_closes_in_order(monkeypatch):
+    failures = []
+    monkeypatch.setattr(threading, "excepthook", failures.append)
+    door = Door("127.0.0.1", 0, ("127.0.0.1", 1), Gate("", (), is_reading_free=True))
+    door.close()
+    assert failures == []
+    assert door._loop.is_closed()
