@@ -10,7 +10,6 @@ import os
 import time
 from collections import deque
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil_drivers.canopen import CanopenDrives, objects
@@ -33,13 +32,13 @@ from friction_hil.errors import FrictionHilError
 from friction_hil.motion.trajectory import PathTime
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
+from tools.benchmarks.loop.daemon import configured
 from tools.benchmarks.report import Row, against, note, percentile
 
 if TYPE_CHECKING:
     import can
 
-DEMO = Path(__file__).parents[2] / "config/demo.yaml"
-DURATION_S = 10.0
+PERIOD_S, DURATION_S = 1e-3, 10.0
 TARGET_US = 60.0
 MAILBOX_TARGET_US = 1.0
 LOOKS = 300
@@ -208,7 +207,9 @@ def run() -> list[Row]:
     FrictionHilError
         The loop ended with a fault.
     """
-    configuration = one_axis(config.load(DEMO))
+    given = configured(1, PERIOD_S, config.Realtime().spin_us)
+    given["bus"] = {"interface": "virtual", "channel": f"benchmark {os.getpid()}"}
+    configuration = config.from_dict(given, "benchmark")
     bus = LoopBus(configuration)
     frames = ReadyFrames(bus)
     clock = SharedClock(configuration.realtime.spin_us, frames)
@@ -249,18 +250,3 @@ def _looks_us() -> list[float]:
         found.append((time.perf_counter_ns() - began) / (1e3 * LOOKS))
     os.close(mailbox.descriptor)
     return sorted(found)
-
-
-def one_axis(configuration: config.Configuration) -> config.Configuration:
-    """Return a configuration of the first axis, compensated from the start, on a bus of its own."""
-    name, axis = next(iter(configuration.axes.items()))
-    compensation = axis.compensation.model_copy(update={"baseline_s": 0.0})
-    assert configuration.bus is not None
-    return configuration.model_copy(
-        update={
-            "axes": {name: axis.model_copy(update={"compensation": compensation})},
-            "bus": configuration.bus.model_copy(
-                update={"interface": "virtual", "channel": f"benchmark {os.getpid()}", "port": None}
-            ),
-        }
-    )
