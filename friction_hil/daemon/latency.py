@@ -19,6 +19,7 @@ from friction_hil.errors import FrictionHilError
 
 INSTALL_CYCLICTEST = "sudo apt install rt-tests"
 _HISTOGRAM_US = 20_000  # of cyclictest
+_LOOK_S, _MOST_MISSED = 1.0, 0.05
 _HISTOGRAM_NS = 1_000_000
 
 
@@ -71,6 +72,20 @@ def measure(clock: Clock, period_s: float, cycles: int) -> Latency:
         late_ns[k] = pacer.overslept_ns
         missed += pacer.skipped
     return Latency(np.sort(np.array(late_ns) * 1e-3), missed)
+
+
+def why_not_real_time(clock: Clock, period_s: float) -> str:
+    """Look for a second whether simulated drives keep up with a period here; return why not, or nothing if they do.
+
+    The priority is that of an ordinary process, as simulated drives have it beside a loop of higher priority.
+    """
+    cycles = round(_LOOK_S / period_s)
+    found = measure(clock, period_s, cycles)
+    share = found.missed / (found.missed + cycles)
+    if share <= _MOST_MISSED:
+        return ""
+    missed = f"{100.0 * share:.0f} % of periods of {period_s * 1e3:g} ms"
+    return f"this computer is too busy: an ordinary process misses {missed}"
 
 
 def is_fifo_allowed(priority: int) -> bool:

@@ -131,14 +131,24 @@ def _free_port() -> int:
 
 def _record(work: Path, pace: str, show: ShowProgress) -> tuple["Circularity", dict[str, Any], str, str]:
     """Draw the circle; return its analysis, the daemon's summary, its messages, and the pace."""
+    path = _private_configuration(work)
     if pace == "auto":
-        try:
-            return _record(work, "real", show)
-        except (LoopFaultError, RecordingError) as error:
-            show(f"{error}\nThis computer is too busy for real time: starting again, in simulated time.", None)
-            (work / RECORDING).unlink(missing_ok=True)
-            pace = "sync"
-    loop, notes = _run_processes(_private_configuration(work), pace, show)
+        # imported here: not for those who choose the pace
+        from friction_hil.config import load
+        from friction_hil.daemon.latency import why_not_real_time
+        from friction_hil.daemon.realtime import RealClock
+
+        show("looking how busy this computer is", 0.0)
+        reason = why_not_real_time(RealClock(0), load(path).period_s)
+        if not reason:
+            try:
+                return _record(work, "real", show)
+            except (LoopFaultError, RecordingError) as error:
+                (work / RECORDING).unlink(missing_ok=True)
+                reason = f"this computer is too busy: {error}"
+        show(f"{reason}. In simulated time:", None)
+        pace = "sync"
+    loop, notes = _run_processes(path, pace, show)
     # imported here: loaded while the drives start
     from friction_hil.analysis.circularity import analyse
     from friction_hil.recordings import read_all
@@ -172,8 +182,13 @@ def _run_processes(path: Path, pace: str, show: ShowProgress) -> tuple[dict[str,
                 if pace == "sync" or daemon.said:  # its first message comes when it has found its drives
                     show(*progress.look())
             drives.refuse_failure(DemoError)
-            daemon.refuse_failure(LoopFaultError if daemon.printed else DemoError)
-        return json.loads(daemon.printed), daemon.said
+            if not daemon.printed:
+                daemon.refuse_failure(DemoError)
+        result = json.loads(daemon.printed)
+        if result["faults"]:  # without the daemon's own words: they name files that are removed
+            raise LoopFaultError("; ".join(result["faults"]))
+        daemon.refuse_failure(DemoError)
+        return result, daemon.said
 
 
 def _compile_learning(configuration: "Configuration") -> None:

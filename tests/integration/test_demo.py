@@ -21,6 +21,7 @@ from friction_hil.demo import demonstration as demo
 from friction_hil.errors import UsageError
 from friction_hil.recordings import read_all
 from friction_hil.replay.verify import verify
+from tests.loop_run import LateClock
 from tests.unit.test_circularity import make_circle, make_learned
 
 COMMAND = [sys.executable, "-m", "friction_hil", "demo"]
@@ -273,11 +274,20 @@ def busy_computer(outcome, monkeypatch):
     return asked
 
 
-def test_a_busy_computer_gets_its_circle_in_simulated_time_and_is_reported(busy_computer, tmp_path, capsys):
+LATE, ON_TIME = LateClock(dict.fromkeys(range(1000), 1_500_000)), LateClock({})
+
+
+@pytest.mark.parametrize(
+    ("clock", "paces", "reason"), [(ON_TIME, ["real", "sync"], "the loop was late"), (LATE, ["sync"], "misses 50 %")]
+)
+def test_a_busy_computer_gets_its_circle_in_simulated_time_and_is_reported(
+    clock, paces, reason, busy_computer, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr("friction_hil.daemon.realtime.RealClock", lambda spin_us: clock)
     assert main(["demo", "--output", str(tmp_path)]) == 0
-    assert busy_computer == ["real", "sync"]
+    assert busy_computer == paces
     said = capsys.readouterr()
-    assert "fault: the loop was late\nThis computer is too busy for real time" in said.err
+    assert reason in next(line for line in said.err.splitlines() if line.startswith("this computer is too busy"))
     assert "in simulated time" in said.out
     assert "in simulated time" in (tmp_path / demo.REPORT).read_text()
 

@@ -47,6 +47,14 @@ def test_lateness_and_missed_periods_are_those_of_the_clock(late_ns):
         assert found.percentile_us(share) in found.late_us
 
 
+@given(st.integers(0, 1000), st.integers(0, 5))
+def test_simulated_drives_need_most_periods(count, periods):
+    late = LateClock(dict.fromkeys(range(count), periods * 1_000_000))
+    reason = latency.why_not_real_time(late, PERIOD_S)
+    missed = count * periods
+    assert bool(reason) == (missed / (1000 + missed) > 0.05)
+
+
 def test_output_of_cyclictest_is_read():
     found = latency.parse_cyclictest(OUTPUT, PERIOD_S)
     assert found is not None

@@ -12,7 +12,7 @@ import click
 from friction_hil.cli.colour import echo_labelled, yellow
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
-from friction_hil.cli.work.simulated import simulated_drives
+from friction_hil.cli.work.simulated import hint_at_simulated_time, simulated_drives
 from friction_hil.cli.work.tables import print_table, say
 from friction_hil.config import load, located, missing_models
 from friction_hil.daemon import learning_words
@@ -89,6 +89,8 @@ def run(
         except Interrupted as error:
             click.echo(f"stopped ({error}) before anything was enabled", err=True)
             raise
+        if simulate and result.loop.faults:
+            hint_at_simulated_time(configuration, pace, say)
     if as_json:
         print_json(_summary(result))
     else:

@@ -1,18 +1,24 @@
 """Simulated drives for a command that usually runs real ones (``--simulate``): on a bus or on lines of their own."""
 
+import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+import click
 
 from friction_hil.checked_yaml.text import dump
 from friction_hil.config import Configuration, self_contained
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
 from friction_hil.config.load import only_driver
 from friction_hil.daemon.child import Child
-from friction_hil.errors import DriveError, UsageError
+from friction_hil.daemon.latency import why_not_real_time
+from friction_hil.daemon.realtime import RealClock
+from friction_hil.errors import DriveError, FrictionHilError, UsageError
 
-_TICK_S = 0.02
+_TICK_S, _QUIET_S = 0.02, 1.0
 _READY = "ready: "
 
 
@@ -68,14 +74,28 @@ def simulated_drives(
             report(f"simulated drives: {where}, on a private bus instead of {former}")
             for line in notes:
                 report(line)
-            yield private
+            try:
+                yield private
+            except FrictionHilError:
+                hint_at_simulated_time(configuration, pace, report)
+                raise
             if drives.wait(0.0):
                 report(f"the simulated drives ended before the run: {drives.said.strip() or 'no message'}")
 
 
+def hint_at_simulated_time(configuration: Configuration, pace: str, report: Callable[[str], None]) -> None:
+    """Say after a failure if this computer is too busy for real time, which simulated drives do not need."""
+    if pace == "real" and (reason := why_not_real_time(RealClock(0), configuration.period_s)):
+        report(f"{reason}; --pace sync runs in simulated time, in which nothing is late")
+
+
 def _wait_until_ready(drives: Child, is_interrupted: Callable[[], bool]) -> list[str]:
     """Return what they print when they are on the bus: nodes and bus, then notes."""
+    begin_s, is_told = time.monotonic(), not sys.stderr.isatty()
     while not (printed := drives.printed).endswith("\n"):
+        if not is_told and time.monotonic() > begin_s + _QUIET_S:
+            is_told = True
+            click.echo("starting the simulated drives: the first time, they are compiled for this machine", err=True)
         if is_interrupted():
             raise KeyboardInterrupt
         if drives.wait(_TICK_S):
