@@ -16,6 +16,7 @@ import io
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from functools import cache
 
 import click
 
@@ -24,6 +25,7 @@ from friction_hil.cli.colour import echo_labelled, echo_problems
 from friction_hil.cli.quick_imports import keep_asammdf_out_of_can
 from friction_hil.errors import ConfigurationError, FrictionHilError, choices
 from friction_hil.interrupts import interruptible
+from friction_hil.numerics import compiling
 from friction_hil.printable import PrintableStream
 
 # The short help stands here, so that the overview imports no command.
@@ -141,7 +143,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     gc.set_threshold(50_000, 20, 50)
     atexit.register(gc.freeze)
     keep_asammdf_out_of_can()
+    if sys.stderr.isatty():
+        compiling.listeners.append(_say_compiling)
     return exit_status(application, arguments, "friction-hil")
+
+
+@cache
+def _say_compiling() -> None:
+    click.echo("compiling, once on this machine: this takes some seconds", err=True)
 
 
 def exit_status(command: click.Command, arguments: Sequence[str] | None, program: str) -> int:

@@ -13,6 +13,11 @@ import click
     is_flag=True,
     help="Also let each watchdog of each drive lapse, at standstill and without torque, and report what it does.",
 )
+@click.option(
+    "--warm",
+    is_flag=True,
+    help="Before that, compile what runs and learning need, once for this machine, by a demo in simulated time.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list on stdout and nothing else.")
 def command(**options: Any) -> int:
     """Check this machine, and with CONFIG also the connection to its drives.

@@ -203,5 +203,6 @@ FAMILY = Family(
     example={"stiffness": 400.0, "A": 1.0, "beta": 3000.0, "gamma": 2000.0, "exponent": 1.0, "viscous": 2e-3},
     note="dissipates energy in every cycle if gamma <= beta",
     check=_check,
+    stiffness=lambda p: p["stiffness"] * p["A"],
     level=lambda p: p["stiffness"] * (p["A"] / (p["beta"] + p["gamma"])) ** (1.0 / p["exponent"]),
 )

@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from friction_hil.friction.parameters import Parameter
 
 
@@ -37,6 +39,11 @@ def largest_level(parameters: Mapping[str, Any]) -> float:
     return max(float(parameters.get(name, 0.0)) for name in ("coulomb", "static"))
 
 
+def stiffness_at_rest(parameters: Mapping[str, Any]) -> float:
+    """Return the stiffness of the bristles, or of all elements together."""
+    return float(np.sum(parameters.get("sigma0", parameters.get("stiffness"))))
+
+
 @dataclass(frozen=True, slots=True)
 class Family:
     """Name, formula, source and parameter table of a friction model.
@@ -56,6 +63,9 @@ class Family:
         Converts the parameters to the layout of the kernel.
     level : callable
         Takes all parameters and returns the largest torque of slow motion, N m.
+    stiffness : callable
+        Takes all parameters and returns the slope of torque over position at the start of motion, N m/rad; a static
+        map is not asked.
     """
 
     name: str
@@ -69,6 +79,7 @@ class Family:
     check: Callable[[Mapping[str, Any]], None] = field(default=lambda _: None, repr=False)
     pack: Callable[[Mapping[str, Any]], Packed] = field(default=pack_scalars, repr=False)
     level: Callable[[Mapping[str, Any]], float] = field(default=largest_level, repr=False)
+    stiffness: Callable[[Mapping[str, Any]], float] = field(default=stiffness_at_rest, repr=False)
 
     @property
     def is_static(self) -> bool:

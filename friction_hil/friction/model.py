@@ -214,18 +214,7 @@ class FrictionModel:
         learned = 0.0 if self.network is None else self.network.presliding_stiffness
         if self.family.is_static or self.family is NETWORK_ALONE:
             return learned
-        time_s = 1e6  # slow enough that damping is negligible
-        stiffnesses = []
-        for side in SIDES:
-            plain, stiffness = FrictionModel(self.family, self._side(side)), 1e12
-            for _ in range(2):  # the first pass finds the distance over which a small part of the level builds up
-                if stiffness <= 0.0:  # too small beside the level for a double
-                    break
-                position = 1e-6 * plain.level / stiffness
-                velocity = np.full(1, position / time_s)
-                stiffness = float(kernel.run_any(plain.kind, plain.values, velocity, time_s)[0]) / position
-            stiffnesses.append(stiffness)
-        return max(stiffnesses) + learned
+        return max(self.family.stiffness(self._side(side)) for side in SIDES) + learned
 
     def initial_state(self) -> Array:
         """Return the state at rest without any deflection."""

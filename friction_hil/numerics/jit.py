@@ -16,9 +16,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from friction_hil.numerics import compiling
 
 Array = NDArray[np.float64]
 StructuredArray = NDArray[np.void]  # of length 1: kernels read and change its fields by name
@@ -28,12 +29,14 @@ _PACKAGE = Path(__file__).parents[1]
 _KEPT_DAYS = 14
 # Kernels are called from Python and from other kernels, not from C: a wrapper for C would only take time to compile.
 OPTIONS: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
+_ABOVE = ("cli", "demo")  # they only speak of numba: a change of their words is to compile nothing again
 _HAS_KERNELS = re.compile(rb"@(compiled|inlined)|numba")
 
 
 def kernel_sources() -> list[Path]:
-    """Return the source files of the package that contain kernels, sorted."""
-    return sorted(path for path in _PACKAGE.rglob("*.py") if _HAS_KERNELS.search(path.read_bytes()))
+    """Return the source files of the package that contain kernels, sorted; the rooms above all kernels have none."""
+    below = (path for path in _PACKAGE.rglob("*.py") if path.relative_to(_PACKAGE).parts[0] not in _ABOVE)
+    return sorted(path for path in below if _HAS_KERNELS.search(path.read_bytes()))
 
 
 @cache
@@ -79,7 +82,27 @@ def compiled_for_one_sample(function: Function) -> Function:
     return _compiled(function)
 
 
+@cache
+def _listen() -> None:
+    from numba.core import event
+
+    class Said(event.Listener):
+        def on_start(self, event: object) -> None:
+            for each in compiling.listeners:
+                each()
+
+        def on_end(self, event: object) -> None:
+            pass
+
+    register: Any = event.register  # it has no types
+    register("numba:compile", Said())
+
+
 def _compiled(function: Function, **options: Any) -> Function:
+    import numba  # imported here: who needs only the types of arrays must not wait for it
+
+    _listen()
+
     folder = cache_folder()
     settings: Any = numba.config
     before = settings.CACHE_DIR

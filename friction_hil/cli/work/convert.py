@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from friction_hil import models, recordings
+from friction_hil import recordings
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.result_files import check_writable
 from friction_hil.cli.work.tables import new_table, number, print_table, say
-from friction_hil.config import load
 from friction_hil.errors import RecordingError, UsageError, choices
-from friction_hil.models import onnx_file
 from friction_hil.numerics.readable import brief
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import TIME, unit
@@ -53,7 +51,11 @@ def convert(
     if target is not None:
         check_writable(target, "OUT")
     source = only_recording(source)
-    options["configuration"] = None if config is None else load(config)
+    options["configuration"] = None
+    if config is not None:
+        from friction_hil.config import load  # imported here: a recording alone needs neither models nor numba
+
+        options["configuration"] = load(config)
     if target is None:
         found = recordings.read_all(source, is_preview=True, **options)
         _print_info(source, found if axis is None else {axis: _chosen(source, found, axis)}, options, as_json)
@@ -109,6 +111,9 @@ def _write(found: dict[str, Recording], files: dict[str, Path], force: bool) -> 
 
 
 def _write_onnx(source: Path, target: Path, force: bool) -> None:
+    from friction_hil import models  # imported here: a recording needs no models
+    from friction_hil.models import onnx_file
+
     model = models.load(source)
     if target.exists() and not force:
         raise UsageError(f"{target} exists already; --force replaces it")

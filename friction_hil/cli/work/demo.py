@@ -25,7 +25,7 @@ def demonstrate(*, output: Path, pace: str, as_json: bool) -> int:
     for each in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(each) is not signal.SIG_IGN:
             signal.signal(each, signal.default_int_handler)
-    with _progress() as show:
+    with demo_progress() as show:
         demo = demonstration.run_demo(output, pace, show)
     if as_json:
         print_json(_as_dict(demo))
@@ -42,7 +42,7 @@ def demonstrate(*, output: Path, pace: str, as_json: bool) -> int:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[str, float | None], None]]:
+def demo_progress() -> Iterator[Callable[[str, float | None], None]]:
     """Yield a function that shows a text and the completed fraction on stderr; or a remark, and None.
 
     On a terminal there is a bar, elsewhere a line for each new text.

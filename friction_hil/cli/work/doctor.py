@@ -1,5 +1,6 @@
 """The work of ``friction-hil doctor``."""
 
+import tempfile
 import textwrap
 from collections import Counter
 from collections.abc import Sequence
@@ -20,10 +21,17 @@ _STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red"}
 _INDENT = " " * 6
 
 
-def run_doctor(*, config: Path | None, as_json: bool, try_watchdog: bool = False) -> int:
+def run_doctor(*, config: Path | None, as_json: bool, try_watchdog: bool = False, warm: bool = False) -> int:
     """Run all checks and print their findings; return 2 after mistakes of the configuration, 1 after other failures."""
     if try_watchdog and config is None:
         raise UsageError("--try-watchdog needs CONFIG: it tries the drives of a configuration")
+    if warm:
+        # imported here: the demo needs all that others do without
+        from friction_hil.cli.work.demo import demo_progress
+        from friction_hil.demo.demonstration import run_demo
+
+        with tempfile.TemporaryDirectory() as folder, demo_progress() as show:
+            run_demo(Path(folder), "sync", show)
     out = console()
     findings = []
     for finding in examine(config, try_watchdog=try_watchdog):
