@@ -33,7 +33,7 @@ class LearningBoard:
     @property
     def done_cycle(self) -> int:
         """Cycle up to which all rows are dealt with; -1 before the first."""
-        return int(_HEAD.unpack_from(self._memory)[1])
+        return read_done_cycle(self.descriptor)
 
     def say(self, cycle: int, report: dict[str, Any]) -> None:
         """Write what has happened up to a cycle."""
@@ -61,6 +61,17 @@ class LearningBoard:
         """Give the memory back."""
         self._memory.close()
         os.close(self.descriptor)
+
+
+def read_done_cycle(descriptor: int) -> int:
+    """Return the cycle up to which all rows are dealt with; -1 before the first.
+
+    Parameters
+    ----------
+    descriptor : int
+        Of a board, for reading.
+    """
+    return int(_HEAD.unpack(os.pread(descriptor, _HEAD.size, 0))[1])
 
 
 def first_report(mode: str, unit: str, gain: float) -> dict[str, Any]:

@@ -12,6 +12,7 @@ TICK_S = 0.25  # of rows, after which learning decides
 _PATIENCE_S = 120.0  # the process imports and compiles at first
 _LOOK_S = 5e-4
 _STDERR = 2
+_TITLE = "the process that learns"
 
 
 class LearningService(TendedProcess):
@@ -32,13 +33,14 @@ class LearningService(TendedProcess):
     def __init__(self, spawn: Spawn, board: LearningBoard, socket: str, period_s: float, *, is_simulated: bool) -> None:
         self._board = board
         self._every = round(TICK_S / period_s)
-        self._is_simulated, self._is_awaited = is_simulated, is_simulated
+        self._is_awaited = is_simulated
+        self._news: list[str] = []
         words = [socket, str(self._board.descriptor), "simulated" if is_simulated else "real"]
         super().__init__(
             spawn,
             "friction_hil.learning.process",
             words,
-            title="the process that learns",
+            title=_TITLE,
             loss="nothing is learned any more",
             descriptors=(self._board.descriptor,),
             stdout=_STDERR,
@@ -48,7 +50,8 @@ class LearningService(TendedProcess):
     def tend(self) -> list[str]:
         """Start the process again if it has died; return what is to be reported. It never waits."""
         was_given_up = self.is_given_up
-        problems = super().tend()
+        problems = [*super().tend(), *self._news]
+        self._news.clear()
         if self.is_given_up and not was_given_up:
             self._board.end("its process died")
         return problems
@@ -61,6 +64,8 @@ class LearningService(TendedProcess):
         while self._board.done_cycle < cycle and not has_news():
             if self.is_given_up or time.monotonic() > end_s:
                 self._is_awaited = False
+                if not self.is_given_up:
+                    self._news.append(f"{_TITLE} has done nothing for {_PATIENCE_S:g} s: the run goes on without it")
                 return
             time.sleep(_LOOK_S)
             tend()

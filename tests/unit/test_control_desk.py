@@ -3,9 +3,12 @@
 import json
 import math
 import os
+import subprocess
+import sys
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -18,9 +21,10 @@ from friction_hil.daemon.control.journal import make_journal
 from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.control.message import Action
 from friction_hil.daemon.control.packed import room, unpack
+from friction_hil.daemon.learning_board import LearningBoard, first_report
 from friction_hil.daemon.ring import RingWriter
 from friction_hil.daemon.safety import LoopState
-from friction_hil.drive import DriveState
+from friction_hil.drive import AxisFacts, DriveState
 from friction_hil.recordings import columns
 from tests.servo_drives import axis_dict, configuration
 
@@ -31,12 +35,13 @@ class Loop:
     def __init__(self):
         self.ring = RingWriter(len(columns.NAMES) + 1, 64)
         self.mailbox = MailboxReader(room(1))
-        self.cycle = 0
+        self.board = LearningBoard()
+        self.cycle = self.change = 0
         self.row(LoopState.WAITING, DriveState.SWITCH_ON_DISABLED)
 
     def row(self, run, drive):
         values = {"cycle": self.cycle, "time_s": 1e-3 * self.cycle, "state": run, "drive_state": drive}
-        values |= {"is_fresh": 1.0, "change": 0.0}
+        values |= {"is_fresh": 1.0, "change": self.change}
         self.ring.push(np.array([*(values.get(name, math.nan) for name in columns.NAMES), math.nan]))
         self.cycle += 1
 
@@ -53,15 +58,18 @@ class Loop:
         def go_on():
             while not is_over.is_set():
                 if self.mailbox.has_news and (message := self.mailbox.take(self.cycle)) is not None:
-                    self.mailbox.answer(unpack(message, []).number, self.cycle)
+                    self.change = int(np.frombuffer(message[:8], "<f8")[0])
+                    self.mailbox.answer(self.change, self.cycle)
                 self.row(*rows[min(self.cycle, len(rows) - 1)])
                 time.sleep(1e-3)
 
         thread = threading.Thread(target=go_on)
         thread.start()
-        yield
-        is_over.set()
-        thread.join()
+        try:
+            yield
+        finally:
+            is_over.set()
+            thread.join()
 
 
 @pytest.fixture
@@ -75,9 +83,10 @@ def ask(loop, monkeypatch):
     monkeypatch.setattr(desk, "_ANSWER_S", 0.05)
     monkeypatch.setattr(state, "STANDS_S", 0.05)
     config = self_contained(configuration(x=axis_dict()))
-    job = ControlJob("mill", config, "mill.yaml", [], list(columns.NAMES), 1)
+    facts = [asdict(AxisFacts("x", "servo", 1e-5, 1e-4, 2.5e-3, 1.5e-3))]
+    job = ControlJob("mill", config, "mill.yaml", facts, list(columns.NAMES), 1)
     journal = make_journal()
-    asked = Desk(job, loop.ring.descriptor, loop.mailbox.descriptor, journal)
+    asked = Desk(job, loop.ring.descriptor, loop.mailbox.descriptor, journal, loop.board.descriptor)
     yield lambda **request: asked.answer(json.dumps(request).encode(), os.geteuid())
     os.close(journal)
 
@@ -152,3 +161,31 @@ def test_a_fault_is_shown_although_many_changes_follow_it_before_anybody_looks(l
 def test_a_path_that_no_file_can_have_is_refused_in_words(ask, path):
     (problem,) = ask(do="set", values={"x.model": path})["problems"]
     assert "error in friction-hil" not in problem
+
+
+def test_what_is_on_trial_is_taken_back_when_the_process_that_judges_it_hangs(loop, ask, monkeypatch):
+    """It is alive, but says nothing of the rows of the last seconds: as after SIGSTOP."""
+    monkeypatch.setattr(desk, "_WATCH_S", 0.01)
+    monkeypatch.setattr(desk, "_ANSWER_S", 60.0)
+    for _ in range(100):
+        loop.row(LoopState.RUNNING, DriveState.OPERATION_ENABLED)
+    loop.board.say(loop.cycle, {"axes": {"x": first_report("on", "rad", 0.9)}})
+    before = ask(do="status")["axes"]["x"]["gain"]
+    with (
+        subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as judge,
+        loop.going_on([(LoopState.RUNNING, DriveState.OPERATION_ENABLED)]),
+    ):
+        words = {"process": judge.pid, "upon": 0, "axes": ["x"]}
+        answer = ask(do="set", values={"x.gain": 0.4}, reason="learning tries", learning=words)
+        assert answer["ok"], answer
+        assert ask(do="status")["axes"]["x"]["gain"] == 0.4
+        loop.cycle += round(desk._HANGS_S / 1e-3)
+        end_s = time.monotonic() + 60.0
+        while (now := ask(do="status"))["axes"]["x"]["gain"] != before and time.monotonic() < end_s:
+            time.sleep(0.01)
+        judge.communicate(b"\n")
+        for thread in threading.enumerate():
+            if "_await_end" in thread.name:  # it sees the death, too
+                thread.join(60.0)
+    assert now["axes"]["x"]["gain"] == before
+    assert now["axes"]["x"]["learning"]["reason"] == "its process has done nothing for 10 s"

@@ -14,7 +14,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from friction_hil.cli.output import to_json
 from friction_hil.cli.work.control import _lines
 from friction_hil.cli.work.monitor_screen import brief_line, screen
-from friction_hil.daemon import learning_words
+from friction_hil.daemon import learning_service, learning_words
 from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.control.message import TEXT_BYTES
 from friction_hil.daemon.control.names import find
@@ -171,6 +171,22 @@ def test_a_process_that_is_not_started_any_more_is_not_shown_as_learning():
     found = board.report()["axes"]["x"]
     assert (found["doing"], found["reason"], found["re_identified"]) == ("ended", "its process died", 3)
     assert board.done_cycle == 250
+    service.close()
+    board.close()
+
+
+def test_simulated_time_does_not_wait_for_ever_for_a_process_that_hangs(monkeypatch):
+    monkeypatch.setattr(learning_service, "_PATIENCE_S", 0.05)
+    board = LearningBoard()
+
+    def spawn(command, descriptors, stdout):
+        return subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL)
+
+    service, told = LearningService(spawn, board, "mill.sock", 1e-3, is_simulated=True), []
+    for cycle in (249, 499):
+        service.await_tick(cycle, lambda: False, lambda: told.extend(service.tend()))
+        told += service.tend()
+    assert told == ["the process that learns has done nothing for 0.05 s: the run goes on without it"]
     service.close()
     board.close()
 

@@ -19,7 +19,7 @@ from friction_hil.daemon.control.mailbox import MailboxWriter
 from friction_hil.daemon.control.message import Action, Change, pack
 from friction_hil.daemon.control.on_trial import OnTrial, RefusedError, on_trial, settle, values_before
 from friction_hil.daemon.control.state import DaemonState
-from friction_hil.daemon.learning_board import read_report
+from friction_hil.daemon.learning_board import read_done_cycle, read_report
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import AxisFacts, DriveState
 from friction_hil.errors import FrictionHilError, choices
@@ -28,6 +28,9 @@ PROTOCOL = 1
 _ANSWER_S = 5.0  # within which the loop takes a message
 _LAST_ANSWER_S = 0.1  # of a loop that was taking the message while it was withdrawn
 _LOOK_S = 0.01
+_WATCH_S = 0.5  # between two looks at a process that has put something on trial
+_HANGS_S = 10.0  # behind the loop: it judges each quarter of a second
+_HANGS = f"its process has done nothing for {_HANGS_S:g} s"
 _STOP_S = 20.0  # more than all time-outs of a stop together
 _START_S = 20.0  # beyond enable_timeout_s: a first motion
 _RESET_S = 2.0
@@ -121,6 +124,8 @@ class Desk:
                 warnings.append("the loop has written no row for a second: it stands, and the drives are unknown")
         configuration, _, files = self._present()
         learning = {} if self._learning is None else read_report(self._learning).get("axes", {})
+        if self._judge_hangs():
+            learning = {name: {**report, "doing": "waiting", "reason": _HANGS} for name, report in learning.items()}
         axes = {}
         for name in self._names:
             given = configuration["axes"][name]["compensation"]
@@ -181,7 +186,7 @@ class Desk:
         return self._change(values, text, learning)
 
     def take_back(self, why: str) -> None:
-        """Take back what is on trial, if anything is: who would judge it has died."""
+        """Take back what is on trial, if anything is: nobody judges it any more."""
         try:
             with self._looking:
                 self._state.look()
@@ -195,7 +200,7 @@ class Desk:
         return on_trial(self._journal, self._state.last_change())
 
     def _watch(self, process: int) -> None:
-        """Take back what is on trial when a process dies, however it dies; refuse one that has died already."""
+        """Take back what is on trial when a process dies or hangs; refuse one that has died already."""
         try:
             descriptor = os.pidfd_open(process)
         except OSError as error:
@@ -207,13 +212,23 @@ class Desk:
                 raise RefusedError(f"process {process}, which would judge the trial, has died")
             return
         self._watched.add(process)
-        threading.Thread(target=self._await_death, args=(process, descriptor), daemon=True).start()
+        threading.Thread(target=self._await_end, args=(process, descriptor), daemon=True).start()
 
-    def _await_death(self, process: int, descriptor: int) -> None:
-        select.select([descriptor], [], [])
+    def _await_end(self, process: int, descriptor: int) -> None:
+        while not select.select([descriptor], [], [], _WATCH_S)[0]:
+            if self._judge_hangs() and self._on_trial():
+                self.take_back(_HANGS)
         os.close(descriptor)
         self._watched.discard(process)
         self.take_back("its process died")
+
+    def _judge_hangs(self) -> bool:
+        """Return True if the process that learns is far behind the loop, which waits for it in simulated time."""
+        rows = self._state.rows(1)
+        if self._learning is None or not len(rows):
+            return False
+        behind = self._cycle(rows) - read_done_cycle(self._learning)
+        return behind * float(self._job.configuration["period_s"]) > _HANGS_S
 
     def _change(self, values: Mapping[str, Any], text: str, learning: OnTrial | None = None) -> dict[str, Any]:
         """Change settings. Whoever is not learning takes back what is on trial by that: nobody would judge it."""
