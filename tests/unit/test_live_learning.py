@@ -182,10 +182,11 @@ def test_simulated_time_does_not_wait_for_ever_for_a_process_that_hangs(monkeypa
     def spawn(command, descriptors, stdout):
         return subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL)
 
-    service, told = LearningService(spawn, board, "mill.sock", 1e-3, is_simulated=True), []
+    service = LearningService(spawn, board, "mill.sock", 1e-3, is_simulated=True)
+    told: list[str] = []
     for cycle in (249, 499):
         service.await_tick(cycle, lambda: False, lambda: told.extend(service.tend()))
-        told += service.tend()
+        told.extend(service.tend())
     assert told == ["the process that learns has done nothing for 0.05 s: the run goes on without it"]
     service.close()
     board.close()
