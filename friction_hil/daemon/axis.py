@@ -423,7 +423,7 @@ class AxisLoop:
             return
         self._is_compensation_enabled = False
         self._baseline_s = self._faded_in_s = math.inf
-        self.taken_back = (
+        self.taken_back = FaultCode.TAKEN_BACK.append_to(
             f"{self.name}: compensation makes the following error larger, {quantity(worse.without, self._unit)} -> "
             f"{quantity(worse.compensated, self._unit)} RMS at the same velocities: it is taken back, the run goes on "
             "without it; is the sign of the torque right (inverted_torque, 607Eh), and the model that of this axis?"

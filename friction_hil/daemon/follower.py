@@ -222,7 +222,7 @@ class _DriveNotice:
         elif self._is_operating and feedback.state.words != self._told:
             self._is_operating, self._told = False, feedback.state.words
             return (
-                f"{self._name}: the drive left Operation enabled, its master's business: {self._told}{_why(feedback)}"
+                f"{self._name}: the drive left Operation enabled, its master's business: {self._told}{feedback.reason}"
             )
         if self._idle_cycles == self._patience_cycles:
             return self._why_idle(feedback)
@@ -230,13 +230,9 @@ class _DriveNotice:
 
     def _why_idle(self, feedback: Feedback) -> str | None:
         if self._is_operating is None:
-            state = f"the drive is in state {feedback.state.words}{_why(feedback)}, and its master has not enabled it"
+            state = f"the drive is in state {feedback.state.words}{feedback.reason}, and its master has not enabled it"
             return f"{self._name}: not compensated so far: {state}"
         if self._is_operating:
             reason = "it is in another mode than the configured one, or its master does not command operation (6040h)"
             return f"{self._name}: not compensated, although the drive is in Operation enabled: {reason}"
         return None
-
-
-def _why(feedback: Feedback) -> str:
-    return f" ({feedback.error})" if feedback.error else ""

@@ -278,7 +278,7 @@ class Supervisor:
         name, limits, unit, position = self._name, self._limits, self._unit, self._last_position
         if feedback.state is not DriveState.OPERATION_ENABLED:
             return FaultCode.DRIVE_LEFT_OPERATION.append_to(
-                f"{name}: the drive left Operation enabled: {feedback.state.words}"
+                f"{name}: the drive left Operation enabled: {feedback.state.words}{feedback.reason}"
             )
         if self._is_too_fast(feedback, velocity):
             return FaultCode.VELOCITY_LIMIT.append_to(

@@ -194,8 +194,7 @@ def timeout_faults(
         if heard.is_reachable and _is_awaited(state, heard.state, stands):
             is_any = True
             if not silent:
-                said = "; ".join(filter(None, (heard.status if heard.is_fresh else "", heard.error)))
-                yield timeout.code.append_to(f"{name}: {timeout.text}: {_known(heard)}{f' ({said})' if said else ''}")
+                yield timeout.code.append_to(f"{name}: {timeout.text}: {_known(heard)}{heard.reason}")
     if not is_any:  # an axis that comes to rest now and then may stand in this very cycle
         yield timeout.code.append_to(timeout.text)
 

@@ -202,6 +202,16 @@ class FaultCode(Enum):
         ("write the object or register that the message names to 0 before anybody enables the drive, or switch it off"),
     )
 
+    TAKEN_BACK = (
+        129,
+        "compensation makes the following error larger, ...: it is taken back",
+        "the torque has the wrong sign, or the model is that of another axis; the run goes on without compensation",
+        (
+            "check the sign of the torque (`inverted_torque`, 607Eh), and whether the model is that of this axis; "
+            "`enabled: true` by `friction-hil set` tries it again"
+        ),
+    )
+
     def __init__(self, number: int, message: str, cause: str, remedy: str) -> None:
         self.number = number
         self.explanation = Explanation(message, cause, remedy)

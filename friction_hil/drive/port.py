@@ -88,6 +88,12 @@ class Feedback:
     load_position: float = math.nan  # by an encoder at the load, rad or m of the axis; NaN where there is none
     status: str = ""  # statusword of a drive that is not enabled, with what it says beside the state, in words
 
+    @property
+    def reason(self) -> str:
+        """What the drive says beside its state, in brackets after a space; empty for nothing."""
+        said = "; ".join(filter(None, (self.status if self.is_fresh else "", self.error)))
+        return f" ({said})" if said else ""
+
 
 @dataclass(slots=True)
 class Command:

@@ -26,7 +26,7 @@ WINDOW_S = 10.0
 _MAP_WINDOWS = 6  # the friction over velocity is of the last so many windows
 _LAST = (
     *("position", "velocity", "torque", "position_demand", "velocity_demand", "compensation", "command"),
-    *("temperature", "temperature_estimate", "drive_state", "is_fresh"),
+    *("temperature", "temperature_estimate", "drive_state", "is_fresh", "is_enabled"),
 )
 _UNTIMED = (LoopState.IDLE, LoopState.WAITING)  # nothing moves, and no missed period counts
 
@@ -96,7 +96,7 @@ class LiveFigures:
             faults=self._told(self._messages.faults),
             warnings=self._told(self._messages.warnings),
             notices=self._told(self._messages.notices),
-            axes={name: axis.snapshot(is_known=is_known) for name, axis in self._axes.items()},
+            axes={name: axis.snapshot(self._messages, is_known=is_known) for name, axis in self._axes.items()},
         )
 
     def _state(self) -> str:
@@ -145,13 +145,14 @@ class _AxisFigures:
         if before is None or before.axes[self._name].model != model:
             self._friction.use(model)
 
-    def snapshot(self, *, is_known: bool) -> AxisSnapshot:
+    def snapshot(self, messages: Messages, *, is_known: bool) -> AxisSnapshot:
         assert self._settings is not None
         last = self._last if is_known else dict.fromkeys(_LAST, math.nan)
         settings = self._settings.axes[self._name]
         state = _drive_state(last)
         measured, estimated = last["temperature"], last["temperature_estimate"]
         friction = settings.model["friction"]
+        is_taken_back = self._last["is_enabled"] != 1.0 and messages.has_taken_back(self._name)
         return AxisSnapshot(
             kind=self._facts.kinds[self._name],
             unit=self._facts.unit(self._name, "position"),
@@ -165,7 +166,7 @@ class _AxisFigures:
             compensated=self._errors.figures(Condition.WITH),
             compensation_rms=_rms(self._compensation.values()),
             friction=self._friction.figures(),
-            is_enabled=bool(settings.compensation["enabled"]),
+            is_enabled=bool(settings.compensation["enabled"]) and not is_taken_back,
             gain=float(settings.compensation["gain"]),
             model=friction["model"],
             model_file=settings.model_file,

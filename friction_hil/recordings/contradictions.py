@@ -37,6 +37,9 @@ _REGISTERS = (8, 16, 32)  # bits
 _RARELY = 0.02  # of the rows
 _STEPS = 0.15  # of a step: rounding of a register that was scaled
 _FEWEST_LEVELS = 5
+_MOVES = 0.2  # of the highest speed, above which the torque of a motion counts
+_SHARE = 0.2  # of these rows in each direction, at least
+_AGAINST = 0.3  # of the RMS torque, with the wrong sign in both directions
 
 
 def contradictions(recording: Recording) -> list[str]:
@@ -45,7 +48,7 @@ def contradictions(recording: Recording) -> list[str]:
     if not found and TIME in recording and recording.period_s > _SLOWEST_ROWS_S:
         found.append(
             f"the rows are {recording.period_s:.4g} s apart: if {TIME} is in milliseconds, "
-            f"{_option(recording, TIME, '0.001')}"
+            f"{option(recording, TIME, '0.001')}"
         )
     return found
 
@@ -67,6 +70,32 @@ def unsigned_register(recordings: Sequence[Recording], name: str = "torque") -> 
         f"the {name} is {what} from {np.nanmin(raw):.10g} to {np.nanmax(raw):.10g} and hardly any between: "
         f"a signed register of {found.bits} bits, logged as an unsigned one; give --column {name}='{text}'"
     )
+
+
+def turned_torque(recording: Recording) -> str:
+    """Return a sentence if the torque points against the motion in both directions, as no friction can; else empty.
+
+    What pulls to one side, as gravity, is left out; what accelerates and what brakes the axis cancel in each direction.
+    """
+    names = ("position", "torque") if "velocity" not in recording else ("velocity", "torque")
+    if any(name not in recording for name in names):
+        return ""
+    motion, torque = (without_overflow(recording.columns[name]) for name in names)
+    if names[0] == "position":
+        motion = np.gradient(motion) if len(motion) > 1 else motion
+    known = np.isfinite(motion) & np.isfinite(torque)
+    if np.count_nonzero(known) < _FEWEST_ROWS:
+        return ""
+    motion, torque = motion[known], torque[known]
+    least = _MOVES * float(np.quantile(np.abs(motion), 0.99))
+    forth, back = torque[motion > least], torque[motion < -least]
+    if min(len(forth), len(back)) < _SHARE * (len(forth) + len(back)) or not len(forth):
+        return ""
+    centre, friction = 0.5 * (forth.mean() + back.mean()), 0.5 * (forth.mean() - back.mean())
+    size = math.sqrt(float(np.mean((np.concatenate([forth, back]) - centre) ** 2)))
+    if not friction < -_AGAINST * size:
+        return ""
+    return "the torque points against the motion in both directions, as if friction drove the axis: its sign is turned"
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,14 +188,15 @@ def _sentence(recording: Recording, ratio: float) -> str:
     if abs(size - 1.0) < _CLOSE:
         return (
             "the change of position is the velocity with the other sign: the sign of one of them is turned; "
-            f"{_option(recording, 'velocity', '-1')}"
+            f"{option(recording, 'velocity', '-1')}"
         )
     sign = "" if ratio > 0.0 else ", and the sign of one of them is turned"
-    hint = f"; {_option(recording, column, factor)}" if factor else ""
+    hint = f"; {option(recording, column, factor)}" if factor else ""
     return f"the change of position is {ratio:.4g} times velocity times time: {cause}{sign}{hint}"
 
 
-def _option(recording: Recording, name: str, factor: str) -> str:
+def option(recording: Recording, name: str, factor: str) -> str:
+    """Return the option that multiplies a column by a factor."""
     source = recording.sources.get(name, name)
     text = f"--column {name}={source}*{factor}"
     return f"give {text}" if " " not in text.removeprefix("--column ") else f"give --column '{name}={source}*{factor}'"

@@ -13,7 +13,7 @@ from friction_hil.errors import RecordingError, UsageError
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings.columns import TIME
-from friction_hil.recordings.contradictions import contradictions, unsigned_register
+from friction_hil.recordings.contradictions import contradictions, option, turned_torque, unsigned_register
 from friction_hil.recordings.edges import between_counts
 from friction_hil.recordings.even import EvenGrid, even_grid
 from friction_hil.recordings.quality import GAP_PERIODS, is_coarse, resolution, without_overflow
@@ -220,6 +220,8 @@ def even_signals(
         problems += contradictions(recording)
     if text := unsigned_register([recording]):
         problems.append(text)
+    if text := turned_torque(recording):
+        problems.append(f"{text}; {option(recording, 'torque', '-1')}")
     if is_torque_delay_removed and (delay_s := stated_torque_delay_s(recording)):
         problems.append(f"the drive's torque was read {1e3 * delay_s:.3g} ms late: moved back by as much")
         _move_torque_back(grid, delay_s)

@@ -11,7 +11,9 @@ from friction_hil.errors import RecordingError
 from friction_hil.friction.scaling import scaled_friction
 from friction_hil.identification.torque_ratio import RatioEstimate, identify_torque_ratio
 from friction_hil.recordings import Recording
+from friction_hil.recordings.contradictions import turned_torque
 from friction_hil.replay.verify import facts_of
+from friction_hil.tuning.motions import TuningError
 
 _CLEAR = 3.0  # standard errors by which a ratio differs from that of the model
 _NOTEWORTHY = 0.02  # a smaller difference is no error of the compensation that could be seen
@@ -19,6 +21,7 @@ _VAGUE = 0.1  # standard error of a ratio that says nothing
 _LEAST, _MOST = 0.5, 2.0  # beyond, the drive does not apply the command, or reports something else
 _DIGITS = 6
 _OTHER_SIGN = {"none": "command", "command": "none", "feedback": "both", "both": "feedback"}  # of what is sent
+_OTHER_FEEDBACK = {"none": "feedback", "feedback": "none", "command": "both", "both": "command"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +107,22 @@ def find_torque_ratio(without: Recording, compensated: Sequence[Recording], axis
     except RecordingError as error:
         return TorqueRatio(former, None, str(error))
     return TorqueRatio(former, found, _doubt(found, getattr(axis.options, "inverted_torque", None)))
+
+
+def refuse_turned_torque(recording: Recording, axis: AxisConfig) -> None:
+    """Refuse an experiment whose torque is reported with the wrong sign: no friction can be identified from it.
+
+    Raises
+    ------
+    TuningError
+        It names the key that turns it.
+    """
+    if not (text := turned_torque(recording)):
+        return
+    inverted = getattr(axis.options, "inverted_torque", None)
+    key = "the sign of the torque in the drive" if inverted is None else f"inverted_torque: {_OTHER_FEEDBACK[inverted]}"
+    both = " (both, where 607Eh inverts position and velocity)" if inverted == "none" else ""
+    raise TuningError(f"{recording.axis}: {text}; set {key}{both}, and tune again")
 
 
 def with_torque_ratio(model: dict[str, Any], ratio: float, error: float | None = None) -> dict[str, Any]:

@@ -45,7 +45,7 @@ from friction_hil.tuning.runs import TuningRuns
 from friction_hil.tuning.sequential import ExperimentResult, Observer, part_durations
 from friction_hil.tuning.settings import Dialog, TuneSettings, chosen_axes, claim
 from friction_hil.tuning.torque_lag import TorqueLag, find_torque_lag, with_torque_lag
-from friction_hil.tuning.torque_ratio import TorqueRatio, find_torque_ratio, with_torque_ratio
+from friction_hil.tuning.torque_ratio import TorqueRatio, find_torque_ratio, refuse_turned_torque, with_torque_ratio
 from friction_hil.tuning.trial import judge
 from friction_hil.tuning.two_steps import label
 
@@ -267,7 +267,9 @@ class _Tuner:
         slow = sliding_part(recording, self._configuration, part_s)
         if warning := refuse_limit_cycle(slow, experiment_of(name, axis).velocity, unit):
             self._warn(warning)
-        return with_torque(recording, axis.mode)
+        recording = with_torque(recording, axis.mode)
+        refuse_turned_torque(recording, axis)
+        return recording
 
     def _shake(self, name: str) -> dict[str, Recording]:
         """Record an axis that is shaken while it slides, and the others, which are held."""

@@ -37,11 +37,12 @@ class Loop:
         self.mailbox = MailboxReader(room(1))
         self.board = LearningBoard()
         self.cycle = self.change = 0
+        self.is_enabled = 0.0  # the compensation
         self.row(LoopState.WAITING, DriveState.SWITCH_ON_DISABLED)
 
     def row(self, run, drive):
         values = {"cycle": self.cycle, "time_s": 1e-3 * self.cycle, "state": run, "drive_state": drive}
-        values |= {"is_fresh": 1.0, "change": self.change}
+        values |= {"is_fresh": 1.0, "change": self.change, "is_enabled": self.is_enabled}
         self.ring.push(np.array([*(values.get(name, math.nan) for name in columns.NAMES), math.nan]))
         self.cycle += 1
 
@@ -136,6 +137,19 @@ def test_nothing_is_known_of_drives_while_the_loop_stands(loop, ask):
     assert (answer["state"], answer["axes"]["x"]["drive_state"]) == ("waiting", "switch on disabled")
     assert answer["warnings"] == []
     assert (stopped["is_done"], stopped["drives"]) == (True, {"x": "switch on disabled"})
+
+
+def test_status_says_that_compensation_is_off_after_it_was_taken_back(loop, ask):
+    rows = [(LoopState.RUNNING, DriveState.OPERATION_ENABLED)]
+    with loop.going_on(rows):
+        before = ask(do="status")["axes"]["x"]["enabled"]
+        loop.ring.push_event(loop.cycle, "warning", "x: it is taken back [FH-129]")
+        loop.ring.push_event(loop.cycle, "warning", "y: another axis [FH-129]")
+        after = ask(do="status")
+        loop.is_enabled = 1.0
+        again = ask(do="status")["axes"]["x"]["enabled"]
+    assert (before, after["axes"]["x"]["enabled"], again) == (True, False, True)
+    assert "x: it is taken back [FH-129]" in after["warnings"]
 
 
 def test_a_start_that_a_fault_ends_is_answered_at_once(loop, ask):

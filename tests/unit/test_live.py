@@ -87,6 +87,17 @@ def test_only_steady_motion_counts_and_each_condition_by_itself():
     assert x.error == 0.1
 
 
+def test_compensation_that_was_taken_back_is_shown_as_off_until_it_is_switched_on_again():
+    figures = LiveFigures(facts())
+    figures.take(reading(rows(100, is_enabled=0.0)))  # in the time without compensation at the start
+    assert figures.snapshot().axes["x"].is_enabled
+    news = LiveEvent(100, 0.1, "warning", "x: compensation makes the following error larger: it is taken back [FH-129]")
+    figures.take(reading(rows(100, first=100, is_enabled=0.0), events=[news]))
+    assert not figures.snapshot().axes["x"].is_enabled
+    figures.take(reading(rows(100, first=200)))
+    assert figures.snapshot().axes["x"].is_enabled
+
+
 def test_missed_periods_are_told_from_rows_that_were_lost_on_the_way_here():
     figures = LiveFigures(facts())
     figures.take(reading(rows(100)))

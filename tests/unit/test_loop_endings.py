@@ -307,6 +307,16 @@ def test_a_drive_that_leaves_operation_enabled_by_itself_is_a_fault():
     run.assert_left_disabled()
 
 
+def test_what_the_statusword_says_of_a_drive_that_left_operation_is_told():
+    def leaves(cycle, feedback):
+        if cycle >= 400:
+            feedback[0].state, feedback[0].status = DriveState.SWITCH_ON_DISABLED, "6041h = 0240h: no voltage"
+            feedback[0].error = "DC link under-voltage"
+
+    said = "switch on disabled (6041h = 0240h: no voltage; DC link under-voltage) [FH-106]"
+    assert Run(disturb=leaves).result.faults == [f"x: the drive left Operation enabled: {said}"]
+
+
 def test_a_drive_that_is_never_enabled_is_given_up_by_its_name_and_state():
     def refuse(cycle, feedback):
         feedback[1].state = DriveState.SWITCH_ON_DISABLED

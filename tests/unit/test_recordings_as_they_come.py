@@ -12,7 +12,7 @@ import friction_hil as fh
 from friction_hil.cli import main
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings import Recording
-from friction_hil.recordings.contradictions import contradictions, unsigned_register
+from friction_hil.recordings.contradictions import contradictions, turned_torque, unsigned_register
 from friction_hil.recordings.dates import seconds
 from friction_hil.recordings.quality import resolution
 from friction_hil.recordings.units import conversion, unit_in
@@ -246,6 +246,41 @@ def test_a_register_that_was_scaled_without_its_sign_is_found_and_read_back(tmp_
     source = said.partition("--column torque='")[2].partition(":int16")[0] + ":int16"
     again = fh.recordings.read(tmp_path / "x.csv", columns={"torque": source})
     np.testing.assert_array_equal(again["torque"], counts)
+
+
+@given(
+    friction=st.floats(0.05, 1.0),
+    inertia=st.floats(0.0, 0.3),
+    pull=st.floats(-2.0, 2.0),
+    noise=st.floats(0.0, 0.5),
+    has_velocity=st.booleans(),
+    seed=st.integers(0, 99),
+)
+def test_a_torque_with_the_sign_turned_is_found_and_no_other(
+    friction: float, inertia: float, pull: float, noise: float, has_velocity: bool, seed: int
+) -> None:
+    """Whatever pulls to one side, accelerates the axis, or disturbs the torque."""
+    time_s = 0.01 * np.arange(1000)
+    velocity = np.sin(2.0 * time_s) + 0.3 * np.sin(5.0 * time_s)
+    acceleration = 2.0 * np.cos(2.0 * time_s) + 1.5 * np.cos(5.0 * time_s)
+    position = -0.5 * np.cos(2.0 * time_s) - 0.06 * np.cos(5.0 * time_s)
+    random = np.random.default_rng(seed).normal(size=1000)
+    torque = friction * (np.sign(velocity) + noise * random) + friction * inertia * acceleration + pull
+    columns = {"time_s": time_s, "position": position, "torque": torque}
+    columns |= {"velocity": velocity} if has_velocity else {}
+    assert turned_torque(Recording("x", "x", columns)) == ""
+    assert "its sign is turned" in turned_torque(Recording("x", "x", {**columns, "torque": -torque}))
+    one_way = velocity > 0.0
+    columns = {name: values[one_way] for name, values in {**columns, "torque": -torque}.items()}
+    assert turned_torque(Recording("x", "x", columns)) == ""
+
+
+def test_replay_names_a_torque_with_the_sign_turned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    columns = {"time_s": TIME, "position": POSITION, "velocity": VELOCITY, "torque": -0.3 * np.sign(VELOCITY)}
+    fh.recordings.write(tmp_path / "x.csv", Recording("x", "x", columns))
+    main(["replay", str(tmp_path / "x.csv"), "--model", "coulomb:coulomb=0.3", "--json"])
+    problems = json.loads(capsys.readouterr().out)["recordings"][0]["problems"]
+    assert any("its sign is turned; give --column torque=torque*-1" in each for each in problems)
 
 
 def test_another_quantity_is_refused_in_place_of_the_position(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Reported over commanded torque: found in the runs of a trial, written into the model, and undone where it is read."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,8 @@ from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.replay.comparison import replay
 from friction_hil.servo.config import Encoder, Motor, ServoConfig
-from friction_hil.tuning.torque_ratio import find_torque_ratio, with_torque_ratio
+from friction_hil.tuning.motions import TuningError
+from friction_hil.tuning.torque_ratio import find_torque_ratio, refuse_turned_torque, with_torque_ratio
 from tests.servo_drives import axis_dict, configuration
 from tests.unit.test_torque_lag import RESOLUTION, commanded, recorded
 
@@ -78,6 +80,16 @@ def test_a_torque_that_acts_in_the_opposite_direction_names_the_key(runs) -> Non
 
     assert (found.is_determined, found.is_other) == (False, False)
     assert "the torque acts in the opposite direction; set inverted_torque: command" in found.text
+
+
+@pytest.mark.parametrize(
+    ("inverted", "key"), [("none", "feedback (both"), ("feedback", "none"), ("command", "both"), ("both", "command")]
+)
+def test_an_experiment_whose_torque_has_the_other_sign_is_refused_with_the_key(runs, inverted, key) -> None:
+    axis = configuration(x=axis_dict(inverted_torque=inverted)).axes["x"]
+    refuse_turned_torque(runs[0], axis)
+    with pytest.raises(TuningError, match=re.escape(f"its sign is turned; set inverted_torque: {key}")):
+        refuse_turned_torque(reporting(runs[0], -1.0), axis)
 
 
 def test_what_the_runs_cannot_tell_is_said(runs) -> None:

@@ -16,7 +16,7 @@ from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.numerics.readable import brief
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import TIME, unit
-from friction_hil.recordings.contradictions import contradictions, unsigned_register
+from friction_hil.recordings.contradictions import contradictions, turned_torque, unsigned_register
 from friction_hil.recordings.even import what_to_repair
 from friction_hil.recordings.mapping import parse_source
 from friction_hil.recordings.parts import only_recording
@@ -148,6 +148,7 @@ def _facts(source: Path, recording: Recording, options: dict[str, Any], is_one_o
     clock = _clock(recording, found)
     times = time_facts(clock)
     suspicious = [*what_to_repair(recording), *contradictions(recording)] if TIME in recording.columns else []
+    suspicious += [text] if (text := turned_torque(recording)) else []
     registers = [unsigned_register([recording], name) for name in ("torque", "velocity") if name in recording]
     return {
         "rows": len(recording),

@@ -132,7 +132,7 @@ class Desk:
             axes[name] = {
                 **self._state.axis(name),
                 "unit": "rad" if configuration["axes"][name]["model"]["axis"] == "rotary" else "m",
-                "enabled": given["enabled"],
+                "enabled": given["enabled"] and not self._state.is_taken_back(name),
                 "gain": given["gain"],
                 "gain_negative": given["gain_negative"],
                 "adaptation": given["adaptation"],

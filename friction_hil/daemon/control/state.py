@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from friction_hil.daemon.ring import RingObserver
 from friction_hil.daemon.safety import LoopState
-from friction_hil.drive import DriveState
+from friction_hil.drive import DriveState, FaultCode
+from friction_hil.drive.codes import code_of
 from friction_hil.recordings import columns
 
 if TYPE_CHECKING:
@@ -53,6 +54,11 @@ class Messages:
             kept = self.warnings if name == "warning" else self.notices
             kept.append(text)
             del kept[:-_MOST_EVENTS]
+
+    def has_taken_back(self, axis: str) -> bool:
+        """Return True if the run has said that it took the compensation of an axis back."""
+        code = str(FaultCode.TAKEN_BACK)
+        return any(text.startswith(f"{axis}: ") and code_of(text) == code for text in self.warnings)
 
 
 class DaemonState:
@@ -143,6 +149,12 @@ class DaemonState:
             **values,
             "following_error": _known(error),
         }
+
+    def is_taken_back(self, axis: str) -> bool:
+        """Return True if the compensation of an axis was taken back, and nobody has switched it on again since then."""
+        rows = self.rows(1)
+        is_off = not len(rows) or self._value(rows[-1], list(self._names).index(axis), "is_enabled") != 1.0
+        return is_off and self.messages.has_taken_back(axis)
 
     def _axes(self) -> Sequence[tuple[int, str]]:
         return list(enumerate(self._names))
