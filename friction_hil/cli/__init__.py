@@ -22,6 +22,7 @@ import click
 
 from friction_hil import __version__
 from friction_hil.cli.colour import echo_labelled, echo_problems
+from friction_hil.cli.output import forget_printed, print_json_error
 from friction_hil.cli.quick_imports import keep_asammdf_out_of_can
 from friction_hil.errors import ConfigurationError, FrictionHilError, choices
 from friction_hil.interrupts import interruptible
@@ -160,20 +161,24 @@ def exit_status(command: click.Command, arguments: Sequence[str] | None, program
 
 
 def _exit_status(command: click.Command, arguments: Sequence[str] | None, program: str) -> int:
+    as_json = "--json" in (sys.argv[1:] if arguments is None else arguments)
+    forget_printed()
     try:
         with interruptible():
             result = command.main(arguments, prog_name=program, standalone_mode=False)
         sys.stdout.flush()
     except ConfigurationError as error:
         echo_problems(error.problems)
-        _echo_notes(error)
+        _echo_notes(error, as_json=as_json)
         return error.exit_status
     except FrictionHilError as error:
         echo_labelled("Error:", str(error))
-        _echo_notes(error)
+        _echo_notes(error, as_json=as_json)
         return error.exit_status
     except click.ClickException as error:
         _show(error)
+        if as_json:
+            print_json_error(error.format_message())
         return error.exit_code
     except (click.Abort, KeyboardInterrupt) as error:
         return getattr(error.__cause__ or error, "exit_status", 130)
@@ -183,7 +188,7 @@ def _exit_status(command: click.Command, arguments: Sequence[str] | None, progra
         return 1
     except OSError as error:
         echo_labelled("Error:", str(error))
-        _echo_notes(error)
+        _echo_notes(error, as_json=as_json)
         return 1
     except Exception:  # noqa: BLE001 - the last resort: a traceback, and where to report it
         import traceback  # imported here: --help must not wait for it
@@ -193,10 +198,12 @@ def _exit_status(command: click.Command, arguments: Sequence[str] | None, progra
     return result if type(result) is int else 0
 
 
-def _echo_notes(error: Exception) -> None:
+def _echo_notes(error: Exception, *, as_json: bool) -> None:
     """Print what an error has as notes, e.g. where the results so far are; a traceback has them itself."""
     for note in getattr(error, "__notes__", ()):
         click.echo(note, err=True)
+    if as_json:
+        print_json_error(str(error))
 
 
 @contextlib.contextmanager

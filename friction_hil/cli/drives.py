@@ -9,8 +9,9 @@ from friction_hil.cli.options import option_json
 
 _option_bus = click.option(
     "--bus",
-    metavar="INTERFACE:CHANNEL[:PORT]",
-    help="Bus, where no CONFIG names it: socketcan:can0, udp_multicast:239.74.163.2:43114, slcan:/dev/ttyACM0.",
+    metavar="CHANNEL",
+    help="Bus, where no CONFIG names it: can0, or INTERFACE:CHANNEL[:PORT], as udp_multicast:239.74.163.2:43114, "
+    "slcan:/dev/ttyACM0.",
 )
 _option_bitrate = click.option("--bitrate", type=int, metavar="N", help="Bit rate of --bus, for adapters that need it.")
 _option_may_disturb = click.option(

@@ -49,10 +49,10 @@ def command(machine: Path | None, names: str | None, verbose: bool, **options: A
     strain, frictional lag, break-away, stick-slip, hunting and reversal spikes; the last three without and with
     compensation by each model.
 
-    MACHINE is a configuration file whose axes have a simulation, e.g. config/machines/belt.yaml. Each axis makes its
-    own motion, and a slow, a fast and a small one, without and with the compensation and the model of the file. Axes of
-    one mechanism (gantry, arm) move together. RMS and peak of the following error are printed, at the motor and at
-    the load.
+    MACHINE is a configuration file whose axes have a simulation, e.g. the one that "friction-hil config new --example
+    single_axis_csp" writes. Each axis makes its own motion, and a slow, a fast and a small one, without and with the
+    compensation and the model of the file. Axes of one mechanism (gantry, arm) move together. RMS and peak of the
+    following error are printed, at the motor and at the load.
 
     Writes report.html with figures, numbers and explanations; this takes less than a minute, and gives the same numbers
     each time for the same options. Exit status 1 if a number is not finite.

@@ -45,7 +45,10 @@ def isolation(root: Path, own: set[int]) -> Finding:
     """
     check = "isolated processors"
     isolated = _cpus(root / _CPU / "isolated")
-    fix = "boot with isolcpus=3 nohz_full=3 rcu_nocbs=3, for example, and start the daemon with: taskset -c 3"
+    last = max(_cpus(root / _CPU / "online") or own)  # one that exists
+    fix = f"boot with isolcpus={last} nohz_full={last} rcu_nocbs={last}, and start the daemon with: taskset -c {last}"
+    if last == 0:
+        fix = "take a computer with two processors or more: there is one only, which nothing can leave to the daemon"
     if isolated is None:
         return Finding(check, "warn", _UNKNOWN, f"look on the host for isolcpus= in /proc/cmdline; {fix}", "FH-317")
     if not isolated:

@@ -37,7 +37,10 @@ LOSSY = {
     "csv": "table of torque over velocity and temperature",
 }
 FORMATS = {**LOSSLESS, **LOSSY}
-INSTEAD = {"modelica": "export with --to fmu: every Modelica tool imports a functional mock-up unit"}
+INSTEAD = {
+    "modelica": "export with --to fmu: every Modelica tool imports a functional mock-up unit",
+    "mujoco": "MuJoCo reads what --to mjcf writes",
+}
 _LONGEST_NAME = 40
 # Formats whose files would have the name of another format's: by default theirs end in the name of the format.
 _SHARED_SUFFIX = ("mjcf", "mjcf_lugre", "bam", "isaaclab", "ax8000")

@@ -13,7 +13,7 @@ from typing import Any
 from friction_hil import friction
 from friction_hil.checked_yaml import text as yaml_text
 from friction_hil.checked_yaml.files import read_section
-from friction_hil.errors import ConfigurationError, UsageError, choices
+from friction_hil.errors import ConfigurationError, Problem, UsageError, choices
 from friction_hil.friction import FrictionModel
 from friction_hil.models.model_file import ModelFile
 
@@ -37,7 +37,13 @@ def load_model_file(path: str | Path) -> ModelFile:
     ConfigurationError
         The file cannot be read or has mistakes; ``problems`` lists them with their lines.
     """
-    model_file = read_section(path, ModelFile)
+    try:
+        model_file = read_section(path, ModelFile)
+    except ConfigurationError as error:
+        if not {"axes", "friction"} <= {each.field for each in error.problems}:
+            raise
+        text = "this is a configuration; give a model file, e.g. the one that an axis of it has as 'model'"
+        raise ConfigurationError([Problem(str(path), None, "", text)]) from error
     model_file._source_path = Path(path).absolute()
     return model_file
 

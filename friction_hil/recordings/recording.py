@@ -1,6 +1,7 @@
 """Recording of one axis in memory, and the checks that apply to every format."""
 
 import shlex
+import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -29,7 +30,7 @@ class Event:
     text: str
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, repr=False)
 class Recording:
     """The log of one axis.
 
@@ -76,6 +77,12 @@ class Recording:
     texts: dict[str, str] = field(default_factory=dict)
     labels: dict[str, str] = field(default_factory=dict)
     rate_hz: float | None = None
+
+    def __repr__(self) -> str:
+        """Return what it holds in a few lines, and not its values."""
+        told = f"{len(self.problems)} problems, {len(self.events)} events, {len(self.restarts)} restarts"
+        names = textwrap.shorten(", ".join(self.columns), 300, placeholder=" ...")
+        return f"Recording({self.path!r}, axis {self.axis!r}: {len(self)} rows; {told};\n  columns {names})"
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0

@@ -17,8 +17,10 @@ from friction_hil import __version__
 from friction_hil.cli import COMMANDS, LazyGroup, main
 from friction_hil.cli.options import option_json
 from friction_hil.cli.output import print_json, to_json
+from friction_hil.cli.work.drives import _parse
 from friction_hil.cli.work.tables import console
 from friction_hil.config import json_schema, load, self_contained
+from friction_hil.config.new_file import Wanted, parse_bus
 from friction_hil.errors import ConfigurationError, DriveError, Problem, UsageError
 
 EXAMPLES = Path(__file__).parents[2] / "config"
@@ -206,6 +208,40 @@ def test_a_reader_that_went_away_is_met_quietly(code):
     finally:
         os.close(writer)
     assert (run.returncode, run.stderr) == (1, "")
+
+
+@pytest.mark.parametrize("error", [error for error, _ in ERRORS])
+@pytest.mark.parametrize("has_printed", [False, True])
+def test_an_error_of_a_command_with_json_is_json_too(add_command, capsys, error, has_printed):
+    def fails(as_json):
+        if has_printed:
+            print_json({"models": []})
+        raise error
+
+    add_command(option_json(fails))
+    assert main(["probe", "--json"]) != 0
+    out, err = capsys.readouterr()
+    document = json.loads(out)
+    assert set(document) == ({"models"} if has_printed else {"error"})
+    assert has_printed or document["error"].splitlines()[0] in err
+    main(["probe"])
+    assert bool(capsys.readouterr().out) == has_printed
+
+
+@pytest.mark.parametrize("name", ["demo", "serial_modbus", "sidecar"])
+def test_a_configuration_in_place_of_a_model_file_is_called_one(name, capsys):
+    assert main(["export", f"config/{name}.yaml", "--to", "csv"]) == 2
+    assert capsys.readouterr().err.startswith(f"config/{name}.yaml: this is a configuration; give a model file")
+    assert main(["export", "config/models/lugre_axis.yaml", "--to", "mujoco"]) == 2
+    assert "MuJoCo reads what --to mjcf writes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", ["can0", "socketcan:can0", "udp_multicast:239.74.163.2:43114"])
+def test_a_bus_is_named_alike_for_a_new_file_and_for_drives(words):
+    section = parse_bus(Wanted(bus=words))
+    found = _parse(words, None)
+    assert (found.interface, found.channel) == (section["interface"], section["channel"])
+    assert found.port == section.get("port", found.port)
 
 
 def test_json_output(add_command, capsys):

@@ -28,6 +28,10 @@ def test_isolated_processors_are_of_use_only_to_a_process_that_may_run_there(tmp
     assert result(timing.isolation(tmp_path, {0}))[:2] == ("warn", "FH-317")
     lay(tmp_path, **{f"{CPU}isolated": "\n"})
     assert result(timing.isolation(tmp_path, {0}))[:2] == ("warn", "FH-316")
+    assert "taskset -c 0" not in timing.isolation(tmp_path, {0}).fix  # there is no other processor
+    assert "two processors or more" in timing.isolation(tmp_path, {0}).fix
+    lay(tmp_path, **{f"{CPU}online": "0-1\n"})
+    assert timing.isolation(tmp_path, {0}).fix.startswith("boot with isolcpus=1 ")
     lay(tmp_path, **{f"{CPU}isolated": "2-3\n"})
     assert result(timing.isolation(tmp_path, {0, 1}))[:2] == ("warn", "FH-318")
     assert "taskset -c 2" in timing.isolation(tmp_path, {0, 1}).fix

@@ -79,3 +79,11 @@ def test_the_fraction_of_known_values_is_that_of_finite_ones() -> None:
     recording = swing(load_torque=np.where(np.arange(4000) % 4 == 0, 1.0, np.nan))
     assert known_fraction(recording, "load_torque") == 0.25
     assert known_fraction(recording, "temperature") == 0.0
+
+
+def test_a_recording_is_shown_in_a_few_lines():
+    columns = {f"column_{k}": np.zeros(5000) for k in range(200)}
+    shown = repr(Recording("x.mcap", "x", columns, problems=["something"]))
+    assert len(shown.splitlines()) <= 10
+    assert len(shown) < 600
+    assert "5000 rows; 1 problems" in shown

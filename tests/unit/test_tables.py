@@ -179,6 +179,9 @@ def test_remaining_time_follows_from_the_steps_so_far():
     assert steps.text(1, 2) == "1 of 2"  # another stage
     now = 191.5
     assert steps.text(2, 2) == "2 of 2, 0:01 left"
+    assert steps.text(1, 6) == "1 of 6"
+    now = 191.6
+    assert steps.text(4, 6) == "4 of 6"  # what was quick so far says nothing of the rest
 
 
 def test_modules_without_tables_of_their_own_use_this_one():

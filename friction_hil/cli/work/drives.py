@@ -12,10 +12,11 @@ from friction_hil.cli.output import print_json
 from friction_hil.cli.work.tables import new_table, number, print_table, say
 from friction_hil.config import BusConfig, Configuration, load
 from friction_hil.config.drivers import driver_names, load_driver
+from friction_hil.config.new_file import Wanted, parse_bus
 from friction_hil.drive.inventory import DriveEntry, Inventory, Stop
 from friction_hil.errors import UsageError
 
-_WHERE = "give a configuration with a bus, or --bus interface:channel[:port], e.g. --bus socketcan:can0"
+_WHERE = "give a configuration with a bus, or --bus CHANNEL, such as can0, or INTERFACE:CHANNEL[:PORT]"
 
 
 def scan_bus(*, config: str | None, bus: str | None, bitrate: int | None, may_disturb: bool, as_json: bool) -> int:
@@ -122,18 +123,10 @@ def _driver_for_buses() -> Any:
 
 
 def _parse(text: str, bitrate: int | None) -> BusConfig:
-    """Return the bus that ``interface:channel[:port]`` names."""
-    interface, _, channel = text.partition(":")
-    section: dict[str, Any] = {"interface": interface, "channel": channel}
-    if interface == "udp_multicast":
-        section["channel"], _, port = channel.rpartition(":")
-        section["port"] = int(port) if port.isdecimal() else port
-    if bitrate is not None:
-        section["bitrate"] = bitrate
-    if not interface or not section["channel"]:
-        raise UsageError(f"--bus {text}: {_WHERE}")
+    """Return the bus that ``can0`` or ``INTERFACE:CHANNEL[:PORT]`` names, as for a new configuration."""
+    section = parse_bus(Wanted(bus=text, bitrate=bitrate))
     try:
-        return BusConfig.model_validate(section)
+        return BusConfig.model_validate({key: value for key, value in section.items() if value is not None})
     except ValidationError as error:
         reasons = "; ".join(f"{'.'.join(map(str, each['loc'])) or 'bus'}: {each['msg']}" for each in error.errors())
         raise UsageError(f"--bus {text}: {reasons}") from error

@@ -68,7 +68,7 @@ class _Steps:
         left = ""
         if number > 1:
             left_s = (self._clock() - self._began) / (number - 1) * (count - number + 1)
-            left = f", {int(left_s) // 60}:{int(left_s) % 60:02d} left"
+            left = "" if left_s < 1.0 else f", {int(left_s) // 60}:{int(left_s) % 60:02d} left"
         return f"{number} of {count}{left}"
 
 
