@@ -273,7 +273,8 @@ def test_a_person_at_a_browser_sees_the_daemon_and_changes_it(served, tmp_path):
         page.until("[...document.querySelectorAll('figure[data-title=Position]')].every((each) => each.hidden)")
         page.get("document.querySelector('#shown-charts input').click()")
         page.get(
-            "{const each = document.querySelector('#window'); each.value = '5'; each.dispatchEvent(new Event('change'))}"
+            "{const window_s = document.querySelector('#window'); window_s.value = '5';"
+            " window_s.dispatchEvent(new Event('change'))}"
         )
         assert page.get("document.querySelectorAll('.u-legend .u-value').length") >= 10  # values at the cursor
         assert page.get("document.querySelector('#start').hidden")
