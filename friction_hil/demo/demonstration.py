@@ -34,6 +34,7 @@ _LAPS = 2
 # From the laps with the model as given to the end: six windows of learning (see its README.md). Where the computer
 # misses periods, learning loses windows.
 _LEARNING_S = {"real": 48.0, "sync": 37.0}
+_COMPILING_S = 0.3
 _TICK_S = 0.2
 _LOOK_S = 1.0  # from one question to the daemon to the next
 _PATIENCE_S = 0.5  # for its answer
@@ -104,6 +105,12 @@ def run_demo(folder: Path, pace: str, show: ShowProgress) -> Demo:
     return Demo(circularity, loop, pace, folder / REPORT, folder / PICTURE, folder / RECORDING)
 
 
+def compile_demo(show: ShowProgress) -> None:
+    """Compile for this machine what simulated drives, runs and learning need, by a fraction of a second of the demo."""
+    with tempfile.TemporaryDirectory(prefix="friction-hil-") as work:
+        _run_processes(_private_configuration(Path(work)), "sync", show, _COMPILING_S)
+
+
 def claim(folder: Path) -> None:
     """Create the folder of a demo; see `claim_folder`."""
     claim_folder(folder, (REPORT, PICTURE, RECORDING), generator("demo"), "demo")
@@ -156,8 +163,10 @@ def _record(work: Path, pace: str, show: ShowProgress) -> tuple["Circularity", d
     return analyse(read_all(work / RECORDING)), loop, notes, pace
 
 
-def _run_processes(path: Path, pace: str, show: ShowProgress) -> tuple[dict[str, Any], str]:
-    """Run drives and daemon; return the daemon's summary and its messages."""
+def _run_processes(
+    path: Path, pace: str, show: ShowProgress, moving_s: float | None = None
+) -> tuple[dict[str, Any], str]:
+    """Run drives and daemon for the laps, or ``moving_s``; return the daemon's summary and its messages."""
     show("starting the simulated drives", 0.0)
     with Child(["simulate", str(path), "--exit-with-stdin", "--pace", pace], path.parent) as drives:
         # imported here: while the drives start
@@ -166,7 +175,8 @@ def _run_processes(path: Path, pace: str, show: ShowProgress) -> tuple[dict[str,
         from friction_hil.config import load
 
         configuration = load(path)
-        moving_s = duration_s(configuration, _LAPS) + _LEARNING_S[pace]
+        if moving_s is None:
+            moving_s = duration_s(configuration, _LAPS) + _LEARNING_S[pace]
         _compile_learning(configuration)
         while not drives.printed:
             drives.wait(_TICK_S)

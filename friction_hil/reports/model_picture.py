@@ -25,6 +25,7 @@ _FAINT = "#888888"
 
 _SLOW = 1e-3  # speed of the slow cycle, as a fraction of the velocity axis
 _SETTLED = 0.9  # of the largest torque: end of the presliding from rest
+_SOFTEST = 1e12  # rad: a level that takes longer to build up is not drawn
 _STROKE = 2.0  # travel of the cycle to either side, in presliding distances
 _INNER_TOP = 0.8  # of the largest torque: start of the inner loop
 _INNER_LENGTH = 0.6  # of the distance back to the other end: length of the inner loop
@@ -90,9 +91,12 @@ def slow_cycle(model: FrictionModel) -> SlowCycle:
     if model.family.is_static:
         band = max(float(side.get("stick_velocity", 0.0)) for side in _sides(model))
         return _move(model, max(velocity, 2.0 * band), [1.0, -1.0, 0.2, -0.4, 0.2, 1.0])
-    if not model.presliding_stiffness > 0.0:
+    stiffness = model.presliding_stiffness
+    if model.network is not None and not stiffness > 0.0:
         return _cycle_of_samples(model, velocity)
-    deflection = model.level / model.presliding_stiffness
+    if not model.level < _SOFTEST * stiffness:
+        raise UsageError(f"{model} cannot be drawn: its stiffness vanishes beside its level")
+    deflection = model.level / stiffness
     velocity = min(velocity, deflection)  # at least one second for this distance
     position = deflection * np.geomspace(1e-2, 1e4, 2001)
     steps = np.diff(position, prepend=0.0)
@@ -103,8 +107,7 @@ def slow_cycle(model: FrictionModel) -> SlowCycle:
 
 def _cycle_of_samples(model: FrictionModel, velocity: float) -> SlowCycle:
     """Move a network whose state is no deflection: a narx runs at the period of its training only."""
-    if model.network is None:
-        raise UsageError(f"{model} cannot be drawn: its stiffness vanishes beside its level")
+    assert model.network is not None
     dt = model.network.period_s
     torque = _torque(model, np.full(_LONGEST, velocity), np.full(1, dt))
     settled = int(np.argmax(torque >= _SETTLED * torque.max()))

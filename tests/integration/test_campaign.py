@@ -10,6 +10,8 @@ from tools.campaigns.faults import BY_NAME
 from tools.campaigns.judge import judge
 from tools.campaigns.trial import run_trial
 
+pytestmark = pytest.mark.deep
+
 
 @pytest.mark.parametrize(("name", "number"), [("kill-daemon", 0), ("lost-50", 2), ("garbage-mailbox", 1)])
 def test_a_fault_ends_safely(name: str, number: int) -> None:

@@ -13,6 +13,8 @@ import friction_hil as fh
 from tests.launcher import start
 from tests.processes import run
 
+pytestmark = pytest.mark.deep
+
 LUGRE = "lugre:sigma0=900,sigma1=0.6,sigma2=4e-3,coulomb=0.11,static=0.17,stribeck_velocity=0.12,damping_velocity=0.12"
 EMPS = Path(__file__).resolve().parents[3] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
 

@@ -211,7 +211,7 @@ def test_a_bus_that_does_not_open_is_explained(tmp_path):
         pytest.skip("this machine lets nobody make a network of their own (unshare)")
     outcome = Outcome(tmp_path, *bare)
     assert outcome.done.returncode == 1
-    assert outcome.done.stdout == ""
+    assert list(json.loads(outcome.done.stdout)) == ["error"]
     assert "'friction-hil simulate' failed:\nError: the bus udp_multicast" in outcome.done.stderr
     assert "ip route add 239.0.0.0/8 dev lo" in outcome.done.stderr
     assert "Traceback" not in outcome.done.stderr

@@ -23,6 +23,8 @@ from tests.launcher import installed_in
 from tests.processes import GROUP, free_port, run, simulated_drives, write_configuration
 from tests.readme_commands import ROOT, resolve, shown_commands
 
+pytestmark = pytest.mark.deep
+
 PACKAGES = {"friction_hil": ROOT / "friction_hil", "friction_hil_drivers": ROOT / "drivers/friction_hil_drivers"}
 PAGE = ROOT / "friction_hil/cli/README.md"
 EXTRAS = {

@@ -24,6 +24,8 @@ from tests.integration.test_runtime_control import answered, children, until
 from tests.launcher import start
 from tests.servo_drives import axis_dict
 
+pytestmark = pytest.mark.deep
+
 TOKEN = "a-token-of-this-test-0123456789"
 NAME = "lathe"
 

@@ -20,6 +20,8 @@ from tests.integration.test_runtime_control import STRIBECK, answered, children,
 from tests.launcher import start
 from tests.servo_drives import axis_dict
 
+pytestmark = pytest.mark.deep
+
 BUS = {"interface": "socketcan", "channel": "can0"}
 PATH = {"kind": "sine", "amplitude": 0.3, "frequency": 2.0, "ramp_s": 0.1}
 OTHER = {**STRIBECK, "fit": None}

@@ -19,6 +19,8 @@ from friction_hil.recordings import Recording
 from friction_hil.replay import cluster
 from tests.launcher import COMMAND
 
+pytestmark = pytest.mark.deep
+
 pytest.importorskip("distributed", reason='distributed is not installed: pip install "friction-hil[cluster]"')
 psutil = pytest.importorskip("psutil", reason="psutil comes with distributed")
 

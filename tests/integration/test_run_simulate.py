@@ -157,8 +157,16 @@ def test_simulated_drives_are_tuned_and_the_model_of_the_machine_stays_as_it_is(
         "--output",
         tmp_path / "tuned",
     )
-    done = run(*words)
+    before = yaml.safe_load(path.read_text())
+    path.write_text("# mine\n" + path.read_text())
+    done = run(*words, "--apply")
     assert "simulated drives: x=node 1" in done.stderr
     assert "the friction of the simulated drive, not that of the machine" in done.stdout
     assert (tmp_path / "tuned/x.yaml").exists()
     assert not (tmp_path / "learned.yaml").exists()
+    text = path.read_text()
+    assert text.startswith("# mine\n")
+    before["axes"]["x"]["model"] = "tuned/x.yaml"
+    found = yaml.safe_load(text)
+    before["axes"]["x"].setdefault("compensation", {})["gain"] = found["axes"]["x"]["compensation"]["gain"]
+    assert found == before

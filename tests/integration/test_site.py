@@ -9,6 +9,8 @@ from friction_hil import __version__
 from friction_hil.doctor.explanations import explanations
 from tests.readme_commands import ROOT
 
+pytestmark = pytest.mark.deep
+
 
 def test_the_site_is_built_without_a_warning_and_has_every_page_and_message():
     done = subprocess.run([ROOT / "tools/docs"], capture_output=True, text=True, timeout=900, check=False)

@@ -280,7 +280,7 @@ def test_mistakes_are_reported_in_a_sentence(words, status, message, folder, cap
     (folder / "broken.yaml").write_text(broken)
     assert main(["models", *words]) == status
     out, error = capsys.readouterr()
-    assert out == ""
+    assert (list(json.loads(out)) == ["error"]) if "--json" in words else out == ""
     assert message in " ".join(error.split())
     assert "Traceback" not in error
     assert "--model" not in error

@@ -62,3 +62,17 @@ def test_compilation_is_said_on_a_terminal(tmp_path):
     os.close(main)
     assert done.returncode == 0
     assert said.count("compiling, once on this machine") == 1
+
+
+@pytest.mark.deep
+def test_doctor_compiles_what_a_run_needs(tmp_path):
+    """A second time nothing is left to compile."""
+    environment = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}
+    words = [sys.executable, "-m", "friction_hil", "doctor", "--warm", "--json"]
+    made = []
+    for _ in range(2):
+        done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=400)
+        assert done.stdout.startswith("["), done.stderr
+        made.append({each.name for each in tmp_path.rglob("*.nbc")})
+    assert len(made[0]) > 20
+    assert made[1] == made[0]

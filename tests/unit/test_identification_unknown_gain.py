@@ -234,7 +234,7 @@ def test_servo_has_friction_that_grows_with_its_load(
     assert main(words) == 0
     text = capsys.readouterr().out
     assert "Chosen: coulomb + load." in text
-    assert "on the recordings of each trajectory held out" in text
+    assert "held out in turn" in text
     rows = re.findall(r"^(\w.*?) {2,}\d+ +[\d.]+ % +([\d.]+) %", text, re.MULTILINE)
     error = {label: float(held_out) for label, held_out in rows}
     assert error["coulomb + load"] < 0.9 * error["stribeck"]

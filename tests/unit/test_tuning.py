@@ -256,7 +256,7 @@ def test_an_axis_that_follows_with_some_overshoot_is_neither() -> None:
 def test_a_report_that_cannot_be_written_costs_no_result(tmp_path, capsys) -> None:
     pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
 
-    assert _report(tmp_path / "gone", Tuning()) is None
+    assert _report(tmp_path / "gone", Tuning(), is_simulated=False) is None
     assert "no report: " in capsys.readouterr().err
 
 
@@ -271,10 +271,10 @@ def test_a_broken_matplotlib_costs_no_result(mistake, tmp_path, capsys, monkeypa
     times = np.arange(3.0)
     trial = Trial((MotionTrial("own", *figures, False, COUNT, times, (4e-3 * times, 1e-3 * times)),))
     found = SimpleNamespace(settings=SimpleNamespace(axis="rotary", held={}))
-    monkeypatch.setattr("friction_hil.reports.tuning_report.write_report", lambda *_: None)
+    monkeypatch.setattr("friction_hil.reports.tuning_report.write_report", lambda *_, **__: None)
     learned = AxisTuning((TriedModel(found, SimpleNamespace(label="coulomb"), {}, trial),), tmp_path / "x.yaml", True)
 
-    assert _report(tmp_path, Tuning(axes={"x": learned})) is None
+    assert _report(tmp_path, Tuning(axes={"x": learned}), is_simulated=False) is None
     kind, _, text = mistake.partition("(")
     assert capsys.readouterr().err == f"no report: {kind}: {text[1:-2]}\n"
 

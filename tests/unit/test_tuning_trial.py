@@ -198,7 +198,8 @@ def test_the_announcement_of_a_trial_says_how_far_and_how_fast(own, bounds) -> N
         assert speed == pytest.approx(peak_speed(part.motion), rel=0.01)
         assert seconds == pytest.approx(part.moving_s, rel=0.06)
     assert last == (
-        f"all of it in {duration:.0f} s, 3 times: without compensation, compensated by dahl, compensated by gms; y held"
+        f"all of it in {duration:.0f} s, 3 times: without compensation, compensated by dahl, compensated by gms, "
+        "then at most 2 times more by the best model at other gains; y held"
     )
 
 
@@ -210,7 +211,7 @@ def test_the_announcement_names_the_model_of_each_axis() -> None:
 
     assert text.splitlines()[-1] == (
         f"all axes at once, all of it in {duration:.0f} s, 3 times: without compensation, compensated by dahl (x) and "
-        "gms (y), compensated by dahl"
+        "gms (y), compensated by dahl, then at most 2 times more by the best model at other gains"
     )
 
 

@@ -1,6 +1,5 @@
 """The work of ``friction-hil doctor``."""
 
-import tempfile
 import textwrap
 from collections import Counter
 from collections.abc import Sequence
@@ -28,10 +27,10 @@ def run_doctor(*, config: Path | None, as_json: bool, try_watchdog: bool = False
     if warm:
         # imported here: the demo needs all that others do without
         from friction_hil.cli.work.demo import demo_progress
-        from friction_hil.demo.demonstration import run_demo
+        from friction_hil.demo.demonstration import compile_demo
 
-        with tempfile.TemporaryDirectory() as folder, demo_progress() as show:
-            run_demo(Path(folder), "sync", show)
+        with demo_progress() as show:
+            compile_demo(show)
     out = console()
     findings = []
     for finding in examine(config, try_watchdog=try_watchdog):

@@ -85,7 +85,7 @@ def tune_machine(
     else:
         if verbose:
             _print_details(tuning)
-        _print_summary(tuning, config, applied)
+        _print_summary(tuning, config, applied, is_simulated=simulate)
     if problem:
         click.echo(problem, err=True)
     for warning in tuning.warnings:
@@ -218,10 +218,14 @@ def _print_details(tuning: Tuning) -> None:
             say(f"{name}: {text}", stderr=False)
 
 
-def _print_summary(tuning: Tuning, config: Path, applied: Mapping[str, Mapping[str, Any]]) -> None:
+def _print_summary(
+    tuning: Tuning, config: Path, applied: Mapping[str, Mapping[str, Any]], *, is_simulated: bool
+) -> None:
     """Print what was found, what it is worth and what to do next."""
     rows = [Compared((name, _best_label(axis)), *_compared(axis)) for name, axis in tuning.axes.items()]
     print_table(following_table(("axis", prose("model")), rows))
+    if is_simulated:
+        click.echo("This is the friction of the simulated drive, not that of the machine.")
     for name, axis in tuning.axes.items():
         say(f"{name}: {_recommendation(axis, config, applied.get(name))}", stderr=False)
         for text in (_uncertainty(name, axis, tuning), _clipped(axis)):
