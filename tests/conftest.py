@@ -17,10 +17,9 @@ os.environ["XDG_STATE_HOME"] = _STATE.name
 _runtime = tempfile.TemporaryDirectory(prefix="fh")
 os.environ["XDG_RUNTIME_DIR"] = _runtime.name
 
-# A busy machine and the first call of a kernel, which compiles it, are no failures. .ci/run takes the profile "deep".
-for name, examples in {"quick": 12, "deep": 25}.items():
-    settings.register_profile(name, deadline=None, max_examples=examples, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("quick")
+# A busy machine and the first call of a kernel, which compiles it, are no failures.
+settings.register_profile("friction_hil", deadline=None, max_examples=12, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("friction_hil")
 
 
 def pytest_sessionstart() -> None:

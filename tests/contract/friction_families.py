@@ -18,9 +18,7 @@ import friction_hil as fh
 from tests.friction_models import again, decades, level_bound, level_of, mirrored, models, motions
 
 checked = settings(  # one function serves all subclasses; the first example may compile
-    max_examples=4 * settings.default.max_examples,
-    deadline=None,
-    suppress_health_check=[HealthCheck.differing_executors],
+    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.differing_executors]
 )
 
 
