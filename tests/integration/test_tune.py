@@ -103,6 +103,7 @@ def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
     assert [path.name for path in sorted((tmp_path / "tuned").iterdir())] == [
         "report.html",
         "trial_1.mcap",
+        *(f"trial_gain_{k}.mcap" for k in range(1, len(x["gains"]))),
         "trial_without.mcap",
         "x.yaml",
         "x_experiment.mcap",

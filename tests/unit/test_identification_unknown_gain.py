@@ -230,7 +230,7 @@ def test_servo_has_friction_that_grows_with_its_load(
     words = ["identify", str(BAM / "*.json"), "--unknown-gain", "--gravity", "pendulum", "--where", "torque_enable"]
     words += [word for each in mapping for word in ("--column", each)]
     words += ["--fix", f"gravity.sine={mass * 9.81 * length}", "--fix", "gravity.cosine=0", "--lowpass", "10"]
-    words += ["--decimate", "4", "--min-speed", "0.1", "--group-by", "trajectory", "--output", "servo.yaml"]
+    words += ["--decimate", "4", "--min-speed", "0.1", "--group-by", "trajectory", "--output", "servo.yaml", "-v"]
     assert main(words) == 0
     text = capsys.readouterr().out
     assert "Chosen: coulomb + load." in text

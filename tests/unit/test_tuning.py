@@ -272,7 +272,18 @@ def test_a_broken_matplotlib_costs_no_result(mistake, tmp_path, capsys, monkeypa
     trial = Trial((MotionTrial("own", *figures, False, COUNT, times, (4e-3 * times, 1e-3 * times)),))
     found = SimpleNamespace(settings=SimpleNamespace(axis="rotary", held={}))
     monkeypatch.setattr("friction_hil.reports.tuning_report.write_report", lambda *_, **__: None)
-    learned = AxisTuning((TriedModel(found, SimpleNamespace(label="coulomb"), {}, trial),), tmp_path / "x.yaml", True)
+    learned = AxisTuning(
+        (
+            TriedModel(
+                found,
+                SimpleNamespace(label="coulomb"),
+                {"friction": {"parameters": {}}, "mechanics": {"inertia": 1e-3}},
+                trial,
+            ),
+        ),
+        tmp_path / "x.yaml",
+        True,
+    )
 
     assert _report(tmp_path, Tuning(axes={"x": learned}), is_simulated=False) is None
     kind, _, text = mistake.partition("(")
