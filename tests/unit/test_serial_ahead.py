@@ -195,6 +195,15 @@ def test_where_the_next_reply_may_be_an_old_one_each_request_is_said_alone():
     assert said(bench, Push(bench.image, "t"), bench.one, bench.three) == [b"t=0;a?abc?"], "in step again"
 
 
+def test_where_the_next_reply_may_be_an_old_one_the_next_request_waits_for_the_reply():
+    bench = broken(anonymous())
+    assert said(bench, bench.one) == [b"a?"]
+    assert said(bench, bench.three) == [b"a?"]
+    bench = broken(Ahead())
+    assert said(bench, bench.one) == [b"a?"]
+    assert said(bench, bench.three) == [b"a?", b"abc?"], "in step again"
+
+
 def test_on_a_line_that_never_was_quiet_requests_go_together_but_not_behind_a_command():
     bench = broken(Ahead(), noisy_ms=200.0)
     assert said(bench, bench.one, bench.three) == [b"a?abc?"]
