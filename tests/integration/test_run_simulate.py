@@ -162,6 +162,7 @@ def test_simulated_drives_are_tuned_and_the_model_of_the_machine_stays_as_it_is(
     done = run(*words, "--apply")
     assert "simulated drives: x=node 1" in done.stderr
     assert "the friction of the simulated drive, not that of the machine" in done.stdout
+    assert f"friction-hil run {path} --simulate " in " ".join(done.stdout.split())
     assert (tmp_path / "tuned/x.yaml").exists()
     assert not (tmp_path / "learned.yaml").exists()
     text = path.read_text()

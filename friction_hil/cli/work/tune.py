@@ -236,7 +236,8 @@ def _print_summary(
     helped = [name for name, axis in tuning.axes.items() if axis.recommended.trial.has_helped]
     left = [name for name in helped if name not in applied and _settings(tuning.axes[name], config)]
     first = f"write these keys into {config} (--apply does that), then: " if left else ""
-    more = f"next: {first}friction-hil run {config} --duration 20"
+    where = " --simulate" if is_simulated else ""  # never to a machine with the friction of a simulated drive
+    more = f"next: {first}friction-hil run {config}{where} --duration 20"
     say(
         more if helped else f"next: compare models: friction-hil replay {tuning.recordings[0]} --model ...",
         stderr=False,
