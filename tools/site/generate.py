@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+import friction_hil
 from friction_hil.doctor.explanations import explanations
 
 FOLDER = Path("out/generated")
-MODULES = ("models", "recordings", "identification", "compensator", "export", "health", "live", "drive")
+MODULES = (*friction_hil.__all__, "drive")  # the last one for those who write a driver
 
 
 def main() -> None:
