@@ -7,6 +7,9 @@ import tempfile
 
 from hypothesis import HealthCheck, settings
 
+# As the program does: threads of several workers wait for each other by spinning. Read when numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # A shell that runs the tests in the background has them ignore Ctrl-C, and with them every process they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
