@@ -134,6 +134,7 @@ def _timing(root: Path, realtime: Realtime, period_s: float) -> Iterator[Finding
     """Yield what may delay the wake-ups of a loop."""
     is_prevented = realtime.priority > 0 and os.access(root / "dev/cpu_dma_latency", os.W_OK)
     yield timing.isolation(root, timing.own_cpus())
+    yield timing.processor_load(root, timing.own_cpus())
     yield timing.interrupts(root)
     yield timing.throttling(root, 1e-6 * realtime.spin_us / period_s)
     yield timing.sleep_states(root, is_prevented=is_prevented)

@@ -182,6 +182,16 @@ CODES = {
         "No file could be written to measure it.",
         "Free some space; see the message.",
     ),
+    "FH-331": Explanation(
+        "processor load: the machine is busy",
+        "In the last minute nearly every processor, or more, was wanted: a loop of ordinary priority has to wait.",
+        "End what computes beside the daemon, or give the daemon a processor of its own (`taskset`, `isolcpus=`).",
+    ),
+    "FH-332": Explanation(
+        "processor load: unknown",
+        "`/proc/loadavg` cannot be read.",
+        "Check on the host.",
+    ),
     # the configuration and its drivers
     "FH-401": Explanation(
         "configuration: cannot be read",

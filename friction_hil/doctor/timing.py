@@ -1,4 +1,4 @@
-"""Checks of what delays a loop's wake-up: shared processors, interrupts, throttling, sleep states, limits, slow clocks.
+"""Checks of what delays a loop's wake-up: shared and busy processors, interrupts, sleep states, limits, slow clocks.
 
 Each function takes the root of the file system, so that a test can provide files of its own. What the system does not
 report is unknown, and no pass.
@@ -16,6 +16,7 @@ _COMPUTING = 0.4  # of each period, beside spinning, that a loop may take
 _LONG_EXIT_US = 20  # from a sleep state
 _LITTLE_MEMORY = 1 << 30
 _NAMED = 8
+_FREE = 0.5  # processors that must be idle on average
 _SLOW_CLOCKS = ("hpet", "acpi_pm", "jiffies", "refined-jiffies", "pit", "xen")
 
 
@@ -158,6 +159,21 @@ def cgroup_limits(root: Path) -> Finding:
         fix = "check on the host: cpu.max and memory.max of the control group"
         return Finding(check, "warn", _UNKNOWN, fix, "FH-326")
     return Finding(check, "pass", "processor time and memory are not limited")
+
+
+def processor_load(root: Path, own: set[int]) -> Finding:
+    """Check whether other work leaves the loop a processor of those on which this process may run."""
+    check = "processor load"
+    try:
+        load = float((system_text(root / "proc/loadavg") or "").split(maxsplit=1)[0])
+    except (IndexError, ValueError):
+        return Finding(check, "warn", _UNKNOWN, "check on the host: uptime", "FH-332")
+    count = len(own)
+    detail = f"{load:.2g} processes on average wanted to run in the last minute, on {count} processors"
+    if load > count - _FREE:
+        fix = "end what computes beside the daemon (top shows it), or leave a processor to the daemon alone"
+        return Finding(check, "warn", detail, fix, "FH-331")
+    return Finding(check, "pass", detail)
 
 
 def clock_source(root: Path) -> Finding:

@@ -278,7 +278,19 @@ def test_a_person_at_a_browser_sees_the_daemon_and_changes_it(served, tmp_path):
             "{const window_s = document.querySelector('#window'); window_s.value = '5';"
             " window_s.dispatchEvent(new Event('change'))}"
         )
-        assert page.get("document.querySelectorAll('.u-legend .u-value').length") >= 10  # values at the cursor
+        values = "document.querySelectorAll('.axis .u-legend .u-value').length"
+        assert (shown := page.get(values)) >= 10  # at the cursor
+        choose = "{{const it = document.querySelector('#{}'); {}; it.dispatchEvent(new Event('change'))}}"
+        page.get(choose.format("single", "it.checked = true"))
+        page.get(choose.format("trigger", "it.value = 'reversal'"))
+        page.until("document.querySelector('#scope-text').textContent.startsWith('reversal at ')")
+        assert page.get("document.querySelector('#pause').textContent") == "Resume charts"  # one shot
+        page.get("document.querySelector('#keep').click()")
+        assert page.get(values) == shown + 2 * 7  # a line beside each line of both axes
+        page.get("document.querySelector('#pause').click()")
+        page.get("document.querySelector('#keep').click()")
+        assert page.get(values) == shown
+        page.get(choose.format("trigger", "it.value = ''"))
         assert page.get("document.querySelector('#start').hidden")
         page.get("document.querySelector('.enabled').click()")
         page.until("document.querySelector('.enabled').ariaChecked === 'false'")

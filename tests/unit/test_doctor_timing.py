@@ -161,11 +161,30 @@ def test_a_slow_clock_is_named_with_a_faster_one(tmp_path):
     assert "dmesg" in timing.clock_source(tmp_path).fix
 
 
+def test_a_machine_on_which_no_processor_is_idle_is_busy(tmp_path):
+    for text in (None, "", "nonsense 1 2"):
+        if text is not None:
+            lay(tmp_path, proc__loadavg=text)
+        assert result(timing.processor_load(tmp_path, {0, 1}))[:2] == ("warn", "FH-332")
+    lay(tmp_path, proc__loadavg="1.40 9.00 9.00 2/345 6789\n")
+    assert result(timing.processor_load(tmp_path, {0, 1}))[0] == "pass"
+    assert result(timing.processor_load(tmp_path, {1}))[:2] == ("warn", "FH-331")  # it may use one only
+    lay(tmp_path, proc__loadavg="3.00 0.10 0.10 2/345 6789\n")
+    assert result(timing.processor_load(tmp_path, {0, 1}))[:2] == ("warn", "FH-331")
+
+
 def test_a_system_that_tells_nothing_passes_nothing(tmp_path):
     lay(tmp_path, proc__empty="")
     found = {each.check: each for each in checks.examine(None, tmp_path)}
-    names = ("isolated processors", "interrupts", "real-time throttling", "sleep states", "clock source")
-    for name in (*names, "limits of the control group"):
+    names = (
+        "isolated processors",
+        "processor load",
+        "interrupts",
+        "real-time throttling",
+        "sleep states",
+        "clock source",
+    )
+    for name in (*names, "limits of the control group", "processor load"):
         assert (found[name].result, "unknown" in found[name].detail) == ("warn", True)
 
 

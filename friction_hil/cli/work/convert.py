@@ -72,6 +72,8 @@ def convert(
     else:
         for path, recording in zip(written, found.values(), strict=True):
             click.echo(f"{path}: {len(recording)} rows of {len(recording.columns)} columns")
+        if target.suffix.lower() == ".mcap":
+            say(f"next: {shlex.join(['friction-hil', 'identify', written[0]])}", stderr=False)
 
 
 def _targets(source: Path, target: Path, axes: list[str], force: bool) -> dict[str, Path]:

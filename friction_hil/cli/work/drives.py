@@ -1,6 +1,7 @@
 """The work of ``friction-hil drives``."""
 
 import contextlib
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -28,6 +29,7 @@ def scan_bus(*, config: str | None, bus: str | None, bitrate: int | None, may_di
     else:
         _print_scan(found.drives)
         _print_notes(found.notes)
+        _print_next(found.drives, config, bus)
     return 0 if found.drives and not any(each.problem for each in found.drives) else 1
 
 
@@ -164,6 +166,22 @@ def _print_scan(entries: Sequence[DriveEntry]) -> None:
     for each in entries:
         if each.problem:
             say(f"error: {each.problem}", stderr=False)
+
+
+def _print_next(entries: Sequence[DriveEntry], config: str | None, bus: str | None) -> None:
+    """Print how many drives there are, whether one has power, and what to do with the first one."""
+    drives = [each for each in entries if each.state is not None]
+    if not drives or any(each.problem for each in entries):
+        return
+    powered = [str(each.node) for each in drives if each.state is not None and each.state.is_powered]
+    power = f"with power: node {', '.join(powered)}" if powered else "none has power"
+    say(f"{len(drives)} {'drive' if len(drives) == 1 else 'drives'}; {power}", stderr=False)
+    node = str(drives[0].node)
+    if config is not None:
+        words = ["drives", "show", config, node]
+    else:
+        words = ["config", "new", "machine.yaml", "--bus", str(bus), "--node", node]
+    say(f"next: {shlex.join(['friction-hil', *words])}", stderr=False)
 
 
 def _print_notes(notes: Sequence[str]) -> None:

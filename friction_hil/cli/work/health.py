@@ -106,6 +106,8 @@ def show_health(
             say(note)
         _print(found, false_alarms)
         print_files({"history": history, "report": report, "metrics": metrics})
+        if status == CHANGED and report is None:
+            click.echo("next: the same with --report health.html, which draws each quantity over time")
     return status
 
 

@@ -1,6 +1,7 @@
 """The work of ``friction-hil replay``."""
 
 import math
+import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -138,6 +139,29 @@ def _print(outcomes: Sequence[ReplayOutcome]) -> None:
     for outcome in outcomes:
         if outcome.picture is not None:
             click.echo(f"picture: {outcome.picture}")
+    _print_summary(outcomes, labels)
+
+
+def _print_summary(outcomes: Sequence[ReplayOutcome], labels: dict[str, str]) -> None:
+    """Print what the errors are, which is the lowest, and what to do next."""
+    verdicts = [outcome.facts["verified"] for outcome in outcomes if "verification" in outcome.facts]
+    if len(verdicts) > 1:
+        click.echo(f"{sum(verdicts)} of {len(verdicts)} verified")
+    found = [(each, outcome) for outcome in outcomes for each in outcome.facts["models"]]
+    if not found:
+        return
+    say("relative_error: RMS of measured minus modelled torque, over the RMS of the measured torque", stderr=False)
+    if len({each["model"] for each, _ in found}) > 1:
+        best, outcome = min(found, key=lambda pair: _finite_or_inf(pair[0]["relative_error"]))
+        where = f"{Path(outcome.facts['path']).name}, {outcome.facts['axis']}"
+        say(f"lowest: {labels[best['model']]}, {_percent(best['relative_error'])} ({where})", stderr=False)
+    _, outcome = max(found, key=lambda pair: _finite_or_inf(pair[0]["relative_error"]))
+    fit = shlex.join(["friction-hil", "identify", outcome.facts["path"], "--axis", outcome.facts["axis"]])
+    say(f"next: {fit} fits models to {'this' if len(outcomes) == 1 else 'the worst'} recording", stderr=False)
+
+
+def _finite_or_inf(value: float) -> float:
+    return value if math.isfinite(value) else math.inf
 
 
 def _common_unit(outcomes: Sequence[ReplayOutcome]) -> tuple[float, str]:

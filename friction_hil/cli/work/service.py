@@ -16,9 +16,16 @@ def install(*, name: str, config: Path, root: Path, force: bool, as_json: bool) 
     """Install a service, and say what was written and what comes next."""
     done = service.install(name, config, root.absolute(), _executable(), overwrite=force)
     _print(done, as_json=as_json)
-    if not as_json:
+    if as_json:
+        return 0
+    if done.to_run:
+        say(
+            f"next, where systemd runs: the commands above, then systemctl enable --now friction-hil@{name}",
+            stderr=False,
+        )
+    else:
         say(f"next: systemctl enable --now friction-hil@{name}; it waits, and enables no axis", stderr=False)
-        say(f"then: friction-hil start {name}; its axes move", stderr=False)
+    say(f"then: friction-hil start {name}; its axes move", stderr=False)
     return 0
 
 

@@ -20,6 +20,7 @@ _STATIC = {
     "page.css": "text/css",
     "page.js": "text/javascript",
     "charts.js": "text/javascript",
+    "scope.js": "text/javascript",
     "server.js": "text/javascript",
     "icon.svg": "image/svg+xml",
     "uPlot.iife.min.js": "text/javascript",

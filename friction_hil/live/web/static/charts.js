@@ -27,6 +27,8 @@ const LINES = [
   { stroke: () => colour("--second"), width: 1.5, dash: [6, 4] },
 ];
 
+const KEPT = { stroke: () => colour("--third"), width: 1, points: { show: false } };
+
 function atCursor(_, value) {
   return value === null || value === undefined ? "–" : String(Number(value.toPrecision(5)));
 }
@@ -54,10 +56,14 @@ export function lineChart(holder, names, xLabel, kind, zoomed) {
   );
   follow(holder, chart, HEIGHT);
   return {
-    draw(data, xUnit, yUnit, range) {
+    // Lines beyond those of `names` are kept ones, of the names in `kept`.
+    draw(data, xUnit, yUnit, range, kept = []) {
       chart.axes[0].label = xUnit;
       chart.axes[1].label = yUnit;
       chart.batch(() => {
+        while (chart.series.length > data.length) chart.delSeries(chart.series.length - 1);
+        for (let k = chart.series.length; k < data.length; k += 1)
+          chart.addSeries({ ...KEPT, label: `${kept[k - 1 - names.length]}, kept`, value: atCursor }, k);
         chart.setData(data, !range);
         if (range) chart.setScale("x", { min: range[0], max: range[1] });
       });

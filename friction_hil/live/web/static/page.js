@@ -1,6 +1,7 @@
 // The page: shows what the stream brings, and asks for changes.
 
 import { barChart, drawCircle, lineChart } from "./charts.js";
+import { Scope, resampled } from "./scope.js";
 import { follow, hasToken, post, useToken } from "./server.js";
 
 const MOST_EVENTS = 100;
@@ -15,6 +16,7 @@ let circle = null;
 let windowS = 20; // that is shown
 let keptS = 60; // that may be shown
 const hidden = new Set(); // titles of charts
+const scope = new Scope();
 const OVER = { stop: "running", reset: "running", start: "waiting" }; // the state in which what was said of it is past
 let isPaused = false;
 let drawnMs = -Infinity;
@@ -132,15 +134,35 @@ class Axis {
     if (old) for (const each of columns) this.data[each].splice(0, old);
   }
 
+  range() {
+    return scope.range(this.data.time_s.at(-1), windowS);
+  }
+
+  // What has a direction: the demanded velocity, which is free of noise, or the measured one where none is known.
+  get direction() {
+    return this.data.velocity_demand.some((each) => each !== null) ? this.data.velocity_demand : this.data.velocity;
+  }
+
   draw() {
     const times = this.data?.time_s;
     if (!times?.length) return;
-    const end = times[times.length - 1];
+    const range = this.range();
     this.strips.forEach((strip, k) => {
       const { factor, unit } = this.scales?.[k] ?? { factor: 1, unit: strip.unit };
-      const scaled = strip.columns.map((each) => this.data[each].map((v) => (v === null ? null : v * factor)));
-      this.charts[k].draw([times, ...scaled], "time [s]", `[${unit}]`, [end - windowS, end]);
+      const scaled = (values) => values.map((v) => (v === null ? null : v * factor));
+      const lines = strip.columns.map((each) => scaled(this.data[each]));
+      if (this.kept) {
+        const { rows, from } = this.kept;
+        lines.push(...strip.columns.map((each) => scaled(resampled(rows.time_s, rows[each], times, range[0] - from))));
+      }
+      this.charts[k].draw([times, ...lines], "time [s]", `[${unit}]`, range, strip.names);
     });
+  }
+
+  // Keep a copy of the motion that is shown, or forget it.
+  keep(isWanted) {
+    this.kept = isWanted && this.data ? { rows: structuredClone(this.data), from: this.range()[0] } : null;
+    this.draw();
   }
 
   show(figures) {
@@ -190,6 +212,7 @@ const handlers = {
     axes.clear();
     for (const [name, facts] of Object.entries(message.axes)) axes.set(name, new Axis(name, facts));
     offerCharts();
+    offerScope();
     circle = null;
     at("circle").hidden = true;
     at("events").replaceChildren();
@@ -201,6 +224,7 @@ const handlers = {
 
   rows(message) {
     for (const [name, rows] of Object.entries(message.axes)) axes.get(name).take(rows);
+    if (!isPaused) lookForTrigger();
     const now = performance.now();
     if (isPaused || document.hidden || (calm.matches && now - drawnMs < CALM_MS)) return;
     drawnMs = now;
@@ -257,6 +281,7 @@ const handlers = {
 function showFaults(faults) {
   const shown = JSON.stringify(faults);
   if (at("fault-list").dataset.shown === shown) return; // a screen reader would read them again
+  if (faults.length) scope.fault([...axes.values()].at(0)?.data?.time_s.at(-1));
   at("fault-list").dataset.shown = shown;
   at("faults").hidden = faults.length === 0;
   at("fault-list").replaceChildren(
@@ -295,7 +320,16 @@ at("start").addEventListener("click", () => {
   const names = [...axes.keys()].join(", ");
   if (confirm(`Enable ${names}? The drives get power, and the axes move.`)) act("start");
 });
-at("pause").addEventListener("click", () => pause(!isPaused));
+at("pause").addEventListener("click", () => {
+  if (isPaused && scope.isSingle) arm(); // another shot
+  else pause(!isPaused);
+});
+for (const each of ["trigger", "trigger-axis", "single"]) at(each).addEventListener("change", arm);
+at("keep").addEventListener("click", () => {
+  const isKept = at("keep").getAttribute("aria-pressed") !== "true";
+  at("keep").setAttribute("aria-pressed", String(isKept));
+  for (const axis of axes.values()) axis.keep(isKept);
+});
 at("window").addEventListener("change", () => {
   windowS = Number(at("window").value);
   for (const axis of axes.values()) axis.draw();
@@ -305,6 +339,28 @@ function pause(isWanted) {
   isPaused = isWanted;
   at("pause").setAttribute("aria-pressed", String(isPaused));
   at("pause").textContent = isPaused ? "Resume charts" : "Pause charts";
+}
+
+function arm() {
+  scope.arm(at("trigger").value, at("single").checked && at("trigger").value !== "");
+  at("scope-text").textContent = scope.kind ? `waiting for a ${scope.kind}` : "";
+  pause(false);
+  for (const axis of axes.values()) axis.draw();
+}
+
+function lookForTrigger() {
+  const name = at("trigger-axis").value;
+  const axis = axes.get(name);
+  if (!axis?.data || !scope.look(axis.data.time_s, axis.direction, windowS)) return;
+  at("scope-text").textContent = `${scope.kind} at ${scope.shown.toFixed(2)} s`;
+  for (const each of axes.values()) each.draw();
+  if (scope.isSingle) pause(true);
+}
+
+function offerScope() {
+  at("trigger-axis").replaceChildren(...[...axes.keys()].map((name) => element("option", name)));
+  at("keep").setAttribute("aria-pressed", "false");
+  arm();
 }
 
 // Let the user choose which charts are shown, for all axes at once.
