@@ -1,7 +1,7 @@
 """SIGKILL to the daemon while an axis turns: the drive, which looks at RPDO timers at SYNC only, loses its torque.
 
-Which watchdog acts is seen by its emergency. How fast stands in tests/unit/test_kill_figures.py, in simulated time:
-here the daemon may be late by a third of a second, so that a busy machine does not end it before it is killed.
+Which watchdog acts is seen by its emergency. How fast stands in tests/unit/canopen/test_kill_figures.py, in simulated
+time: here the daemon may be late by a third of a second, so that a busy machine does not end it before it is killed.
 """
 
 import contextlib

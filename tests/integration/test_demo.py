@@ -22,7 +22,7 @@ from friction_hil.errors import UsageError
 from friction_hil.recordings import read_all
 from friction_hil.replay.verify import verify
 from tests.loop_run import LateClock
-from tests.unit.test_circularity import make_circle, make_learned
+from tests.unit.reports.test_circularity import make_circle, make_learned
 
 COMMAND = [sys.executable, "-m", "friction_hil", "demo"]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from friction_hil.daemon.safety import LoopState
 from tests.integration.test_runtime_control import until
 from tests.launcher import start
-from tests.unit.test_live import Daemon, folder  # noqa: F401  a fixture
+from tests.unit.live.test_live import Daemon, folder  # noqa: F401  a fixture
 
 BEGIN, END = b"\x1b[?1049h", b"\x1b[?1049l"
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.processes import run_daemon, simulated_drives, write_configuration
-from tests.unit.test_simulated_canopen_vendor_eds import SERVO, pdo, record, variable
+from tests.unit.canopen.test_simulated_canopen_vendor_eds import SERVO, pdo, record, variable
 
 FIXED = "".join(
     (

@@ -2,14 +2,14 @@
 
 _CANOPEN, _SERIAL = "drivers/friction_hil_drivers/canopen", "drivers/friction_hil_drivers/serial_line"
 
-# path: names of the files tests/unit/test_NAME.py, the fastest first
+# path: its tests below tests/unit, the fastest first
 MODULES: dict[str, tuple[str, ...]] = {
-    "friction_hil/daemon/safety.py": ("safety",),
-    "friction_hil/daemon/sequence.py": ("sequence",),
-    "friction_hil/daemon/command.py": ("command",),
-    f"{_CANOPEN}/sdo_stop.py": ("canopen_axis_lost",),
-    f"{_CANOPEN}/exchange.py": ("canopen_cycle",),
-    f"{_SERIAL}/scheduler.py": ("serial_ahead", "serial_scheduler"),
+    "friction_hil/daemon/safety.py": ("daemon/test_safety",),
+    "friction_hil/daemon/sequence.py": ("daemon/test_sequence",),
+    "friction_hil/daemon/command.py": ("daemon/test_command",),
+    f"{_CANOPEN}/sdo_stop.py": ("canopen/test_canopen_axis_lost",),
+    f"{_CANOPEN}/exchange.py": ("canopen/test_canopen_cycle",),
+    f"{_SERIAL}/scheduler.py": ("serial_line/test_serial_ahead", "serial_line/test_serial_scheduler"),
 }
 
 
@@ -20,4 +20,4 @@ def name_of(path: str) -> str:
 
 def related_tests(path: str) -> list[str]:
     """Return the files of the tests of a module."""
-    return [f"tests/unit/test_{name}.py" for name in MODULES[path]]
+    return [f"tests/unit/{name}.py" for name in MODULES[path]]

@@ -10,7 +10,6 @@ import contextlib
 import secrets
 import socket
 import threading
-from collections.abc import Awaitable
 
 from friction_hil.live.web.gate import Gate, Refusal, host_name
 
@@ -56,21 +55,24 @@ class Door:
         self._target, self._gate = target, gate
         self._clients = 0
         self._loop = asyncio.new_event_loop()
+        self._closing = asyncio.Event()
         self._thread = threading.Thread(target=self._run, args=(listening,), daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Let nobody in any more, and end the connections."""
-        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._loop.call_soon_threadsafe(self._closing.set)
         self._thread.join()
 
     def _run(self, listening: socket.socket) -> None:
-        start: Awaitable[asyncio.Server] = asyncio.start_server(self._serve, sock=listening, limit=_MOST_HEAD)
-        server = self._loop.run_until_complete(start)
-        self._loop.run_forever()
-        server.close()
-        self._loop.run_until_complete(_end_all())
+        self._loop.run_until_complete(self._let_in(listening))
         self._loop.close()
+
+    async def _let_in(self, listening: socket.socket) -> None:
+        server = await asyncio.start_server(self._serve, sock=listening, limit=_MOST_HEAD)
+        await self._closing.wait()
+        server.close()
+        await _end_all()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._clients += 1

@@ -1,0 +1,78 @@
+"""What a new machine must wait for: short commands compile nothing, and what needs no model does not import numba."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import friction_hil as fh
+from friction_hil.friction.dispatch import FAMILIES
+
+EXAMPLE = Path(__file__).parents[3] / "config/demo.yaml"
+PROGRAM = "import sys; from friction_hil.cli import main; assert main(sys.argv[1:]) == 0; "
+
+
+def run(folder: Path, *words: object, then: str = "") -> None:
+    words = (sys.executable, "-c", PROGRAM + then, *map(str, words))
+    environment = {"XDG_CACHE_HOME": str(folder / "cache"), "HOME": str(folder), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("config", "check", EXAMPLE),
+        ("config", "new", "new.yaml", "--simulated"),
+        ("models", "lugre"),
+    ],
+    ids=lambda words: " ".join(map(str, words[:2])),
+)
+def test_short_commands_compile_nothing(words, tmp_path):
+    run(tmp_path, *(tmp_path / each if each == "new.yaml" else each for each in words))
+    assert [each.name for each in (tmp_path / "cache").rglob("*.nbi")] == []
+
+
+def test_a_recording_is_described_without_numba(tmp_path):
+    table = tmp_path / "a.csv"
+    table.write_text("time_s,position,torque\n0,0,0\n0.001,0.1,0.1\n0.002,0.2,0.1\n0.003,0.3,0.1\n")
+    run(tmp_path, "convert", "--info", table, then="assert 'numba' not in sys.modules")
+
+
+@pytest.mark.parametrize("name", [name for name, family in FAMILIES.items() if not family.is_static])
+def test_the_stiffness_is_the_slope_of_a_creeping_motion(name):
+    """It is a formula of each family: to compute it from the motion would compile all of them."""
+    model = fh.models.create(name, **fh.models.describe(name).example)
+    position = 1e-6 * model.level / model.presliding_stiffness
+    slope = model.simulate(np.full(1, position / 1e6), 1e6)[0] / position  # slow enough that damping is negligible
+    assert model.presliding_stiffness == pytest.approx(slope, rel=1e-5)
+
+
+def test_compilation_is_said_on_a_terminal(tmp_path):
+    main, terminal = os.openpty()
+    environment = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}
+    code = PROGRAM + "import friction_hil as fh; "
+    code += "fh.models.create('coulomb', coulomb=1.0).simulate([1.0], 1e-3)"
+    done = subprocess.run([sys.executable, "-c", code, "models"], env=environment, stderr=terminal, timeout=240)
+    os.close(terminal)
+    said = os.read(main, 4096).decode()
+    os.close(main)
+    assert done.returncode == 0
+    assert said.count("compiling, once on this machine") == 1
+
+
+@pytest.mark.deep
+def test_doctor_compiles_what_a_run_needs(tmp_path):
+    """A second time nothing is left to compile."""
+    environment = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}
+    words = [sys.executable, "-m", "friction_hil", "doctor", "--warm", "--json"]
+    made = []
+    for _ in range(2):
+        done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=400)
+        assert done.stdout.startswith("["), done.stderr
+        made.append({each.name for each in tmp_path.rglob("*.nbc")})
+    assert len(made[0]) > 20
+    assert made[1] == made[0]

@@ -1,0 +1,224 @@
+"""Feed-forward of gravity and offset, in each mode: a simulated pendulum that neither sags nor drifts."""
+
+import math
+
+import numpy as np
+import pytest
+
+from friction_hil.checked_yaml.text import dump
+from friction_hil.cli.work.config import check_files
+from friction_hil.config import load, self_contained
+from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.static_torque import static_torque, static_torque_note
+from friction_hil.drive import DriveState, Request
+from friction_hil.models.model_file import Gravity
+from friction_hil.motion.trajectory import sine_path
+from friction_hil.rehearsal import Motion, Rehearsal
+from friction_hil.servo.config import ServoConfig, ServoMechanics
+from friction_hil.servo.parts import Gravity as Pendulum
+from tests.readme_commands import ROOT
+from tests.servo_drives import PERIOD_S, axis_dict, configuration, run
+from tests.unit.rehearsal.test_rehearsal import facts
+
+SINE, COSINE = 0.3, 0.25  # N m
+CONTROLLERS = {
+    "csp": {},
+    "csv": {"controller": {"position_gain": 30.0}},
+    "cst": {"controller": {"position_gain": 25.0, "velocity_gain": 0.03, "integral_hz": 4.0}},
+}
+
+
+def axis(mode, *, torque=1.0, guided=False, error=1.0, offset=0.0, **compensation):
+    given = axis_dict(mode=mode, **({} if guided else CONTROLLERS[mode]))
+    given["limits"] |= {"torque": torque}
+    given["model"]["mechanics"] |= {"gravity": {"sine": SINE * error, "cosine": COSINE * error}, "offset": offset}
+    given["compensation"] |= compensation
+    given["trajectory"] = {"kind": "sine", "amplitude": 0.5, "frequency": 0.5, "ramp_s": 0.25}
+    if guided:
+        given["trajectory"] = {"kind": "none"}
+        del given["limits"]["following_error"]
+    return configuration(x=given)
+
+
+def pendulum(load_torque=0.0):
+    """With a brake, so that it stands until it is enabled."""
+    gravity = Pendulum(sine=SINE, cosine=COSINE)
+    return ServoConfig(mechanics=ServoMechanics(has_brake=True, gravity=gravity, load_torque=load_torque))
+
+
+def moved(config, servo=None, duration_s=3.0):
+    """Following error while it moves, position, and torque sent, of a run without fault."""
+    result, rows, _ = run(config, servo=servo or pendulum(), duration_s=duration_s)
+    assert result.faults == []
+    state, position, demand, command = (
+        np.array(rows.column("x", name)) for name in ("state", "position", "position_demand", "command")
+    )
+    running = state == LoopState.RUNNING
+    return (demand - position)[running], position, command
+
+
+@pytest.mark.parametrize(("mode", "rms", "peak"), [("csp", 2.0, 2.5), ("csv", 4.0, 3.0), ("cst", 6.0, 5.0)])
+def test_it_follows_better_and_does_not_sag_when_it_is_enabled(mode, rms, peak):
+    without, _, _ = moved(axis(mode, gravity=False))
+    fed, _, _ = moved(axis(mode))
+    later = round(1.0 / PERIOD_S)
+    assert np.std(fed[later:]) < np.std(without[later:]) / rms
+    assert np.abs(fed[:later]).max() < np.abs(without[:later]).max() / peak
+
+
+@pytest.mark.parametrize("error", [1.0, 1.15, 0.85])
+def test_a_guided_pendulum_stays_where_it_is(error):
+    """Friction holds what an error of 15 % leaves."""
+    _, position, _ = moved(axis("cst", guided=True, error=error), duration_s=1.0)
+    assert np.ptp(position) < 1e-3
+    _, fallen, _ = moved(axis("cst", guided=True, gravity=False), duration_s=1.0)
+    assert np.ptp(fallen) > 0.3
+
+
+@pytest.mark.parametrize("mode", ["csp", "cst"])
+def test_the_offset_of_the_model_is_fed_forward_too(mode):
+    """A constant weight, which identification without a pendulum finds as an offset."""
+    servo = ServoConfig(mechanics=ServoMechanics(has_brake=True, load_torque=0.25))
+    given = axis(mode, offset=0.25)
+    given = given.model_copy(update={"axes": {"x": without_pendulum(given.axes["x"])}})
+    fed, _, _ = moved(given, servo, 1.0)
+    left, _, _ = moved(given.model_copy(update={"axes": {"x": without_gravity(given.axes["x"])}}), servo, 1.0)
+    assert np.abs(fed).max() < 0.5 * np.abs(left).max()
+
+
+def without_pendulum(one):
+    mechanics = one.model.mechanics.model_copy(update={"gravity": Gravity()})
+    return one.model_copy(update={"model": one.model.model_copy(update={"mechanics": mechanics})})
+
+
+def without_gravity(one):
+    return one.model_copy(update={"compensation": one.compensation.model_copy(update={"gravity": False})})
+
+
+@pytest.mark.parametrize("mode", ["csp", "csv", "cst"])
+def test_it_stays_within_the_limit_and_the_slew(mode):
+    given = axis(mode, torque=0.2)
+    _, rows, _ = run(given, servo=pendulum(), duration_s=1.0)
+    command = np.array(rows.column("x", "command"))
+    assert np.abs(command).max() <= 0.2
+    assert np.abs(np.diff(command)).max() <= 300.0 * PERIOD_S * (1.0 + 1e-9)
+    if mode != "cst":
+        assert "limits.torque leaves 0.092 N m" in static_torque_note(given.axes["x"])
+    assert "up to 0.391 N m" in static_torque_note(axis(mode).axes["x"])
+    assert "limits.torque" not in static_torque_note(axis(mode).axes["x"])
+    if mode == "cst":
+        assert "limits.torque leaves 0.2 N m for gravity" in static_torque_note(given.axes["x"])
+    if mode != "cst":
+        assert "limits.torque leaves 0 N m" in static_torque_note(axis(mode, torque=0.1).axes["x"])
+    assert static_torque_note(axis(mode, torque=0.1, gravity=False).axes["x"]) == ""
+    assert static_torque_note(axis(mode, error=0.01).axes["x"]) == ""
+
+
+def test_the_check_of_a_configuration_says_where_the_limit_is_too_small(tmp_path, capsys):
+    file = tmp_path / "axis.yaml"
+    file.write_text(dump(self_contained(axis("cst", torque=0.2))))
+    assert check_files([str(file)], as_json=False) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "axes.x.limits.torque: leaves 0.2 N m for gravity and offset of the model, which need up to" in printed
+    assert "0.391 N m: the axis cannot hold the rest" in printed
+    file.write_text(dump(self_contained(axis("csp"))))
+    assert check_files([str(file)], as_json=False) == 0
+    assert "note" not in capsys.readouterr().out
+
+
+def test_it_leaves_the_friction_its_torque_in_both_directions():
+    """0.39 N m of gravity would leave nothing of 0.2 N m to one direction, if only the sum were limited."""
+    result, rows, _ = run(axis("csp", torque=0.2), servo=pendulum(), duration_s=3.0)
+    command, compensation = (np.array(rows.column("x", name)) for name in ("command", "compensation"))
+    assert result.faults == []
+    faded_in = slice(round(1.0 / PERIOD_S), round(3.0 / PERIOD_S))
+    fed = (command - compensation)[faded_in]
+    assert 0.075 < fed.min() < fed.max() < 0.092 + 1e-9  # 0.0755 N m of gravity at one end of the path
+    assert np.ptp(compensation[faded_in]) > 0.15
+
+
+@pytest.mark.parametrize("changes", [{"enabled": False}, {"gravity": False}])
+def test_nothing_is_commanded_in_csp_where_it_is_off(changes):
+    _, _, command = moved(axis("csp", gain=0.0, **changes), duration_s=1.0)
+    assert not command.any()
+
+
+def test_without_power_nothing_is_commanded():
+    _, rows, drives = run(axis("cst"), servo=pendulum(), duration_s=1.0)
+    command, state, drive = (np.array(rows.column("x", name)) for name in ("command", "state", "drive_state"))
+    off = (drive != DriveState.OPERATION_ENABLED) & (state >= LoopState.DISABLING)
+    assert off.any()
+    assert not command[(state < LoopState.ENABLING)].any()
+    assert not command[off][2:].any()
+    assert command[state == LoopState.ENABLING].any()
+    assert math.isfinite(drives.servos[0].position)
+
+
+@pytest.mark.parametrize(("mode", "error"), [("cst", 1.0), ("cst", 0.7), ("csp", 1.0), ("csv", 1.0)])
+def test_it_does_not_sag_until_the_brake_has_closed(mode, error):
+    """Wherever the path has left it; in cst the loop's controller holds what the model does not know."""
+    result, rows, drives = run(axis(mode, error=error), servo=pendulum(), duration_s=0.6, power_off_cycles=300)
+    position, command, state, drive = (
+        np.array(rows.column("x", name)) for name in ("position", "command", "state", "drive_state")
+    )
+    disabling, off = state == LoopState.DISABLING, drive == DriveState.SWITCH_ON_DISABLED
+    assert result.faults == []
+    assert disabling.sum() > 300
+    assert np.ptp(position[disabling]) < 3e-3
+    held = command[disabling & ~off]
+    assert np.abs(held).min() > 0.1
+    assert np.abs(command[disabling & off]).max() < 0.1  # of one cycle
+    assert drives.sent[0][-1][-1] == 0.0
+    assert np.abs(np.diff(held)).max() < 0.01  # of a weight of 0.3 N m
+
+
+def test_guided_by_hand_it_is_held_until_the_brake_has_closed_too():
+    _, rows, _ = run(axis("cst", guided=True), servo=pendulum(), duration_s=0.3, power_off_cycles=300)
+    position, state = np.array(rows.column("x", "position")), np.array(rows.column("x", "state"))
+    assert np.ptp(position[state == LoopState.DISABLING]) < 1e-3
+
+
+def test_a_drive_that_keeps_its_power_gets_no_torque_for_ever():
+    result, rows, drives = run(axis("cst"), servo=pendulum(), duration_s=0.3, power_off_cycles=10**6)
+    state = np.array(rows.column("x", "state"))
+    assert (state == LoopState.DISABLING).sum() * PERIOD_S == pytest.approx(2.0, abs=0.01)
+    assert "still powered" in result.faults[0]
+    assert drives.sent[0][-1][0::2] == (Request.DISABLE, 0.0)
+
+
+def test_after_a_fault_it_is_fed_forward_as_long_as_the_drive_has_power():
+    """A drive that brakes by itself carries the weight the better for it; one in fault has let go of the axis."""
+
+    def fails(cycle, feedback):
+        if cycle == 300:
+            feedback[0].message = "test"
+        if cycle >= 320:
+            feedback[0].state, feedback[0].velocity = DriveState.FAULT, 5.0
+
+    _, rows, _ = run(axis("csp"), servo=pendulum(), duration_s=1.0, disturb=fails)
+    command, state, drive = (np.array(rows.column("x", name)) for name in ("command", "state", "drive_state"))
+    stopping = state == LoopState.FAULT_STOPPING
+    assert np.abs(command[stopping & (drive != DriveState.FAULT)]).min() > 0.1
+    assert (stopping & (drive == DriveState.FAULT)).any()
+    assert not command[np.flatnonzero(drive == DriveState.FAULT)[2:]].any()  # 0.5 N m, at 0.3 N m a cycle
+
+
+@pytest.mark.parametrize("has_gravity", [True, False])
+def test_a_rehearsal_has_the_error_of_the_loop(has_gravity):
+    config = axis("cst", gravity=has_gravity)
+    error, _, _ = moved(config, duration_s=5.0)
+    scored = error[round(2.5 / PERIOD_S) :][: round(2.0 / PERIOD_S)]
+    motion = Motion(sine_path(0.5, 0.5, 0.0), 2.0, ramp_s=0.25, start_s=2.5)
+    outcome = Rehearsal(config.axes["x"], facts("cst", pendulum()), PERIOD_S).run(
+        pendulum(), config.axes["x"].model, motion
+    )
+    assert outcome.rms == pytest.approx(np.sqrt(np.mean(scored**2)), rel=0.05)
+
+
+def test_a_weight_that_raises_the_friction_leaves_less_of_the_limit_for_itself():
+    """Else both together would meet the limit, which would take the compensation of one direction away."""
+    lift = load(ROOT / "config/machines/worm_gear.yaml").axes["lift"]
+    friction = lift.model.friction_model
+    both = max(abs(friction.steady_state([-1e-9, 1e-9], load_torque=20.0)))
+    assert static_torque(lift).largest == 20.0
+    assert static_torque(lift).bound == pytest.approx(lift.limits.torque - lift.compensation.gain * both)

@@ -1,0 +1,257 @@
+"""What breaks under a run of the loop, the bus or our own computation: the drives are disabled all the same."""
+
+import contextlib
+import math
+import mmap
+import re
+import resource
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from friction_hil import compensator
+from friction_hil.daemon.failure import Reserve
+from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.daemon.safety import LoopState
+from friction_hil.drive import DriveState, Request
+from friction_hil.drive.codes import code_of
+from friction_hil.errors import BusError
+from tests.loop_run import MODES, STOPPED_BY_FAULT, Drives, Run, axis
+from tests.servo_drives import configuration, make_loop
+
+FILE = "tests/unit/daemon/test_loop_breaks.py"
+BUG = rf"program error: RuntimeError: a bug \({FILE}:\d+, broken\); please report it \[FH-126\]"
+BROKEN = [
+    (BusError("the bus is gone"), r"the bus is gone \[FH-117\]"),
+    (RuntimeError("a bug"), BUG),
+    (MemoryError(), r"there is no memory left \(tests/unit/daemon/test_loop_breaks.py:\d+, broken\) \[FH-127\]"),
+]
+
+
+@pytest.mark.parametrize(("error", "fault"), BROKEN)
+@pytest.mark.parametrize("where", ["receive", "send"])
+def test_whatever_breaks_the_drives_are_disabled_and_the_bus_is_left(where, error, fault):
+    config = configuration()
+    drives = Drives(config)
+    original, calls = getattr(drives, where), []
+
+    def broken(*arguments):
+        calls.append(0)
+        if len(calls) == 300:
+            raise error
+        original(*arguments)
+
+    setattr(drives, where, broken)
+    loop, *_ = make_loop(config, drives)
+    assert_only_fault(loop.run(), fault)
+    assert drives.closed == 1
+    assert drives.commands[0][-1].request is Request.DISABLE
+    assert drives.commands[0][-1].torque == 0.0
+
+
+@pytest.mark.parametrize(("error", "fault"), BROKEN)
+def test_the_bus_is_left_even_if_the_last_word_fails(error, fault):
+    config = configuration()
+    drives = Drives(config)
+
+    def broken(commands):
+        raise error
+
+    drives.send = broken
+    loop, *_ = make_loop(config, drives)
+    assert_only_fault(loop.run(), fault)
+    assert drives.closed == 1
+
+
+@pytest.mark.parametrize(("error", "fault"), BROKEN)
+def test_states_that_cannot_be_read_back_are_reported_as_unknown(error, fault):
+    config = configuration()
+    drives = Drives(config)
+    close = drives.close
+
+    def broken():
+        close()
+        raise error
+
+    drives.close = broken
+    loop, *_ = make_loop(config, drives, duration_s=0.3)
+    result = loop.run()
+    assert re.fullmatch(fault, result.faults[0])
+    assert result.faults[1:] == ["x: the state of the drive after the stop is unknown: it may have power [FH-120]"]
+    assert result.drive_states == [DriveState.UNKNOWN]
+
+
+def assert_only_fault(result, pattern):
+    (fault,) = result.faults
+    assert re.fullmatch(pattern, fault)
+
+
+def test_memory_that_ran_out_is_there_again_once_the_reserve_is_released():
+    reserve, hog = Reserve(), []
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * mmap.PAGESIZE
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (size + (16 << 20), before[1]))
+    try:
+        with contextlib.suppress(MemoryError):
+            while True:
+                hog.append(bytes(1 << 20))
+        with pytest.raises(MemoryError):
+            bytes(8 << 20)
+        reserve.release()
+        assert len(bytes(8 << 20)) == 8 << 20
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def test_the_reserve_is_released_before_the_drives_are_stopped():
+    config = configuration()
+    drives = Drives(config)
+    original, there = drives.send, []
+
+    def starving(commands):
+        there.append(loop._reserve.is_there)
+        if len(there) == 300:
+            raise MemoryError
+        original(commands)
+
+    drives.send = starving
+    loop, *_ = make_loop(config, drives)
+    loop.run()
+    assert there == [True] * 300 + [False]
+
+
+@pytest.mark.parametrize("where", ["step", "warm"])
+def test_a_computation_without_memory_ends_the_loop(where):
+    class Ready(SteppedClock):
+        def doze_until(self, deadline_ns):
+            return True
+
+    def starve(*_):
+        raise MemoryError
+
+    def before(drives):
+        if where == "warm" and drives.cycle == 400:
+            drives.warm_caches = starve
+
+    def sabotage(axes):
+        if where == "step":
+            axes[0].shadows["bad"] = SimpleNamespace(step=starve)
+
+    run = Run(before=before, clock=Ready(), on_axes=sabotage)
+    assert [code_of(fault) for fault in run.result.faults] == ["FH-127"]
+    assert run.commands[0][-1].request is Request.DISABLE
+
+
+def test_the_recording_has_the_calls_that_led_to_a_program_error():
+    def before(drives):
+        if drives.cycle == 400:
+            raise KeyError("[FH-230] " + "long " * 100)
+
+    run = Run(before=before)
+    (fault,) = run.result.faults
+    assert code_of(fault) == "FH-126"
+    assert len(fault.encode()) < 170  # an event of the recording holds it as a whole
+    events = [(name, text) for _, name, text in run.sink.events if name in ("fault", "traceback")]
+    assert events[0] == ("fault", fault)
+    calls = [text for _, text in events[1:]]
+    assert calls[-1].endswith(", before")
+    assert any(text.startswith("friction_hil/daemon/loop.py:") for text in calls)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_mistake_in_the_computation_stops_the_axes_in_good_order(mode):
+    def sabotage(axes):
+        original = axes[0].compensator.step
+        compensator = axes[0].compensator
+
+        class Broken:
+            def step(self, cycle, *rest):
+                if cycle >= 400:
+                    raise ZeroDivisionError("by hand")
+                return original(cycle, *rest)
+
+            def __getattr__(self, name):
+                return getattr(compensator, name)
+
+        axes[0].compensator = Broken()
+
+    run = Run(axis(mode), axis(mode, node=2), on_axes=sabotage)
+    assert run.result.faults == ["x: the computation failed: ZeroDivisionError: by hand [FH-111]"]
+    for k in (0, 1):
+        assert run.requests(k) == STOPPED_BY_FAULT
+    broken = run.column("cycle") >= 400
+    assert np.all(run.torques()[np.flatnonzero(broken)] == 0.0)
+    assert np.isnan(run.column("compensation")[broken]).all()
+    assert np.isfinite(run.column("compensation", "y")[broken]).all()
+    for one in run.drives.servos:
+        assert abs(one.true_velocity) < 0.05
+    assert np.count_nonzero(run.column("state", "y") == LoopState.FAULT_STOPPING) < 1000  # it saw the standstill
+    run.assert_left_disabled()
+
+
+def test_a_model_that_overflows_is_a_fault():
+    def poison(axes):
+        axes[0].compensator.state.view(compensator.STATE)["friction"] = math.nan
+
+    run = Run(on_axes=poison)
+    assert any("not finite" in fault for fault in run.result.faults)
+    assert np.all(run.torques() == 0.0)
+    run.assert_left_disabled()
+
+
+def test_a_failure_in_warming_the_caches_stops_the_axes_in_good_order():
+    class Ready(SteppedClock):
+        def doze_until(self, deadline_ns):
+            return True
+
+    def before(drives):
+        if drives.cycle == 400:
+            drives.warm_caches = lambda: 1 / 0
+
+    run = Run(before=before, clock=Ready())
+    assert run.result.faults == ["warming the caches failed: ZeroDivisionError: division by zero [FH-112]"]
+    assert run.requests() == STOPPED_BY_FAULT
+    run.assert_left_disabled()
+
+
+def test_warming_the_caches_changes_no_bit_of_what_is_commanded():
+    class Ready(SteppedClock):
+        def doze_until(self, deadline_ns):
+            return True
+
+    plain, warmed = Run(duration_s=0.4), Run(duration_s=0.4, clock=Ready())
+    assert plain.commands == warmed.commands
+
+
+def test_an_axis_whose_velocity_is_no_number_stops_the_other_in_good_order():
+    def disturb(cycle, feedback):
+        if cycle == 400:
+            feedback[1].velocity = None
+
+    run = Run(axis(), axis(node=2), disturb=disturb)
+    (fault,) = run.result.faults
+    assert fault.startswith("y: the computation failed: TypeError")
+    assert run.requests(0) == run.requests(1) == STOPPED_BY_FAULT
+    run.assert_left_disabled()
+
+
+def test_a_warning_of_the_cycle_in_which_the_computation_fails_is_not_lost():
+    def sabotage(axes):
+        class Fails:
+            def step(self, *inputs):
+                raise ZeroDivisionError("by hand")
+
+        axes[0].shadows["bad"] = Fails()
+        notices = axes[0]._notices
+
+        class Notices:
+            def next(self, *arguments):
+                return notices.next(*arguments) or "look out"
+
+        axes[0]._notices = Notices()
+
+    run = Run(on_axes=sabotage)
+    assert run.result.faults == ["x: the computation failed: ZeroDivisionError: by hand [FH-111]"]
+    assert run.result.warnings == ["look out"]

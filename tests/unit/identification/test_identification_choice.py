@@ -1,0 +1,224 @@
+"""The choice among candidates: failing ones, paired comparison, levels the motion does not show, work in parallel."""
+
+import dataclasses
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import friction_hil as fh
+from friction_hil.errors import RecordingError
+from friction_hil.identification import Fit, Identification, candidates, plausible_fits, workers
+from friction_hil.identification.choice import choose, log_likelihood_gain
+from friction_hil.identification.export import as_json, model_file
+from friction_hil.identification.least_squares import FitError, column_norms, least_norm_solution
+from friction_hil.identification.prediction_errors import PredictionError
+from friction_hil.identification.workers import in_parallel
+from friction_hil.recordings import Recording
+from tests.unit.identification.test_identification import PERIOD_S, found, recorded
+
+
+@pytest.fixture(scope="module")
+def result() -> Identification:
+    return found(recorded("stribeck", noise=0.01), families=("coulomb", "stribeck", "dahl", "lugre"))
+
+
+# --- candidates whose numbers fail
+
+
+def failing(monkeypatch: pytest.MonkeyPatch, *families: str) -> None:
+    """Make the fits of some families fail as a decomposition does that does not converge."""
+    fit = candidates.fit
+
+    def sometimes(regression: Any, *args: Any, **kwargs: Any) -> Fit:
+        if regression.structure.family in families:
+            raise np.linalg.LinAlgError("SVD did not converge")
+        return fit(regression, *args, **kwargs)
+
+    monkeypatch.setattr(candidates, "fit", sometimes)
+
+
+def test_a_candidate_whose_numbers_fail_is_left_out_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    failing(monkeypatch, "dahl")
+    result = found(recorded("stribeck", noise=0.01), families=("coulomb", "dahl", "stribeck"))
+    assert result.best.label == "stribeck"
+    assert {fit.structure.family for fit in result.fits} == {"coulomb", "stribeck"}
+    said = [note for note in as_json(result)["notes"] if "dahl" in note]
+    assert said
+    assert "SVD did not converge" in said[0]
+
+
+def test_if_all_candidates_fail_the_recording_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    failing(monkeypatch, "dahl", "lugre")
+    with pytest.raises(RecordingError, match=r"no candidate could be fitted.*dahl.*SVD did not converge"):
+        found(recorded("dahl", noise=0.01), families=("dahl", "lugre"))
+
+
+sizes = st.floats(-280.0, 280.0)
+
+
+@given(st.lists(sizes, min_size=1, max_size=4))
+def test_norms_of_columns_neither_overflow_nor_vanish(exponents: list[float]) -> None:
+    scales = 10.0 ** np.array(exponents)
+    matrix = np.outer([3.0, 0.0, -4.0], scales)
+    np.testing.assert_allclose(column_norms(matrix), 5.0 * scales, rtol=1e-12)
+
+
+@given(st.integers(0, 10_000), st.booleans())
+def test_least_squares_without_singular_values_agree(seed: int, is_singular: bool) -> None:
+    """What is used where the SVD fails gives the same solution of least norm."""
+    random = np.random.default_rng(seed)
+    matrix, right = random.normal(size=(7, 4)), random.normal(size=7)
+    if is_singular:
+        matrix[:, 3] = matrix[:, 0] - matrix[:, 1]
+    with pytest.MonkeyPatch.context() as patch:
+        expected = np.linalg.pinv(matrix) @ right
+        patch.setattr(np.linalg, "lstsq", _does_not_converge)
+        np.testing.assert_allclose(least_norm_solution(matrix, right, 1e-10), expected, rtol=1e-6, atol=1e-9)
+
+
+def _does_not_converge(*args: Any, **kwargs: Any) -> Any:
+    raise np.linalg.LinAlgError("SVD did not converge")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_numbers_that_are_not_finite_are_no_least_squares_problem(bad: float) -> None:
+    with pytest.raises(FitError, match="not finite"):
+        least_norm_solution(np.full((2, 2), bad), np.ones(2))
+
+
+def test_the_search_keeps_out_of_loops_that_release_energy() -> None:
+    structure = found(recorded("bouc_wen"), families=("bouc_wen",)).fits[0].structure
+    values = {"beta": 80.0, "stiffness": 40.0, "exponent": 1.2}
+    assert structure.is_admissible({**values, "gamma": 79.0})
+    assert structure.is_admissible({**values, "gamma": -79.0})
+    assert not structure.is_admissible({**values, "gamma": 81.0})
+    assert not structure.is_admissible({**values, "gamma": -81.0})
+
+
+# --- comparison in pairs
+
+
+def with_errors(fit: Fit, stretches: np.ndarray, measured: float = 1.0) -> Fit:
+    """A fit whose held-out mean square errors are these."""
+    rmse = float(np.sqrt(np.mean(stretches)))
+    error = PredictionError(rmse, rmse / measured, tuple(stretches[:4]), tuple(stretches))
+    return dataclasses.replace(fit, across_speeds=error, validation=None)
+
+
+def test_a_stretch_that_no_fit_resolves_does_not_hide_the_difference(result: Identification) -> None:
+    """One hard stretch dominates both mean square errors; everywhere else one fit is far better."""
+    simple, larger = plain(result, "coulomb"), plain(result, "stribeck")
+    random = np.random.default_rng(0)
+    noise = np.exp(0.3 * random.normal(size=(2, 40)))
+    good, bad = 1e-4 * noise[0], 25e-4 * noise[1]
+    good[0] = bad[0] = 1.0
+    chosen, _ = choose([with_errors(simple, bad), with_errors(larger, good)])
+    assert chosen.label == "stribeck"
+    gain, error = log_likelihood_gain(with_errors(larger, good).held_out, with_errors(simple, bad).held_out)
+    assert gain == pytest.approx(np.log(5.0), rel=0.15)
+    assert gain > 5.0 * error
+
+
+def test_the_gain_is_antisymmetric_and_zero_for_the_same(result: Identification) -> None:
+    one, other = result.fits[0].held_out, result.fits[-1].held_out
+    assert log_likelihood_gain(one, one) == (0.0, 0.0)
+    forth, back = log_likelihood_gain(one, other), log_likelihood_gain(other, one)
+    assert forth[0] == pytest.approx(-back[0], rel=1e-3)
+    assert forth[1] == pytest.approx(back[1], rel=1e-3)
+
+
+def test_a_parameter_at_a_bound_counts_against_a_fit(result: Identification) -> None:
+    """Equal errors and parameters: the one with the bound loses, though it has fewer free parameters."""
+    bounded, sound = plain(result, "stribeck"), plain(result, "dahl")
+    estimate = dataclasses.replace(bounded.estimate, at_bound=("stribeck_velocity", "static"))
+    bounded = dataclasses.replace(bounded, estimate=estimate)
+    errors = np.exp(np.random.default_rng(1).normal(size=40))
+    worse = errors * np.exp(0.1 * np.random.default_rng(2).normal(size=40))
+    chosen, _ = choose([with_errors(bounded, errors), with_errors(sound, worse)])
+    assert chosen.label == "dahl"
+
+
+def test_plausible_fits_begin_with_the_chosen_one_and_have_each_family(result: Identification) -> None:
+    fits = plausible_fits(result)
+    assert fits[0] is result.best
+    assert len({id(each) for each in fits}) == len(fits)
+    assert {each.structure.family for each in fits} == {each.structure.family for each in result.fits}
+
+
+def plain(result: Identification, family: str) -> Fit:
+    return next(each for each in result.fits if each.label == family)
+
+
+# --- levels that the motion does not show
+
+
+def test_a_hump_that_the_motion_does_not_show_is_held_flat() -> None:
+    """Coulomb friction with presliding: the level at standstill is free to absorb whatever the model lacks."""
+    result = found(recorded("dahl", noise=0.02), families=("lugre",))
+    assert any(fit.structure.is_flat for fit in result.fits)
+    for fit in result.fits:
+        levels = {name: value for name, value in fit.values.items() if name.endswith("static")}
+        for name, value in levels.items():
+            if fit.structure.is_flat:
+                assert value == fit.values[name.replace("static", "coulomb")]
+            else:  # shown: a level that the data determine
+                assert fit.inference.standard_errors[name] < value
+        said = any(flag.startswith("not excited: a static level") for flag in fit.flags)
+        assert said == fit.structure.is_flat
+    assert model_file(result).friction.parameters["coulomb"] == pytest.approx(0.3, rel=0.05)
+
+
+def test_no_level_exceeds_what_was_ever_measured() -> None:
+    """A fast sine of which hardly any row is slow: the level at standstill would be anything."""
+    time = np.arange(13000) * PERIOD_S
+    velocity = 2.0 * np.pi * np.cos(2.0 * np.pi * time)
+    model = fh.models.create("stribeck", coulomb=0.08, static=0.12, stribeck_velocity=0.02, viscous=0.002)
+    torque = model.simulate(velocity, PERIOD_S) + 2e-4 * np.gradient(velocity, PERIOD_S)
+    torque += 0.002 * np.random.default_rng(0).normal(size=len(time))
+    columns = {"time_s": time, "position": np.cumsum(velocity) * PERIOD_S, "velocity": velocity, "torque": torque}
+    for fit in found(Recording("sine.csv", "x", columns), families=("lugre",)).fits:
+        levels = [value for name, value in fit.values.items() if name.endswith("static")]
+        assert max(levels) < 1.6 * np.abs(torque).max()
+
+
+# --- in parallel
+
+
+def test_results_are_in_order_and_begin_is_called_in_this_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "processors", lambda: 3)
+    barrier, begun = threading.Barrier(3, timeout=20.0), []
+
+    def job(number: int) -> int:
+        barrier.wait()  # passes only if three run at the same time
+        return number * number
+
+    def begin(number: int) -> None:
+        begun.append((number, threading.current_thread() is threading.main_thread()))
+
+    jobs = [lambda number=number: job(number) for number in range(6)]
+    assert in_parallel(jobs, begin) == [0, 1, 4, 9, 16, 25]
+    assert begun == [(number, True) for number in range(6)]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_first_failure_is_raised(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "processors", lambda: count)
+
+    def fails(text: str) -> None:
+        raise FitError(text)
+
+    with pytest.raises(FitError, match="one"):
+        in_parallel([lambda: None, lambda: fails("one"), lambda: fails("two")])
+
+
+def test_the_number_of_processors_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = recorded("lugre", noise=0.02)
+    values = []
+    for count in (1, 4):
+        monkeypatch.setattr(workers, "processors", lambda count=count: count)
+        values.append([(fit.label, fit.values) for fit in found(recording, families=("dahl", "lugre", "gms")).fits])
+    assert values[0] == values[1]

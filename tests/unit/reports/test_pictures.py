@@ -1,0 +1,189 @@
+"""All pictures have one style; numbers in them have no sign of zero; hysteresis loops can be recognised as loops."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from friction_hil import models
+from friction_hil.analysis.circularity import analyse
+from friction_hil.identification.choice import choose
+from friction_hil.identification.fits import Curves
+from friction_hil.models.files import model_from_argument
+from friction_hil.replay.comparison import replay
+from friction_hil.reports import figures, model_picture, replay_picture
+from friction_hil.reports.circularity_picture import draw_error
+from friction_hil.reports.hysteresis_loops import turning_points
+from friction_hil.reports.identification_pictures import draw_loops, draw_time
+from friction_hil.reports.numbers import comparison_rows, digits, readable
+from friction_hil.reports.page import picture
+from friction_hil.reports.run.picture import draw_run
+from friction_hil.reports.run.view import make_view
+from tests.unit.identification.test_identification import found, plain, recorded
+from tests.unit.reports.test_circularity import make_circle
+
+pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
+
+
+def curves(*amplitudes: float, rows: int = 400) -> Curves:
+    """A motion of one sine after the other, with friction that lags behind the reversals."""
+    turn = np.linspace(0.0, 2.5 * 2.0 * np.pi, rows)
+    position = np.concatenate([amplitude * np.sin(turn) for amplitude in amplitudes])
+    velocity = np.gradient(position)
+    friction = np.tanh(velocity / (np.abs(velocity).max() + 1e-300) * 50.0)
+    time = np.arange(len(position)) * 1e-3
+    zero = np.zeros_like(time)
+    return Curves(time, position, velocity, zero, friction, friction, zero, friction, np.zeros(len(time), int))
+
+
+@pytest.fixture
+def styles(monkeypatch, tmp_path):
+    """Everything that makes up the style of each picture that is drawn, by the name of the picture."""
+    kept = {}
+
+    def of(figure):
+        shown = [axes for axes in figure.axes if axes.axison]
+        legends = [*figure.legends, *(axes.get_legend() for axes in shown if axes.get_legend())]
+        return {
+            *(("frame", axes.spines[side].get_visible()) for axes in shown for side in ("top", "right")),
+            *(("grid", axes.xaxis.get_gridlines()[0].get_alpha()) for axes in shown),
+            *(("label", axes.yaxis.label.get_fontsize()) for axes in shown),
+            *(("ticks", label.get_fontsize()) for axes in shown for label in axes.get_yticklabels()),
+            *(("title", axes.title.get_fontsize()) for axes in shown if axes.get_title()),
+            *(
+                ("legend", legend.get_frame().get_edgecolor()[3], legend.get_texts()[0].get_fontsize())
+                for legend in legends
+            ),
+        }
+
+    apply = figures.apply_style
+
+    def watch(figure):
+        apply(figure)
+        kept[len(kept)] = of(figure)
+
+    monkeypatch.setattr(figures, "apply_style", watch)
+    monkeypatch.setattr("friction_hil.reports.page.apply_style", watch)
+    return kept
+
+
+def test_all_pictures_have_one_style(styles, tmp_path):
+    circle = make_circle()
+    configuration = analyse(circle).configuration
+    recording = recorded("coulomb")
+    lugre = models.create("lugre", **models.describe("lugre").example)
+    coulomb = model_from_argument("coulomb:coulomb=0.3")
+    model_picture.draw(lugre, tmp_path / "model.png", "lugre")
+    replay_picture.draw(replay(recording, {"coulomb": coulomb}), tmp_path / "replay.png")
+    draw_run(make_view(recording, None), tmp_path / "bench.png")
+    draw_run(make_view(circle["x"], configuration), tmp_path / "run.png")
+    for figure in (draw_loops(curves(1.0, 0.1), "N m", "rad"), draw_time(curves(1.0), "N m")):
+        picture(figure, "identification")
+    assert len(styles) == 6
+    assert set().union(*styles.values()) == {
+        ("frame", False),
+        ("grid", 0.3),
+        ("label", 10.0),
+        ("ticks", 9.0),
+        ("title", 11.0),
+        ("legend", 0.0, 9.0),
+    }
+
+
+def test_the_demo_has_the_same_style(styles):
+    circularity = analyse(make_circle())
+    picture(draw_error(circularity), "error")
+    assert ("frame", True) not in styles[0]
+    assert ("label", 10.0) in styles[0]
+
+
+@given(st.floats(-1e6, 1e6), st.integers(1, 6))
+def test_digits_have_no_sign_of_zero_and_no_exponent(value, significant):
+    text = digits(value, significant)
+    assert float(text) != 0.0 or not text.startswith("-")
+    assert "e" not in text
+    assert float(text) == pytest.approx(value, rel=0.51 * 10.0 ** (1 - significant))
+
+
+def test_digits_of_minus_zero():
+    assert digits(-0.0) == "0"
+
+
+def test_units_ignore_what_is_zero_or_unknown():
+    assert readable("rad", [0.0, 2e-4, np.nan]) == (1e6, "µrad")
+    assert readable("rad", [0.0]) == (1.0, "rad")
+    assert readable("rad or m", [0.02]) == (1e3, "mrad or mm")
+    assert list(comparison_rows("rad", None, None)) == []
+
+
+@given(st.lists(st.floats(-100.0, 100.0), min_size=2, max_size=200), st.floats(0.1, 50.0))
+def test_between_turning_points_the_position_moves_by_at_least_the_threshold(values, least):
+    position = np.array(values)
+    turns = turning_points(position, least)
+    assert turns == sorted(set(turns))
+    strokes = np.diff(position[turns])
+    assert np.all(np.abs(strokes) >= least)
+    assert np.all(strokes[1:] * strokes[:-1] < 0.0)
+
+
+def test_turning_points_of_a_sine_are_its_extremes():
+    position = np.sin(np.linspace(0.0, 6.0 * np.pi, 601))
+    assert turning_points(position, 0.5) == [50, 150, 250, 350, 450, 550]
+
+
+def test_each_loop_has_rows_enough_a_scale_of_its_own_and_its_travel_in_words():
+    figure = draw_loops(curves(1.0, 0.1, 0.01, 1e-4), "N m", "rad")
+    panels = [axes for axes in figure.axes if axes.axison]
+    assert [axes.get_title() for axes in panels] == [
+        "travel 200 µrad",
+        "travel 20.0 mrad",
+        "travel 200 mrad",
+        "travel 2.00 rad",
+    ]
+    for axes in panels:
+        (measured, _) = axes.lines
+        position = measured.get_xdata()
+        assert len(position) >= 100
+        assert position.max() == pytest.approx(-position.min())
+        low, high = axes.get_xlim()
+        assert np.ptp(position) > 0.8 * (high - low)
+        assert len([each for each in axes.get_xticks() if low <= each <= high]) <= 6
+
+
+def test_a_motion_in_one_direction_has_no_loop():
+    figure = draw_loops(curves(0.0), "N m", "rad")
+    assert [text.get_text() for text in figure.texts] == ["no motion back and forth"]
+
+
+def test_a_choice_does_not_call_parameters_determined_that_it_flags():
+    fits = found(recorded("coulomb", noise=0.02), families=("coulomb", "stribeck")).fits
+    simple = next(each for each in fits if each.label == "coulomb")
+    better = dataclasses.replace(simple.held_out, rmse=0.999 * simple.held_out.rmse)
+    larger = dataclasses.replace(
+        next(each for each in fits if each.label == "stribeck"), across_speeds=better, validation=None
+    )
+    simple = dataclasses.replace(simple, across_speeds=simple.held_out, validation=None, flags=())
+    assert simple.count < larger.count
+    chosen, reason = choose([simple, larger])
+    assert chosen is simple
+    assert "whose parameters the data determine" in reason
+    flagged = dataclasses.replace(simple, flags=("not excited: offset = 1e-5, its standard error 300 % of it: move",))
+    chosen, reason = choose([flagged, larger])
+    assert chosen is flagged
+    assert "the data determine" not in reason
+    assert "nonlinear parameters all exceed their standard errors" in reason
+
+
+def test_fits_that_do_not_compare_are_in_groups_of_their_own():
+    result = found(recorded("coulomb"), families=("coulomb", "dahl"))
+    assert [heading for heading, _ in result.groups] == [""]
+    one = plain(result, "dahl")
+    others = [each for each in result.fits if each is not one]
+    mixed = dataclasses.replace(result, fits=(dataclasses.replace(one, is_refined=True), *others))
+    (first, refined), (second, rest) = mixed.groups
+    assert [each.label for each in refined] == ["dahl"]
+    assert rest == tuple(others)
+    assert "Fitted once more" in first
+    assert "do not compare" in second

@@ -1,0 +1,529 @@
+"""The set-up tools, in a copy of the project where stubs stand for what is slow: pip, pytest, the kernel."""
+
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from friction_hil.errors import FrictionHilError
+from friction_hil.recordings import formats, read, write
+from tools.benchmarks import exchange, export, health, latency, loop, models, neural, recordings
+from tools.benchmarks.report import Row, compare, percentile, show
+
+PROJECT = Path(__file__).parents[3]
+SHELL_TOOLS = (
+    ".ci/run",
+    "tools/demo",
+    "tools/test",
+    "tools/bench",
+    "tools/campaign",
+    "tools/mutants",
+    "tools/_environment",
+)
+CANDIDATES = ("python3", "python3.11", "python3.12", "python3.13", "python3.14")
+
+# Stands in for python3 where an environment is made: puts the interpreter below into it.
+PYTHON3 = """#!/bin/bash
+[ "$1 $2" = "-m venv" ] || exec {python} "$@"
+mkdir -p "$3/bin" && cp {folder}/venv_python "$3/bin/python"
+"""
+
+# The environment's interpreter; in place of pip it notes the call and fails when told to.
+VENV_PYTHON = """#!/bin/bash
+[ "$1 $2" = "-m pip" ] || exec {python} "$@"
+echo "${{*:3}}" >> {folder}/pip_calls
+echo what pip says
+[ ! -e {folder}/pip_fails ]
+"""
+
+
+def executable(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    path.chmod(0o755)
+
+
+class Copy:
+    """A copy of the tools in a folder with a blank in its name, and a PATH with stubs in front."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder / "my project"
+        (self.root / "tools").mkdir(parents=True)
+        for name in ("tools/demo", "tools/test", "tools/_environment", "pyproject.toml"):
+            shutil.copy(PROJECT / name, self.root / name)
+        self.bin = folder / "bin"
+        self.stamp = self.root / ".venv/complete"
+        self.pip_calls = folder / "pip_calls"
+        self.pip_fails = folder / "pip_fails"
+        for name in CANDIDATES:
+            executable(self.bin / name, "#!/bin/sh\nexit 127\n")
+        executable(self.bin / "python3", PYTHON3.format(python=sys.executable, folder=folder))
+        executable(folder / "venv_python", VENV_PYTHON.format(python=sys.executable, folder=folder))
+
+    def start(self, *command: str) -> "subprocess.Popen[str]":
+        environment = os.environ | {"PATH": f"{self.bin}:{os.environ['PATH']}"}
+        return subprocess.Popen(
+            command, cwd="/", env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+
+    def run(self, *command: str) -> "subprocess.CompletedProcess[str]":
+        process = self.start(*command)
+        output, errors = process.communicate()
+        return subprocess.CompletedProcess(command, process.returncode, output, errors)
+
+    def ensure(self, call: str = "ensure_environment") -> "subprocess.CompletedProcess[str]":
+        return self.run("bash", "-c", f"source '{self.root}/tools/_environment'; {call}; echo ready")
+
+    def edit(self, old: str, new: str) -> None:
+        path = self.root / "pyproject.toml"
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Copy:
+    return Copy(tmp_path)
+
+
+@pytest.mark.parametrize("name", SHELL_TOOLS)
+def test_shell_tools_parse(name: str) -> None:
+    done = subprocess.run(["bash", "-n", PROJECT / name], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    "name", [".ci/run", "tools/demo", "tools/test", "tools/bench", "tools/campaign", "tools/vcan-run"]
+)
+def test_tools_are_executable(name: str) -> None:
+    assert os.access(PROJECT / name, os.X_OK)
+
+
+def test_first_call_installs_everything_and_the_second_nothing(copy: Copy) -> None:
+    first = copy.ensure()
+    assert (first.returncode, first.stdout) == (0, "ready\n")
+    assert "setting up" in first.stderr
+    assert "what pip says" not in first.stderr
+    (call,) = copy.pip_calls.read_text().splitlines()
+    assert call.startswith("install ")
+    assert call.endswith(" --editable .[all,dev]")
+    second = copy.ensure()
+    assert (second.returncode, second.stdout, second.stderr) == (0, "ready\n", "")
+    assert copy.pip_calls.read_text().count("install") == 1
+
+
+def test_the_demo_installs_less_and_an_environment_for_tests_serves_it_too(copy: Copy) -> None:
+    first = copy.ensure("ensure_level demo")
+    assert re.search(r"the packages: \d+ s, \d+ MB in .venv", first.stderr)
+    assert copy.ensure("ensure_level demo").stderr == ""
+    kept = copy.root / ".venv/kept"
+    kept.touch()
+    copy.ensure()
+    assert kept.exists()
+    assert [call.split()[-1] for call in copy.pip_calls.read_text().splitlines()] == [".[report]", ".[all,dev]"]
+    assert copy.ensure("ensure_level demo").stderr == ""
+    copy.edit('"pyserial>=3.5"', '"pyserial>=3.6"')  # the update for the demo takes nothing away
+    copy.ensure("ensure_level demo")
+    assert copy.pip_calls.read_text().splitlines()[2].endswith(".[all,dev]")
+    assert copy.ensure().stderr == ""
+
+
+def test_on_a_terminal_the_installation_shows_what_pip_does(copy: Copy, tmp_path: Path) -> None:
+    python, is_seen = tmp_path / "venv_python", tmp_path / "seen"
+    waits = f"echo what pip says\nuntil [ -e {is_seen} ]; do sleep 0.05; done\n"
+    executable(python, python.read_text().replace("echo what pip says\n", waits))
+    main, terminal = os.openpty()
+    script = f"source '{copy.root}/tools/_environment'; ensure_level demo"
+    environment = os.environ | {"PATH": f"{copy.bin}:{os.environ['PATH']}"}
+    process = subprocess.Popen(["bash", "-c", script], stderr=terminal, env=environment)
+    text = ""
+    while not re.search(r"\r\x1b\[K +\d+ s  what pip says", text):
+        text += os.read(main, 4096).decode()
+    is_seen.touch()
+    assert process.wait(60.0) == 0
+    os.close(terminal)
+    os.close(main)
+
+
+def test_failed_installation_is_shown_and_repeated_from_scratch(copy: Copy) -> None:
+    copy.pip_fails.touch()
+    failed = copy.ensure()
+    assert (failed.returncode, failed.stdout) == (1, "")
+    assert "what pip says" in failed.stderr
+    assert str(copy.root / ".venv/install.log") in failed.stderr
+    assert not copy.stamp.exists()
+    leftover = copy.root / ".venv/half-installed"
+    leftover.touch()
+    copy.pip_fails.unlink()
+    assert copy.ensure().returncode == 0
+    assert not leftover.exists()
+
+
+def test_changed_dependency_updates_in_place(copy: Copy) -> None:
+    copy.ensure()
+    kept = copy.root / ".venv/kept"
+    kept.touch()
+    copy.edit('"pyserial>=3.5"', '"pyserial>=3.6"')
+    updated = copy.ensure()
+    assert updated.returncode == 0
+    assert "dependencies have changed" in updated.stderr
+    assert kept.exists()
+    assert copy.pip_calls.read_text().count("install") == 2
+    assert copy.ensure().stderr == ""
+
+
+def test_setting_of_a_linter_makes_nothing_stale(copy: Copy) -> None:
+    copy.ensure()
+    copy.edit("[tool.ruff]", "[tool.ruff]\nfix = true")
+    assert copy.ensure().stderr == ""
+
+
+@pytest.mark.parametrize("other", ["cpython-39", "cpython-399"])
+def test_other_interpreter_rebuilds(copy: Copy, other: str) -> None:
+    copy.ensure()
+    made_for = copy.stamp.read_text()
+    copy.stamp.write_text(made_for.replace(sys.implementation.cache_tag, other))
+    assert "setting up" in copy.ensure().stderr
+    assert copy.stamp.read_text() == made_for
+
+
+def test_interpreter_that_is_gone_rebuilds(copy: Copy) -> None:
+    copy.ensure()
+    (copy.root / ".venv/bin/python").unlink()
+    assert "setting up" in copy.ensure().stderr
+
+
+def test_moved_project_rebuilds(copy: Copy) -> None:
+    copy.ensure()
+    copy.root = copy.root.rename(copy.root.with_name("moved project"))
+    assert "setting up" in copy.ensure().stderr
+
+
+@pytest.mark.parametrize("stamp", ["", "x", "x y z\n"])
+def test_stamp_that_is_cut_off_rebuilds(copy: Copy, stamp: str) -> None:
+    copy.ensure()
+    copy.stamp.write_text(stamp)
+    assert "setting up" in copy.ensure().stderr
+
+
+def test_two_calls_at_once_install_once(copy: Copy) -> None:
+    script = f"source '{copy.root}/tools/_environment'; ensure_environment"
+    processes = [copy.start("bash", "-c", script) for _ in range(3)]
+    for process in processes:
+        process.communicate()
+    assert [process.returncode for process in processes] == [0, 0, 0]
+    assert copy.pip_calls.read_text().count("install") == 1
+
+
+@pytest.mark.parametrize("tool", ["demo", "test"])
+def test_missing_venv_package_gives_the_apt_line(copy: Copy, tmp_path: Path, tool: str) -> None:
+    blocked = tmp_path / "blocked/ensurepip.py"
+    executable(blocked, "raise ImportError")
+    executable(copy.bin / "python3", f'#!/bin/sh\nPYTHONPATH="{blocked.parent}" exec {sys.executable} "$@"\n')
+    done = copy.run(str(copy.root / "tools" / tool))
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "    sudo apt install python3-venv\n" in done.stderr
+    assert not (copy.root / ".venv").exists()
+
+
+OLD = "#!/bin/sh\ncase $2 in *'(3, 11)'*) exit 1;; *) echo 3.9;; esac\n"
+
+
+def test_old_python_is_named(copy: Copy) -> None:
+    executable(copy.bin / "python3", OLD)
+    done = copy.ensure()
+    assert done.returncode == 1
+    assert "Python 3.11 or newer is needed; python3 here is Python 3.9" in done.stderr
+    assert "sudo apt install python3.11 python3.11-venv" in done.stderr
+
+
+def test_newer_python_beside_an_old_python3_is_taken(copy: Copy) -> None:
+    (copy.bin / "python3").rename(copy.bin / "python3.12")
+    executable(copy.bin / "python3", OLD)
+    assert copy.ensure().returncode == 0
+
+
+def test_no_python_at_all(copy: Copy) -> None:
+    executable(copy.bin / "python3", "#!/bin/sh\nexit 127\n")
+    done = copy.ensure()
+    assert done.returncode == 1
+    assert "there is no python3 here" in done.stderr
+
+
+def test_demo_hands_its_arguments_on(copy: Copy) -> None:
+    copy.ensure()
+    executable(copy.root / ".venv/bin/friction-hil", '#!/bin/sh\npwd; printf "<%s>" "$@"\nexit 7\n')
+    done = copy.run(str(copy.root / "tools/demo"), "--output", "a b")
+    assert (done.returncode, done.stdout, done.stderr) == (7, "/\n<demo><--output><a b>", "")
+
+
+# An interpreter that notes what pytest is called with and answers with the status it is told.
+PYTEST = """#!/bin/bash
+[ "$2" = pytest ] || exec {python} "$@"
+[[ " $* " == *" --collect-only "* ]] && exit "$(cat {answers}/collected)"
+[[ " $* " == *" -m socketcan "* ]] && half=socketcan || half=rest
+printf '%s\\n' "${{@:3}}" > {answers}/$half.called
+exit "$(cat {answers}/$half)"
+"""
+
+
+class Pytest(Copy):
+    """A copy with an environment whose pytest answers ``rest`` and ``socketcan`` with given statuses."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.ensure()
+        (self.root / "tests").mkdir()
+        self.answers = folder / "answers"
+        self.answers.mkdir()
+        python = self.root / ".venv/bin/python"
+        python.unlink()
+        executable(python, PYTEST.format(python=sys.executable, answers=self.answers))
+
+    def reset(self) -> "Pytest":
+        for path in self.answers.iterdir():
+            path.unlink()
+        executable(self.root / "tools/vcan-run", '#!/bin/sh\n[ "$1" = --setup ] || { shift 3; exec "$@"; }\n')
+        return self
+
+    def run_tests(self, *arguments: str, **statuses: int) -> "subprocess.CompletedProcess[str]":
+        for name, status in ({"collected": 0, "rest": 0, "socketcan": 0} | statuses).items():
+            (self.answers / name).write_text(str(status))
+        return self.run(str(self.root / "tools/test"), *arguments)
+
+    def called(self, half: str) -> list[str] | None:
+        path = self.answers / f"{half}.called"
+        return path.read_text().splitlines() if path.exists() else None
+
+
+@pytest.fixture(scope="module")
+def made_project(tmp_path_factory: pytest.TempPathFactory) -> Pytest:
+    return Pytest(tmp_path_factory.mktemp("tools"))
+
+
+@pytest.fixture
+def project(made_project: Pytest) -> Pytest:
+    return made_project.reset()
+
+
+@pytest.mark.parametrize(
+    ("rest", "socketcan", "status"), [(0, 0, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1), (5, 0, 0), (0, 125, 1)]
+)
+def test_status_is_of_both_halves(project: Pytest, rest: int, socketcan: int, status: int) -> None:
+    assert project.run_tests(rest=rest, socketcan=socketcan).returncode == status
+    assert project.called("socketcan") is not None
+
+
+@pytest.mark.parametrize("status", [2, 3, 4])
+def test_interruption_and_wrong_use_end_at_once(project: Pytest, status: int) -> None:
+    assert project.run_tests(rest=status).returncode == status
+    assert project.called("socketcan") is None
+
+
+@pytest.mark.parametrize("status", [0, 1, 5])
+def test_selection_without_socketcan_boots_nothing(project: Pytest, status: int) -> None:
+    assert project.run_tests("-k", "foo", collected=5, rest=status).returncode == status
+    assert project.called("socketcan") is None
+
+
+def test_arguments_reach_pytest(project: Pytest) -> None:
+    project.run_tests("tests/unit", "-k", "a or b")
+    called = project.called("rest") or []
+    assert called[-3:] == ["tests/unit", "-k", "a or b"]
+    assert called[called.index("-n") + 1] == "auto"
+    assert called[called.index("-m") + 1] == "not socketcan and not deep"
+
+
+@pytest.mark.parametrize("path", ["tests/unit/test_a.py", "tests/unit/test_a.py::test_b[1]"])
+def test_single_files_need_no_workers_and_are_run_whole(project: Pytest, path: str) -> None:
+    project.run_tests(path)
+    called = project.called("rest") or ["-n"]
+    assert "-n" not in called
+    assert called[called.index("-m") + 1] == "not socketcan"
+
+
+def test_a_file_that_is_left_out_takes_no_workers_away(project: Pytest) -> None:
+    project.run_tests("-m", "not socketcan", "--ignore=tests/integration/test_run.py")
+    assert "-n" in project.called("rest")
+
+
+def test_files_without_socketcan_tests_are_not_imported_there(project: Pytest) -> None:
+    (project.root / "tests/test_a.py").write_text("import numba\n")
+    (project.root / "tests/test_b.py").write_text("@pytest.mark.socketcan\n")
+    project.run_tests()
+    called = project.called("socketcan") or []
+    assert [word for word in called if "ignore" in word] == ["--ignore=tests/test_a.py"]
+
+
+@pytest.mark.parametrize("mark", [["-m", "socketcan"], ["-msocketcan"]])
+def test_socketcan_alone(project: Pytest, mark: list[str]) -> None:
+    assert project.run_tests(*mark, socketcan=1).returncode == 1
+    assert project.called("rest") is None
+
+
+def test_other_mark_expression_is_taken_as_it_is(project: Pytest) -> None:
+    project.run_tests("-m", "not socketcan")
+    called = project.called("rest") or []
+    assert called[-2:] == ["-m", "not socketcan"]
+    assert called.count("-m") == 1
+    assert project.called("socketcan") is None
+
+
+@pytest.mark.skipif(Path("/sys/class/net/vcan0").exists(), reason="this machine has vcan0")
+@pytest.mark.parametrize(("arguments", "status"), [([], 0), (["-m", "socketcan"], 1)])
+def test_no_kernel_for_socketcan_is_said(project: Pytest, arguments: list[str], status: int) -> None:
+    executable(project.root / "tools/vcan-run", "#!/bin/sh\necho vcan-run: no kernel >&2\nexit 125\n")
+    done = project.run_tests(*arguments)
+    assert done.returncode == status
+    assert "no interface vcan0 here" in done.stderr
+    assert "vcan-run: no kernel" in done.stderr
+    assert project.called("socketcan") is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        ([], 2, "no COMMAND"),
+        (["--timeout", "nan", "true"], 2, "--timeout nan"),
+        (["--timeout", "-1", "true"], 2, "--timeout -1"),
+        (["--rw", "/does/not/exist", "true"], 125, "/does/not/exist: no such folder"),
+    ],
+)
+def test_wrong_use_of_vcan_run(arguments: list[str], status: int, message: str) -> None:
+    command = [sys.executable, str(PROJECT / "tools/vcan-run"), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == status
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_unknown_benchmark_is_answered_with_what_there_is() -> None:
+    command = [sys.executable, "-m", "tools.benchmarks", "latenzy"]
+    done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert (
+        "did you mean 'latency'? There are: compensation, exchange, experiment, export, health, help, latency, "
+        in done.stderr
+    )
+    assert ", learning, loop, models, neural, recordings, serial, servo, tune\n" in done.stderr
+
+
+def test_benchmark_of_recordings_has_every_format(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(models, "ROUNDS", 1)
+    monkeypatch.setattr(recordings, "ROWS", 300)
+    monkeypatch.setattr(recordings, "TEXT_ROWS", 200)
+    show(recordings.run(), as_json=True)
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == {"machine", "rows"}
+    for row in result["rows"]:
+        assert set(row) == {"name", "value", "unit", "reference", "ratio"}
+        assert all(row[number] > 0.0 for number in ("value", "reference", "ratio")), row
+    names = [row["name"] for row in result["rows"]]
+    measured = {name.partition(",")[0] for name in names if name.startswith(".")}
+    assert {".hdf5", *measured} == set(formats(to_write=True))  # .hdf5 and .h5 are one format
+    assert [row["unit"] for row in result["rows"][-3:]] == ["M rows/s", "M rows/s", "M samples/s"]
+
+
+def test_the_benchmark_of_networks_measures_an_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(neural, "ROUNDS", 1)
+    rows = neural.iterations()
+    assert [row.name.partition(":")[0] for row in rows] == ["gated", "narx"]
+    for row in rows:
+        assert row.unit == "ms"
+        assert 0.0 < row.value < math.inf
+        assert row.ratio is not None
+
+
+def test_the_benchmark_of_latency_compares_sleeping_and_spinning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(latency, "ROUNDS", 1)
+    monkeypatch.setattr(latency, "CYCLES", 20)
+    monkeypatch.setattr(latency, "has_cyclictest", lambda: True)
+    monkeypatch.setattr(latency, "cyclictest", lambda *_: latency.Latency(np.full(20, 50.0), 0))
+    monkeypatch.setattr(latency, "is_fifo_allowed", lambda priority: False)
+    rows = latency.run()
+    assert [row.reference for row in rows] == [50.0] * 4
+    assert all(row.unit == "us" and row.value > 0.0 for row in rows)
+
+
+def test_the_benchmark_of_the_exchange_times_each_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exchange, "DURATION_S", 0.5)
+    names = [row.name for row in exchange.run()]
+    assert [name.split(" p")[0] for name in names[2:]] == [
+        "receive",
+        "step",
+        "send",
+        "whole cycle",
+        "mailbox without news",
+    ]
+
+
+def test_the_benchmark_of_exports_compares_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(export, "SAMPLES", 1000)
+    assert all(row.value > 0.0 and row.reference is not None for row in export.run())
+
+
+def test_the_benchmark_of_health_has_every_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(health, "DURATION_S", 8.0)
+    monkeypatch.setattr(health, "BEGIN", 31)
+    monkeypatch.setattr(health, "YEAR_DAYS", 40)
+    monkeypatch.setattr(health, "CHANGES", health.CHANGES[2:3])
+    done = CliRunner().invoke(health.command, ["--axes", "1", "--json"])
+    assert done.exit_code == 0, done.output
+    quiet, tightened = json.loads(done.stdout)["rows"]
+    assert quiet["noticed"] is None
+    assert tightened["noticed"] in (0, 1)
+    assert quiet["false_alarms_per_year"] >= 0.0
+
+
+def test_the_benchmark_of_the_loop_starts_a_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop, "STARTS", 1)
+    done = CliRunner().invoke(loop.command, ["start", "--json"])
+    assert done.exit_code == 0, done.output
+    ready, enabled = json.loads(done.stdout)["rows"]
+    assert 0.0 < ready["value"] < enabled["value"]
+
+
+def test_benchmark_of_recordings_compares_equal_work(tmp_path: Path) -> None:
+    path = tmp_path / "x.npz"
+    write(path, recordings.recording(50))
+    ours = read(path).columns
+    recordings.check(path, ours, recordings.npz(path))
+    other = ours | {"torque": ours["torque"] + 1e-15}
+    with pytest.raises(FrictionHilError, match="other columns or values"):
+        recordings.check(path, ours, other)
+
+
+def test_ratio_of_a_comparison_is_that_of_single_rounds() -> None:
+    # the medians alone would say 1: both programs were slow in one round of three, but not in the same one
+    row = compare("a (b)", "us", [2.0, 9.0, 4.0], [1.0, 4.0, 8.0])
+    assert (row.value, row.reference, row.ratio) == (4.0, 4.0, 2.0)
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.5, 2.0), (0.51, 3.0), (0.99, 4.0), (0.25, 1.0)])
+def test_percentile_is_a_sample(share: float, expected: float) -> None:
+    assert percentile([1.0, 2.0, 3.0, 4.0], share) == expected
+
+
+def test_benchmark_as_json_has_null_for_what_is_no_number(capsys: pytest.CaptureFixture[str]) -> None:
+    show([Row("a", math.nan, "us"), Row("b", 1.0, "us", 2.0, math.inf)], as_json=True)
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == {"machine", "rows"}
+    assert result["rows"][0] == {"name": "a", "value": None, "unit": "us", "reference": None, "ratio": None}
+    assert result["rows"][1]["ratio"] is None
+
+
+def test_benchmark_table_shows_every_row(capsys: pytest.CaptureFixture[str]) -> None:
+    show([Row("a", 1.25, "us", 2.5, 0.5), Row("b", 3.0, "ms")], as_json=False)
+    shown = capsys.readouterr().out
+    for cell in ("1.25 µs", "2.5 µs", "0.50", "3 ms"):
+        assert cell in shown

@@ -1,0 +1,388 @@
+"""Trial of a model: how its runs are judged, motion by motion, which model is kept, and what is shown."""
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from friction_hil.analysis.following import RECOVERY_S, SETTLE_S, Figures
+from friction_hil.cli.work.tables import lines
+from friction_hil.cli.work.tune import _as_dict, _motions_table, _table
+from friction_hil.daemon.assembly import make_path
+from friction_hil.daemon.figures import CompensationNotices
+from friction_hil.daemon.safety import LoopState
+from friction_hil.errors import RecordingError
+from friction_hil.motion.trajectory import PathTime, Trajectory
+from friction_hil.recordings import Recording
+from friction_hil.recordings.recording import Event
+from friction_hil.tuning import AxisTuning, TriedModel, Tuning
+from friction_hil.tuning.trial import MotionTrial, Trial, judge
+from friction_hil.tuning.trial_motions import MOTIONS, windows
+from tests.servo_drives import PERIOD_S
+from tests.unit.tuning.test_tuning import COUNT, axis
+from tests.unit.tuning.test_tuning_trial import tried
+
+FADE_S, RAMP_S, DELAY_S, FREQUENCY = 0.1, 0.25, 3e-3, 1.0
+OWN = {"kind": "sine", "amplitude": 0.5, "frequency": FREQUENCY, "ramp_s": RAMP_S}
+BOUNDS = {"velocity": 5.0, "travel": 0.8, "duration_s": 20.0, "ramp_s": RAMP_S}
+
+
+def trial_of(**changes):
+    _, run, duration = tried(x=axis(trajectory=OWN, experiment=BOUNDS, compensation={"fade_s": FADE_S}, **changes))
+    return run, duration
+
+
+RUN, DURATION_S = trial_of()
+SEQUENCE = RUN.axes["x"].trajectory
+NAMES = tuple(part.name for part in SEQUENCE.motions)
+
+
+def motion_at(s):
+    """Name of the motion at the time of the path; a pause belongs to the motion before it."""
+    starts = np.cumsum([0.0, *(part.duration_s for part in SEQUENCE.motions[:-1])])
+    return NAMES[max(int(np.searchsorted(starts, s, side="right")) - 1, 0)]
+
+
+def recorded(errors, *, events=()):
+    """A run with this error, by motion, at whatever time the path is sent ahead; wild before the own motion counts.
+
+    ``errors`` maps names of motions to functions of the path's time; others have an error of 1e-3.
+    """
+    first = 50.0
+    cycle = np.arange(0.0, first + round(DURATION_S / PERIOD_S))
+    path_time = PathTime(RAMP_S)
+    motion = Trajectory(make_path(RUN.axes["x"], COUNT, PERIOD_S), path_time)
+    motion.begin_at(1.0)
+    path_time.start(first * PERIOD_S + DELAY_S)
+    times = (cycle * PERIOD_S).tolist()
+    demand = np.array([motion.at(t).position for t in times])
+    path_s = np.array([path_time.at(t)[0] for t in times])
+    begin, end = windows(SEQUENCE, FADE_S)["own"]
+    error = np.array(
+        [9.0 if s < begin - 1e-9 or end <= s < SEQUENCE.motions[0].moving_s else value_of(errors, s) for s in path_s]
+    )
+    columns = {
+        "time_s": cycle * PERIOD_S,
+        "cycle": cycle,
+        "position": demand - error,
+        "position_demand": demand,
+        "is_fresh": np.ones(len(cycle)),
+        "is_enabled": np.ones(len(cycle)),
+        "state": np.where(cycle < first, float(LoopState.ENABLING), float(LoopState.RUNNING)),
+        "path_lag_s": np.zeros(len(cycle)),
+    }
+    facts = [{"name": "x", "position_resolution": COUNT, "setpoint_delay_s": DELAY_S}]
+    found = [Event(float(np.searchsorted(path_s, s)), name, text) for s, name, text in events]
+    return Recording("trial.mcap", "x", columns, {"facts": facts}, events=found)
+
+
+def value_of(errors, s):
+    return errors.get(motion_at(s), lambda _: 1e-3)(s)
+
+
+def wave(amplitude):
+    return lambda s: amplitude * math.sin(2.0 * math.pi * FREQUENCY * s)
+
+
+def judged(without, compensated):
+    return judge(without, compensated, RUN.axes["x"], PERIOD_S, FADE_S)
+
+
+@pytest.fixture(scope="module")
+def without():
+    return recorded({"own": wave(4e-3), "slow": lambda _: 3e-3})
+
+
+def start_of(name):
+    return sum(part.duration_s for part in SEQUENCE.motions[: NAMES.index(name)])
+
+
+def test_each_motion_is_judged_by_its_own_error(without) -> None:
+    """Of the own motion whole periods of settled motion; of the others all, from start to rest."""
+    trial = judged(without, recorded({"own": wave(1e-3), "slow": lambda _: 2e-3, "tiny": lambda _: 5e-4}))
+
+    found = {each.name: each for each in trial.motions}
+    assert tuple(found) == NAMES
+    assert NAMES == MOTIONS
+    assert trial.own is found["own"]
+    assert found["own"].uncompensated.rms == pytest.approx(4e-3 / math.sqrt(2.0), rel=1e-6)
+    assert found["own"].uncompensated.peak == pytest.approx(4e-3, rel=1e-4)
+    assert (trial.reduction.rms, trial.reduction.peak) == pytest.approx((4.0, 4.0), rel=1e-6)
+    expected = {"slow": 1.5, "small": 1.0, "tiny": 2.0, "rests": 1.0, "fast": 1.0}
+    for name, ratio in expected.items():
+        assert (found[name].reduction.rms, found[name].reduction.peak) == pytest.approx((ratio, ratio), rel=1e-6)
+    assert trial.has_helped
+    assert (trial.worse, trial.swinging, trial.problems) == ((), (), ())
+    for error, amplitude in zip(trial.own.errors, (4e-3, 1e-3), strict=True):
+        assert np.nanmax(np.abs(error)) == pytest.approx(amplitude, rel=1e-4)
+        assert np.isfinite(error).all()
+    assert trial.own.errors[0] == pytest.approx(4.0 * trial.own.errors[1], abs=1e-9), "both over the same demand"
+
+
+def test_the_own_motion_counts_once_it_is_steady_and_compensated() -> None:
+    begin, end = windows(SEQUENCE, FADE_S)["own"]
+
+    assert begin >= max(RAMP_S, FADE_S) + SETTLE_S - 1e-9
+    assert end - begin == pytest.approx(round((end - begin) * FREQUENCY) / FREQUENCY)
+    assert end - begin >= 4.0 - 1e-9
+    assert end <= SEQUENCE.motions[0].moving_s - RAMP_S + 1e-9
+
+
+def test_worse_or_hardly_better_is_no_help(without) -> None:
+    def helped(error):
+        return judged(without, recorded({"own": error})).has_helped
+
+    assert not helped(wave(4.4e-3))
+    assert not helped(wave(3.9e-3))
+    assert helped(wave(3.6e-3))
+    assert not helped(lambda s: 2e-3 - 6.4e-3 * (s % 1.0 < 0.01)), "a higher peak"
+
+
+@pytest.mark.parametrize("name", [name for name in MOTIONS if name != "own"])
+def test_a_motion_that_gets_worse_is_named(name, without) -> None:
+    trial = judged(without, recorded({"own": wave(1e-3), name: lambda _: 3.3e-3 if name == "slow" else 1.1e-3}))
+
+    assert trial.worse == (name,)
+    assert trial.has_helped, "the own motion is what the axis is for"
+    assert trial.problems == (f"the following error of the motion {name!r} is larger with compensation than without",)
+    assert trial.figures["motions"][name]["is_worse"]
+
+
+def test_one_count_of_the_encoder_is_no_harm() -> None:
+    small = Figures(1.0 * COUNT, 2.0 * COUNT)
+
+    def is_worse(*after):
+        return MotionTrial("tiny", small, Figures(*after), False, COUNT, np.zeros(0), (np.zeros(0),) * 2).is_worse
+
+    assert not is_worse(1.2 * COUNT, 3.0 * COUNT)
+    assert is_worse(1.5 * COUNT, 3.0 * COUNT)
+    assert is_worse(1.0 * COUNT, 4.0 * COUNT)
+
+
+class _Guarded:
+    """Stands for a compensator whose gain the guard lowers."""
+
+    trained_speed = float("inf")
+    has_residual = False
+
+    def __init__(self, gain_factor):
+        self.gain_factor = gain_factor
+
+
+def lowered(name="x"):
+    """The daemon's own warning."""
+    return CompensationNotices(name, "rad", _Guarded(1.0)).next(_Guarded(0.8), 0.0)
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize("into_s", [0.02, 1.0])
+def test_an_oscillation_is_attributed_to_its_motion(name, into_s, without) -> None:
+    at_s = start_of(name) + into_s
+    others = [(at_s + 0.1, "warning", lowered("y")), (0.5, "warning", "x: faster than the network was trained for")]
+    trial = judged(without, recorded({"own": wave(1e-3)}, events=[(at_s, "warning", lowered()), *others]))
+
+    assert trial.swinging == (name,)
+    assert trial.has_helped == (name != "own"), "it would oscillate in the motion that the axis is for"
+    assert trial.problems[0].startswith(f"the axis oscillates by its compensation in the motion {name!r}")
+    assert [each["is_swinging"] for each in trial.figures["motions"].values()] == [each == name for each in NAMES]
+
+
+def test_all_motions_with_harm_are_named_in_one_sentence(without) -> None:
+    events = [(start_of(name) + 1.0, "warning", lowered()) for name in ("slow", "tiny", "tiny")]
+    trial = judged(
+        without, recorded({"own": wave(1e-3), "rests": lambda _: 2e-3, "fast": lambda _: 2e-3}, events=events)
+    )
+
+    assert trial.problems == (
+        "the axis oscillates by its compensation in the motions 'slow', 'tiny': the gain had to be lowered",
+        "the following error of the motions 'rests', 'fast' is larger with compensation than without",
+    )
+
+
+def test_an_oscillation_in_a_pause_belongs_to_the_motion_before(without) -> None:
+    part = SEQUENCE.motions[NAMES.index("tiny")]
+    at_s = start_of("tiny") + part.duration_s - 0.1
+    assert judged(without, recorded({}, events=[(at_s, "warning", lowered())])).swinging == ("tiny",)
+
+
+def test_where_the_computer_was_late_nothing_counts(without) -> None:
+    whole = recorded({"own": wave(1e-3)})
+    late = replace(whole, columns={name: values.copy() for name, values in whole.columns.items()})
+    row = 50 + round((windows(SEQUENCE, FADE_S)["own"][0] + 1.5 + 0.5 * RAMP_S) / PERIOD_S)
+    late.columns["position"][row : row + 4] += 7.0
+    late.columns["is_fresh"][row : row + 4] = 0.0
+    missing = np.delete(np.arange(len(whole)), slice(row, row + 40))
+    after = slice(row, row + round(RECOVERY_S / PERIOD_S))
+    gap = replace(whole, columns={name: values[missing] for name, values in whole.columns.items()})
+    gap.columns["position"][after] += 7.0
+
+    for damaged in (late, gap):
+        assert judged(without, damaged).own.compensated.peak == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_after_missed_periods_the_motions_are_found_by_the_time_of_the_path(without) -> None:
+    """The path was held up by 0.2 s before the slow motion, so that all of it comes later."""
+    whole = recorded({"own": wave(1e-3), "slow": lambda _: 3e-3})
+    row = 50 + round((start_of("slow") + 0.5 * RAMP_S + DELAY_S - 0.1) / PERIOD_S)
+    held = round(0.2 / PERIOD_S)
+    columns = {name: np.insert(values, row, np.full(held, values[row])) for name, values in whole.columns.items()}
+    columns["cycle"] = np.arange(float(len(columns["cycle"])))
+    columns["time_s"] = columns["cycle"] * PERIOD_S
+    columns["path_lag_s"][row + held :] = held * PERIOD_S
+    columns["path_lag_s"][row : row + held] = PERIOD_S * np.arange(1, held + 1)
+
+    trial = judged(without, replace(whole, columns=columns))
+
+    ratios = {each.name: each.reduction.rms for each in trial.motions}
+    assert ratios == pytest.approx({**dict.fromkeys(NAMES, 1.0), "own": 4.0}, rel=1e-6)
+
+
+def test_a_run_that_is_too_short_or_was_mostly_missed_is_refused(without) -> None:
+    whole = recorded({})
+    short = replace(whole, columns={name: values[:-2500] for name, values in whole.columns.items()})
+    with pytest.raises(RecordingError, match="x: the run ended before all of its motions"):
+        judged(without, short)
+
+    late = replace(whole, columns={name: values.copy() for name, values in whole.columns.items()})
+    late.columns["is_fresh"][-5000::7] = 0.0
+    with pytest.raises(RecordingError, match="periods of the laps can be used"):
+        judged(without, late)
+
+
+def test_an_error_below_the_resolution_is_no_division_by_zero() -> None:
+    none = Figures(0.0, 0.0)
+    perfect = motion_trial("own", Figures(1e-3, 2e-3), none)
+
+    assert Trial((perfect,)).reduction == Figures(math.inf, math.inf)
+    assert Trial((perfect, motion_trial("slow", none, none))).has_helped
+    assert not Trial((motion_trial("own", none, none),)).has_helped
+
+
+def motion_trial(name, before, after, *, swings=False):
+    return MotionTrial(name, before, after, swings, COUNT, np.zeros(0), (np.zeros(0), np.zeros(0)))
+
+
+def model_with(own, slow=(1.0, 2.0), *, swings=False):
+    """Tried model with these figures with compensation; without they are 10 and 20, slow 2 and 4."""
+    return TriedModel(
+        None,
+        None,
+        {},
+        Trial(
+            (
+                motion_trial("own", Figures(10.0, 20.0), Figures(*own)),
+                motion_trial("slow", Figures(2.0, 4.0), Figures(*slow), swings=swings),
+            )
+        ),
+    )
+
+
+def best(*models):
+    return AxisTuning(models, Path(), False).best
+
+
+def test_what_helped_goes_before_what_did_not() -> None:
+    """Even where RMS times peak is smaller with a model whose peak is higher than without any."""
+    spiky, steady = model_with((1.0, 21.0)), model_with((5.0, 10.0))
+
+    assert best(spiky, steady) is steady
+    assert best(spiky) is spiky
+
+
+def test_a_model_that_swings_or_harms_anywhere_loses() -> None:
+    """However much smaller its error in the own motion is."""
+    good, swinging = model_with((5.0, 10.0)), model_with((0.1, 0.2), swings=True)
+    harmful = model_with((0.1, 0.2), slow=(2.5, 4.0))
+
+    assert best(swinging, good) is best(good, swinging) is good
+    assert best(harmful, good) is good
+    assert best(swinging, harmful) is best(harmful, swinging) is harmful
+    useless = model_with((10.0, 20.0))
+    assert best(useless, swinging) is swinging, "it does help in the own motion"
+
+
+def test_all_motions_decide_and_the_own_one_weighs_as_much_as_the_others() -> None:
+    even = model_with((1.0, 2.0), slow=(1.0, 2.0))
+    assert best(even, model_with((1.0, 2.0), slow=(0.5, 1.0))) is not even
+    assert best(even, model_with((1.2, 2.4), slow=(0.7, 1.4))) is not even
+    assert best(even, model_with((1.2, 2.4), slow=(0.9, 1.8))) is even
+
+
+def tuning_of(*models):
+    found = SimpleNamespace(settings=SimpleNamespace(axis="rotary", held={}), reason="simplest")
+    fit = {"flags": [], "friction": [{"coulomb": 0.08}]}
+    candidates = tuple(
+        replace(
+            model,
+            identification=found,
+            fit=SimpleNamespace(label=label, **fit),
+            model={"friction": {"parameters": {"coulomb": 0.1}}, "mechanics": {"inertia": 2e-4}},
+            trial=Trial(tuple(replace(motion, name=name) for motion, name in pairs)),
+        )
+        for label, model, pairs in ((label, model, all_motions(model)) for label, model in models)
+    )
+    return Tuning(axes={"spindle": AxisTuning(candidates, Path("out/spindle.yaml"), False)})
+
+
+def all_motions(model):
+    """Its own motion, and its slow one in the place of all others."""
+    own, slow = model.trial.motions
+    return [(own, "own"), *((slow, name) for name in MOTIONS[1:])]
+
+
+def test_the_tables_show_each_motion_within_80_columns() -> None:
+    tuning = tuning_of(
+        ("elasto_plastic + direction + ripple + load", model_with((0.4, 2.0), slow=(0.02, 0.2))),
+        ("stribeck", model_with((10.0, 20.0), slow=(20.0, 40.0), swings=True)),
+    )
+    terminal = Console(width=80)
+
+    shown = list(lines(_motions_table(tuning), terminal))
+
+    assert max(map(len, shown)) <= 80
+    assert shown[1].split() == ["axis", "model", "lower", *MOTIONS], "side by side"
+    numbers = [re.findall(r"(?<=rms).*|(?<=peak).*", line) for line in shown]
+    assert [each[0].split() for each in numbers if each] == [
+        ["25", *["100"] * 5],
+        ["10", *["20"] * 5],
+        ["1.0", *["0.10"] * 5],
+        ["1.0", *["0.10"] * 5],
+    ]
+    assert "(kept)" in " ".join(shown)
+
+
+def test_json_has_the_own_motion_as_before_and_each_motion() -> None:
+    tuning = tuning_of(("lugre", model_with((1.0, 2.0))), ("stribeck", model_with((9.0, 9.0), swings=True)))
+
+    axis_result = _as_dict(tuning)["axes"]["spindle"]
+
+    assert axis_result["model"] == "lugre"
+    first, second = axis_result["tried"]
+    assert first["uncompensated"] == {"rms": 10.0, "peak": 20.0}
+    assert first["compensated"] == {"rms": 1.0, "peak": 2.0}
+    assert first["reduction"] == {"rms": 10.0, "peak": 10.0}
+    assert (first["has_helped"], second["has_helped"]) == (True, True)
+    assert tuple(first["motions"]) == tuple(second["motions"]) == MOTIONS
+    assert first["motions"]["own"]["reduction"] == first["reduction"]
+    assert first["motions"]["tiny"]["compensated"] == {"rms": 1.0, "peak": 2.0}
+    assert [second["motions"][name]["is_swinging"] for name in MOTIONS] == [False, *[True] * 5]
+
+
+def test_a_fit_in_two_steps_has_a_name_of_its_own() -> None:
+    """Both may be tried, and one of them is kept: the user has to see which."""
+    tuning = tuning_of(("lugre", model_with((2.0, 2.0))), ("lugre", model_with((1.0, 2.0))))
+    axis = tuning.axes["spindle"]
+    free, again = axis.candidates
+    held = SimpleNamespace(settings=SimpleNamespace(axis="rotary", held={"coulomb": 0.08}), reason="simplest")
+    tuning.axes["spindle"] = replace(axis, candidates=(free, replace(again, identification=held)))
+
+    shown = " ".join(" ".join(lines(_table(tuning), Console(width=120))).split())
+
+    assert "lugre rms" in shown
+    assert "lugre in two steps (kept)" in shown
+    assert [each["model"] for each in _as_dict(tuning)["axes"]["spindle"]["tried"]] == ["lugre", "lugre in two steps"]
