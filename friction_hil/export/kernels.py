@@ -115,7 +115,7 @@ INTRINSICS: dict[Any, Any] = {
 DEFINITIONS: dict[Any, Any] = {
     elementary.power: python_function(elementary._power),
     lanes.add_products: _add_products,
-    kernel._learned_torque: kernel._choose_learned_torque(None, None),
+    kernel._learned_torque: kernel._choose_learned_torque(None, None, None),
 }
 
 # Largest number of passes of loops that depend on data

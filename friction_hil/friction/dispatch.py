@@ -2,7 +2,7 @@
 
 A kernel receives the family either as a number or as a *tag*, a tuple whose length gives the number. A number is
 compared in every sample. A tag is part of the type, so that numba compiles the kernel separately for each family
-and includes no code of the others.
+and includes no code of the others, and none of networks for a model without one.
 """
 
 from typing import Any
@@ -36,9 +36,14 @@ _STEPS = [module.step for module in _ORDER]
 _coulomb, _stribeck, _karnopp, _table, _power_law, _armstrong, _dahl, _lugre, _elasto_plastic, _gms, _bouc_wen = _STEPS
 
 
-def tag(kind: int) -> tuple[int, ...]:
-    """Return the tag of the family with this number."""
-    return (0,) * (kind + 1)
+def tag(kind: int, *, has_network: bool = False) -> tuple[float, ...]:
+    """Return the tag of the family with this number, of integers for a model without a network, or of floats."""
+    return (0.0 if has_network else 0,) * (kind + 1)
+
+
+def may_have_network(kind: Any) -> bool:
+    """Return False if ``kind``, the type of a number or tag, is that of a tag without a network."""
+    return not (isinstance(kind, types.UniTuple) and isinstance(kind.dtype, types.Integer))
 
 
 def number(kind: Any) -> int:

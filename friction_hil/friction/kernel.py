@@ -31,6 +31,7 @@ from friction_hil.friction.dispatch import (
     family_run,
     family_steady,
     family_step,
+    may_have_network,
     number,
 )
 from friction_hil.friction.elementary import part, whole
@@ -56,21 +57,22 @@ _reversal_torque, _speed_torque, _settled_torque = (
 _network_step = network_runs.step_apart
 
 
-def _learned_torque(p: Array, s: Array, *inputs: Any) -> float:
+def _learned_torque(kind: Any, p: Array, s: Array, *inputs: Any) -> float:
     """Compute the torque of the network, N m; 0 without a network and under automatic differentiation.
 
-    For parameters in a record, the length of the array decides at compile time whether there can be a network,
-    because its code takes as long to compile as everything else.
+    The tag of the family, or for parameters in a record the length of the array, decides at compile time whether there
+    can be a network, because its code takes as long to compile as everything else.
     """
     raise NotImplementedError  # exists in compiled code only
 
 
 @overloaded(_learned_torque)
-def _choose_learned_torque(p: Any, s: Any, *inputs: Any) -> Any:
-    if isinstance(p, DualArrayType) or (isinstance(p, types.NestedArray) and p.shape[0] <= PLAIN_ROOM):
-        return lambda p, s, *inputs: 0.0
+def _choose_learned_torque(kind: Any, p: Any, s: Any, *inputs: Any) -> Any:
+    is_short = isinstance(p, types.NestedArray) and p.shape[0] <= PLAIN_ROOM
+    if isinstance(p, DualArrayType) or is_short or not may_have_network(kind):
+        return lambda kind, p, s, *inputs: 0.0
 
-    def of_network(p, s, *inputs):  # type: ignore[no-untyped-def]
+    def of_network(kind, p, s, *inputs):  # type: ignore[no-untyped-def]
         begin = int(p[3])
         return _network_step(part(p, begin), part(s, NETWORK), *inputs) if begin > 0 else 0.0
 
@@ -140,7 +142,7 @@ def step(
         fast = fast + _speed_torque(part(m, whole(m[modifiers.SPEED])), velocity)
     if is_stuck and epsilon == 0.0 and number(kind) <= LAST_STATIC:
         fast = 0.0  # at rest, friction balances the applied torque only
-    learned = _learned_torque(p, s, velocity, level_velocity, dt, position, load_torque, temperature)
+    learned = _learned_torque(kind, p, s, velocity, level_velocity, dt, position, load_torque, temperature)
     return torque + fast + beside + learned
 
 

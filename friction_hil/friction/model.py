@@ -264,7 +264,7 @@ class FrictionModel:
         torque = np.empty(inputs[0].size) if out is None else checked_out(out, (inputs[0].size,))
         if out is not None and np.may_share_memory(out, inputs[0]):
             raise UsageError("out must not share memory with the velocity")
-        kind, state = dispatch.tag(self.kind), self.initial_state()
+        kind, state = dispatch.tag(self.kind, has_network=self.network is not None), self.initial_state()
         v, steps, positions, loads, celsius, applied = inputs
         if self.network is not None and self.family is NETWORK_ALONE and not self.modifiers and steps.size == 1:
             require_finite("velocity", v)
