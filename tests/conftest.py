@@ -7,6 +7,8 @@ import tempfile
 
 from hypothesis import HealthCheck, settings
 
+from tests.examples import DEEP, SHORT
+
 # As the program does: threads of several workers wait for each other by spinning. Read when numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -21,8 +23,9 @@ _runtime = tempfile.TemporaryDirectory(prefix="fh")
 os.environ["XDG_RUNTIME_DIR"] = _runtime.name
 
 # A busy machine and the first call of a kernel, which compiles it, are no failures.
-settings.register_profile("friction_hil", deadline=None, max_examples=12, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("friction_hil")
+for name, examples in (("short", SHORT), ("deep", DEEP)):
+    settings.register_profile(name, deadline=None, max_examples=examples, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("short")
 
 
 def pytest_sessionstart() -> None:

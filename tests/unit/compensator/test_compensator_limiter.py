@@ -3,15 +3,19 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from friction_hil.compensator.limiter import limit_torque
+from tests.examples import most_of_what_is_thorough
+
+thorough = settings(max_examples=most_of_what_is_thorough())
 
 PERIOD_S = 1e-3
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 
 
+@thorough
 @given(st.floats(1e-6, 1e3), st.floats(1e-3, 1e6), st.lists(any_float, max_size=50))
 def test_no_wish_breaks_torque_or_slew(limit, slew, wishes):
     before = 0.0
@@ -22,6 +26,7 @@ def test_no_wish_breaks_torque_or_slew(limit, slew, wishes):
         before = torque
 
 
+@thorough
 @given(st.floats(-1.0, 1.0))
 def test_what_can_be_reached_is_reached(wish):
     torque = 0.0

@@ -3,11 +3,14 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from friction_hil.daemon.safety import MAX_STALE_CYCLES, REQUESTS, FaultReset, LoopState, SafetyLimits, Supervisor
 from friction_hil.drive import DriveState, Feedback, Request
+from tests.examples import most_of_what_is_thorough
+
+thorough = settings(max_examples=most_of_what_is_thorough())
 
 PERIOD_S = 1e-3
 ENABLED = DriveState.OPERATION_ENABLED
@@ -33,6 +36,7 @@ def heard(position=0.0, velocity=0.0, torque=0.0, state=ENABLED, is_fresh=True, 
 # --- what feedback is used
 
 
+@thorough
 @given(any_float, any_float, any_float, st.booleans())
 def test_only_fresh_finite_feedback_is_used_and_remembered(position, velocity, torque, is_fresh):
     one = supervisor(position=None)
@@ -51,6 +55,7 @@ def test_feedback_with_one_number_that_is_not_finite_is_not_used(name, number):
     assert (one.position, one.is_current) == (0.0, False)
 
 
+@thorough
 @given(st.floats(-1e3, 1e3), st.integers(0, 20))
 def test_a_position_may_jump_as_far_as_twice_the_velocity_limit_reaches_since_the_last_one(jump, missed):
     one = supervisor()
@@ -80,6 +85,7 @@ def test_a_single_glitch_is_passed_over():
     assert one.is_current
 
 
+@thorough
 @given(st.lists(st.one_of(any_float, st.floats(-0.05, 0.05)), min_size=1, max_size=40))
 def test_the_position_in_use_never_moves_faster_than_twice_the_limit(positions):
     one, before, passed = supervisor(), 0.0, 0
@@ -325,6 +331,7 @@ def test_a_velocity_that_is_trusted_is_used_as_it_is_reported():
     assert math.isnan(one.velocity_contradiction)
 
 
+@thorough
 @given(
     st.floats(-10.0, 10.0),
     st.floats(-1.0, 1.0),
@@ -347,6 +354,7 @@ def test_an_axis_without_the_optional_limits_has_none_and_a_linear_one_its_unit(
     assert "2.5 is beyond its limit of 2 m/s" in str(one.find_fault(heard(0.0, 2.4), LoopState.RUNNING, 2.5, 0.0))
 
 
+@thorough
 @given(st.floats(0.1, 20.0), st.floats(-40.0, 40.0))
 def test_an_axis_with_an_announced_speed_may_exceed_it_by_a_margin_and_never_its_limit(speed, velocity):
     one = supervisor()
