@@ -23,7 +23,7 @@ from friction_hil_drivers.canopen.load_encoder import LoadEncoder
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.monitor import NodeCondition, NodeMonitor
 from friction_hil_drivers.canopen.notices import Notices
-from friction_hil_drivers.canopen.sdo_stop import CyclicSdo
+from friction_hil_drivers.canopen.sdo_stop import STANDSTILL_NS, CyclicSdo
 from friction_hil_drivers.canopen.sync_answers import SyncAnswers
 from friction_hil_drivers.canopen.temperature import MappedTemperature, TemperatureRead
 from friction_hil_drivers.canopen.twins import TwinWatch
@@ -36,6 +36,7 @@ _LARGEST_STEP = 1 << 30  # of the position counter in a cycle; the counter is no
 _BLIND_CYCLES = 10  # without feedback after which a stop is confirmed by SDO
 _NMT_START_NS = 50_000_000  # between two attempts to bring a node back to Operational
 _STANDSTILL_PER_S = 0.01  # rad/s (m/s) that counts as standstill where a stop is watched by SDO
+_STANDSTILL_COUNTS = 2.0  # the same of an encoder's noise
 _IN_FAULT = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
 _GOOD = NodeCondition.GOOD
 _OPERATION_ENABLED = DriveState.OPERATION_ENABLED
@@ -125,7 +126,7 @@ class CanopenAxis:
         self.watch = drive.watch
         self._monitor = NodeMonitor(node, heartbeat_s)
         self._answers = SyncAnswers(len(drive.tpdos))
-        standstill = max(1.0, _STANDSTILL_PER_S * abs(drive.units.velocity_per_unit))
+        moved = 1e-9 * STANDSTILL_NS * _STANDSTILL_PER_S * abs(drive.units.counts_per_unit)
         self._load = None if drive.load_encoder is None else LoadEncoder(drive.tpdos, drive.load_encoder)
         temperature = drive.temperature
         self._mapped_temperature: MappedTemperature | None = None
@@ -133,7 +134,7 @@ class CanopenAxis:
             self._mapped_temperature = MappedTemperature(drive.tpdos, temperature)
             temperature = None
         self._temperature = TemperatureRead(temperature, drive.first_temperature)
-        self._sdo = CyclicSdo(node, standstill, drive.axis_number, self._temperature)
+        self._sdo = CyclicSdo(node, max(_STANDSTILL_COUNTS, moved), drive.axis_number, self._temperature)
         self._notices = Notices()
         self._now_ns = self._heard_ns = self._left_ns = self._nmt_start_ns = 0
         self._decoder = FeedbackDecoder(drive.tpdos, drive.units, drive.mode, drive.period_s)

@@ -1,8 +1,9 @@
 """Stop of one node by SDO, for a drive that RPDOs do not reach. State machines of the cyclic phase: no bus, no clock.
 
 A drive whose node left Operational ignores RPDOs and goes on with its last set-point; its SDO server still answers. The
-stop writes 6040h = quick stop at once, waits for standstill (606Ch), writes 6040h = disable voltage, and repeats that
-until 6041h, read back, shows no power. Nothing is believed that was not read back.
+stop writes 6040h = quick stop at once, waits for standstill, writes 6040h = disable voltage, and repeats that until
+6041h, read back, shows no power. Nothing is believed that was not read back. Standstill is judged by position, 6064h:
+a velocity 606Ch may have another unit than is assumed.
 """
 
 from enum import IntEnum
@@ -14,13 +15,14 @@ from friction_hil_drivers.canopen.codec import Frame
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.raw_sdo import SdoAnswer
 from friction_hil_drivers.canopen.temperature import TemperatureRead
+from friction_hil_drivers.canopen.units import wrap
 from friction_hil_drivers.cia402 import profile
 
 ANSWER_NS = 50_000_000  # without an answer the request is repeated
 _OBEY_NS = 100_000_000  # for the quick stop to begin; then voltage is disabled
 _QUICK_STOP_NS = 2_000_000_000  # for the quick stop to end; then voltage is disabled all the same
-_BLIND_NS = 500_000_000  # the same where 606Ch does not answer, or nothing does
-_STANDSTILL_NS = 50_000_000
+_BLIND_NS = 500_000_000  # the same where 6064h does not answer, or nothing does
+STANDSTILL_NS = 50_000_000
 _VERIFY_NS = 100_000_000  # between two readings of a drive without power
 _ERROR_CODE_ATTEMPTS = 5
 _MOST_UNANSWERED = 2  # requests in a row; then the node may be in NMT state Stopped, which has no SDO
@@ -51,7 +53,7 @@ class Request(NamedTuple):
 class _Step(IntEnum):
     COMMAND = 0  # write 6040h
     READ_STATE = 1
-    READ_VELOCITY = 2
+    READ_POSITION = 2
     WAIT = 3  # without power; read again later
 
 
@@ -61,7 +63,7 @@ class SdoStop:
     Parameters
     ----------
     standstill : float
-        Largest |606Ch| that counts as standstill, in the drive's units.
+        Largest change of 6064h in `STANDSTILL_NS` that counts as standstill, counts.
 
     Attributes
     ----------
@@ -75,6 +77,7 @@ class SdoStop:
         "_began_ns",
         "_is_disabling",
         "_is_heard",
+        "_rested_at",
         "_standing_since_ns",
         "_standstill",
         "_step",
@@ -93,7 +96,8 @@ class SdoStop:
         self.state = DriveState.UNKNOWN
         self.is_proved = False
         self._began_ns = self._wait_until_ns = now_ns
-        self._standing_since_ns: int | None = None
+        self._rested_at: int | None = None  # position around which it has stood since
+        self._standing_since_ns = now_ns
         self._is_disabling = self._is_heard = False
         self._unanswered = 0
         self._step = _Step.COMMAND
@@ -114,8 +118,8 @@ class SdoStop:
             self._step = _Step.READ_STATE
         if self._step is _Step.READ_STATE:
             return Request(objects.STATUSWORD)
-        if self._step is _Step.READ_VELOCITY:
-            return Request(objects.VELOCITY_ACTUAL)
+        if self._step is _Step.READ_POSITION:
+            return Request(objects.POSITION_ACTUAL)
         word = profile.DISABLE_VOLTAGE if self._is_disabling else profile.QUICK_STOP
         return Request(objects.CONTROLWORD, word)
 
@@ -130,8 +134,8 @@ class SdoStop:
         value = answer.value(request.entry)
         if request.entry is objects.STATUSWORD:
             self._take_state(value, now_ns)
-        elif request.entry is objects.VELOCITY_ACTUAL:
-            self._take_velocity(value, now_ns)
+        elif request.entry is objects.POSITION_ACTUAL:
+            self._take_position(value, now_ns)
         else:
             self._step = _Step.READ_STATE
 
@@ -143,21 +147,20 @@ class SdoStop:
         elif self.state is DriveState.FAULT_REACTION_ACTIVE and not self._is_disabling:
             self._step = _Step.READ_STATE  # it stops by itself
         elif self.state is DriveState.QUICK_STOP_ACTIVE and not self._is_disabling:
-            self._step = _Step.READ_VELOCITY
+            self._step = _Step.READ_POSITION
         else:
             self._is_disabling = self._is_disabling or now_ns - self._began_ns > _OBEY_NS
             self._step = _Step.COMMAND
 
-    def _take_velocity(self, velocity: int | None, now_ns: int) -> None:
+    def _take_position(self, position: int | None, now_ns: int) -> None:
         self._step = _Step.READ_STATE
-        if velocity is None:
+        if position is None:
             is_over = now_ns - self._began_ns > _BLIND_NS
-        elif abs(velocity) > self._standstill:
-            self._standing_since_ns = None
+        elif self._rested_at is None or abs(wrap(position - self._rested_at)) > self._standstill:
+            self._rested_at, self._standing_since_ns = position, now_ns
             return
         else:
-            since_ns = self._standing_since_ns = now_ns if self._standing_since_ns is None else self._standing_since_ns
-            is_over = now_ns - since_ns >= _STANDSTILL_NS
+            is_over = now_ns - self._standing_since_ns >= STANDSTILL_NS
         if is_over:
             self._is_disabling = True
             self._step = _Step.COMMAND

@@ -21,7 +21,7 @@ from tests.canopen_axis_bench import (
 QUICK_STOP_BY_SDO = (0x605, bytes.fromhex("2b40600002000000"))
 DISABLE_BY_SDO = (0x605, bytes.fromhex("2b40600000000000"))
 READ_STATE = (0x605, bytes.fromhex("4041600000000000"))
-READ_VELOCITY = (0x605, bytes.fromhex("406c600000000000"))
+READ_POSITION = (0x605, bytes.fromhex("4064600000000000"))
 NMT_START = (0x000, bytes([0x01, NODE]))
 WRITTEN = bytes.fromhex("6040600000000000")
 
@@ -30,8 +30,8 @@ def statusword(word):
     return struct.pack("<BHBHxx", 0x4B, 0x6041, 0, word)
 
 
-def velocity(value):
-    return struct.pack("<BHBi", 0x43, 0x606C, 0, value)
+def position(value):
+    return struct.pack("<BHBi", 0x43, 0x6064, 0, value)
 
 
 class Stopped(Bench):
@@ -64,14 +64,14 @@ def test_a_node_that_left_operational_is_started_and_stopped_by_sdo_at_once():
     assert bench.answer(WRITTEN)[1] == [READ_STATE]
     feedback, frames = bench.answer(statusword(0x0217))
     assert feedback.state is DriveState.QUICK_STOP_ACTIVE
-    assert frames == [READ_VELOCITY]
-    frames = bench.answer(velocity(400))[1]
+    assert frames == [READ_POSITION]
+    frames = bench.answer(position(400))[1]
     assert frames == [READ_STATE]
-    assert bench.answer(statusword(0x0217))[1] == [READ_VELOCITY]
+    assert bench.answer(statusword(0x0217))[1] == [READ_POSITION]
     for _ in range(2):  # it stands for a while before its power is taken
-        assert bench.answer(velocity(0), after_ms=26)[1] in ([READ_STATE], [NMT_START, READ_STATE])
-        assert bench.answer(statusword(0x0217), after_ms=1)[1] == [READ_VELOCITY]
-    assert bench.answer(velocity(0))[1] == [DISABLE_BY_SDO]
+        assert bench.answer(position(500), after_ms=26)[1] in ([READ_STATE], [NMT_START, READ_STATE])
+        assert bench.answer(statusword(0x0217), after_ms=1)[1] == [READ_POSITION]
+    assert bench.answer(position(500))[1] == [DISABLE_BY_SDO]
     assert bench.answer(WRITTEN)[1] == [READ_STATE]
     feedback, frames = bench.answer(statusword(0x0250))
     assert feedback.state is DriveState.SWITCH_ON_DISABLED
@@ -180,9 +180,9 @@ def test_a_drive_that_does_not_obey_the_quick_stop_is_disabled():
     assert words[-1] == DISABLE_BY_SDO
 
 
-def conversation(ms, velocity_of=lambda reads: velocity(0), state_of=lambda now_ms: 0x0217):
+def conversation(ms, position_of=lambda now_ms: position(0), state_of=lambda now_ms: 0x0217):
     """What a drive is asked by SDO that answers after 2 ms each time, in quick stop unless told; with the times."""
-    bench, asked, reads = Stopped(PRE_OPERATIONAL), [], 0
+    bench, asked = Stopped(PRE_OPERATIONAL), []
     bench.cycle()
     frames = bench.ask()
     while bench.now_ns < ms * MS:
@@ -192,47 +192,51 @@ def conversation(ms, velocity_of=lambda reads: velocity(0), state_of=lambda now_
             asked.append((bench.now_ns // MS, frame))
         if frame == READ_STATE:
             answer = statusword(state_of(bench.now_ns // MS))
-        elif frame == READ_VELOCITY:
-            answer, reads = velocity_of(reads), reads + 1
+        elif frame == READ_POSITION:
+            answer = position_of(bench.now_ns // MS)
         bench.heartbeat(PRE_OPERATIONAL)
         frames = bench.answer(answer, after_ms=2)[1]
     return asked
 
 
-def quick_stopping(velocity_of, ms):
+def quick_stopping(position_of, ms):
     """The commands that are written until it is over, with their times."""
-    asked = conversation(ms, lambda reads: velocity(velocity_of(reads)))
+    asked = conversation(ms, lambda now_ms: position(round(position_of(now_ms))))
     return [(at, frame) for at, frame in asked if frame in (QUICK_STOP_BY_SDO, DISABLE_BY_SDO)]
 
 
-@pytest.mark.parametrize("speed", [400, -400])
+@pytest.mark.parametrize("speed", [0.4, -0.4])  # counts/ms
 def test_a_quick_stop_that_does_not_end_is_followed_by_disable(speed):
-    commands = quick_stopping(lambda reads: speed, 2200)
+    commands = quick_stopping(lambda now_ms: speed * now_ms, 2200)
     words = [word for _, word in commands]
     assert words[0] == QUICK_STOP_BY_SDO
     assert words[-1] == DISABLE_BY_SDO
     assert all(at >= 1990 for at, word in commands if word == DISABLE_BY_SDO), "it is braking until then"
 
 
-@pytest.mark.parametrize("speed", [400, -400])
+@pytest.mark.parametrize("speed", [0.4, -0.4])
 def test_an_axis_that_brakes_in_either_direction_does_not_stand(speed):
-    commands = quick_stopping(lambda reads: speed if reads < 100 else 0, 1000)
-    assert DISABLE_BY_SDO in [word for _, word in commands]
-    assert next(at for at, word in commands if word == DISABLE_BY_SDO) > 400
+    commands = quick_stopping(lambda now_ms: speed * min(now_ms, 400), 1000)
+    assert 445 < next(at for at, word in commands if word == DISABLE_BY_SDO) < 470
 
 
-@pytest.mark.parametrize("speed", [5, -5])
-def test_what_is_no_faster_than_standstill_is_disabled_soon(speed):
-    """0.01 rad/s are 5 of this drive's units."""
-    commands = quick_stopping(lambda reads: speed, 200)
+@pytest.mark.parametrize("step", [1, -1])
+def test_what_is_no_faster_than_standstill_is_disabled_soon(step):
+    """Two counts in 50 ms are the noise of an encoder, three are motion."""
+    commands = quick_stopping(lambda now_ms: 2 * step * (now_ms % 4 > 1), 200)
     assert [word for _, word in commands][:2] == [QUICK_STOP_BY_SDO, DISABLE_BY_SDO]
     assert 50 <= commands[1][0] <= 70
-    faster = quick_stopping(lambda reads: speed + speed // 5, 1000)
+    faster = quick_stopping(lambda now_ms: 3 * step * (now_ms // 45), 1000)
     assert [word for _, word in faster] == [QUICK_STOP_BY_SDO]
 
 
-def test_where_the_velocity_is_refused_a_quick_stop_has_half_a_second():
-    commands = conversation(600, lambda reads: bytes.fromhex("806c600000000206"))
+def test_a_position_that_wraps_round_is_no_motion():
+    commands = quick_stopping(lambda now_ms: -(2**31) if now_ms % 4 > 1 else 2**31 - 1, 200)
+    assert 50 <= commands[1][0] <= 70
+
+
+def test_where_the_position_is_refused_a_quick_stop_has_half_a_second():
+    commands = conversation(600, lambda now_ms: bytes.fromhex("8064600000000206"))
     (at, _), *_ = [one for one in commands if one[1] == DISABLE_BY_SDO]
     assert 500 <= at <= 510
 
@@ -293,7 +297,7 @@ def test_an_answer_to_another_request_is_not_taken():
     bench = Stopped(PRE_OPERATIONAL)
     bench.cycle()
     bench.ask()
-    for stray in (statusword(0x0250), velocity(0), bytes.fromhex("8000100000000206"), b"", bytes(8)):
+    for stray in (statusword(0x0250), position(0), bytes.fromhex("8000100000000206"), b"", bytes(8)):
         feedback, frames = bench.answer(stray)
         assert (feedback.state, frames) == (DriveState.UNKNOWN, [])
 
