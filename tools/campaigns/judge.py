@@ -21,6 +21,7 @@ _FROM_GAPS = ("FH-107", "FH-108")
 _NAMES_GAPS = re.compile(r"; feedback was missing in \d+ of the \d+ cycles before")
 _BUSY = (_LATE, "FH-101", "FH-103", "FH-114", "FH-230", "FH-235", "FH-248")  # daemon or drives were
 _SAYS_TORQUE = re.compile(r"torque offset|FH-222|FH-128")  # what was not set to zero
+_TOO_SLOW = "set-points no longer wait for a missed one"
 _ROWS_LOST = re.compile(r"rows?\b.*\blost\b|\blost\b.*\brows?\b")
 _POWERED = {state.words for state in DriveState if state.is_powered}
 
@@ -66,6 +67,8 @@ def judge(fault: Fault, seen: Seen) -> Verdict:
     faults = [str(text) for text in seen.result.get("faults", ())]
     verdict = Verdict(has_ended=bool(faults) or fault.killed == "daemon")
     verdict.unsafe += seen.witness.broken + seen.left
+    if not any(_TOO_SLOW in str(text) for text in seen.result.get("warnings", ())):
+        verdict.unsafe += seen.witness.bends
     if seen.has_hung:
         verdict.unsafe.append("the daemon did not end")
     if "Traceback" in seen.errors:

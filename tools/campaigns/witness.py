@@ -20,8 +20,8 @@ _ENABLED = 0x27  # statusword & 6Fh: operation enabled
 _ENABLE = 0x0F  # controlword & 8Fh: enable operation
 _QUICK_STOP = 0x02  # controlword & 86h
 _MOVING = 0.02  # of the largest speed: an axis that must not lose its power without a quick stop
-_SLIDING = 0.1  # of the largest speed: friction has its level of sliding
-_SLIDING_S = 0.1  # for so long
+_SLIDING = 0.12  # of the largest speed: friction has its level of sliding, and still has it when the torque acts
+_SLIDING_S = 0.05  # for so long
 _MOST_FRICTION = 1.6
 _LATE_PERIODS = 2.0  # by which commands may be nearer to each other than their periods
 _COMMANDS = 12  # in which the slew is judged by time
@@ -35,6 +35,11 @@ def is_powered(statusword: int) -> bool:
 def keeps_power(controlword: int) -> bool:
     """Return True for the commands enable operation and quick stop, with which a drive keeps its torque."""
     return controlword & 0x8F == 0x0F or controlword & 0x86 == 0x02
+
+
+def _difference(after: float, before: float) -> float:
+    """Return the change of a position, counts, that wraps round as an integer of 32 bits."""
+    return (after - before + 2.0**31) % 2.0**32 - 2.0**31
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +71,9 @@ class Witness:
         Frames or telegrams that may be commands, and that could not be read.
     broken : list of str
         Limits that a command broke, the first ones in words.
+    bends : list of str
+        Set-points of position that lead elsewhere than those before, as they may where the daemon says that the
+        computer is too slow for the motion to wait for missed periods.
     largest_friction, largest_bend : float
         Torque of sliding by the friction, and change of the set-points by its limit.
     """
@@ -83,12 +91,14 @@ class Witness:
     was_powered: bool = False
     emergencies: list[int] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
+    bends: list[str] = field(default_factory=list)
     largest_friction: float = 0.0
     largest_bend: float = 0.0
     _torques: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_COMMANDS))
     _positions: deque[float] = field(default_factory=lambda: deque(maxlen=2))
     _velocities: deque[float] = field(default_factory=lambda: deque(maxlen=1))
     _position: tuple[float, float] | None = None
+    _zeroed: tuple[float, str] | None = None  # a velocity of zero, which a quick stop must follow
     _sliding: tuple[float, float] | None = None  # since when, and the speed then
     _speed: float = 0.0
 
@@ -107,6 +117,9 @@ class Witness:
             self._judge_torque(time_s, torque, controlword)
             self.torque = torque
             self.took(time_s, torque)
+        if self._zeroed is not None and controlword is not None and controlword & 0x8F == _ENABLE:
+            self._break(*self._zeroed)
+        self._zeroed = None
         is_enabled = controlword is not None and controlword & 0x8F == _ENABLE and self._reports(_ENABLED)
         if not is_enabled:
             self._positions.clear()
@@ -150,20 +163,28 @@ class Witness:
         limits = self.limits
         if position is not None and limits.period_s:
             last = self._positions
-            if last and abs(position - last[-1]) > limits.speed * limits.period_s + 1.0:
-                self._break(time_s, f"a set-point {position - last[-1]:g} counts from the one before")
+            if last and position == last[-1]:
+                return  # sent once more, because the drive has not taken it over
+            step = _difference(position, last[-1]) if last else 0.0
+            if abs(step) > limits.speed * limits.period_s + 1.0:
+                self._break(time_s, f"a set-point {step:g} counts from the one before")
             elif len(last) == 2:
-                bend = position - 2.0 * last[1] + last[0]
+                bend = step - _difference(last[1], last[0])
                 self.largest_bend = max(self.largest_bend, abs(bend) / (limits.acceleration * limits.period_s**2))
                 if abs(bend) > limits.acceleration * limits.period_s**2 + 4.0:
-                    self._break(time_s, f"a set-point {bend:g} counts from where the ones before led")
+                    text = f"a set-point {bend:g} counts from where the ones before led"
+                    self._break(time_s, text, among=self.bends)
             last.append(position)
         if velocity is not None and limits.period_s:
             if self._velocities:
                 step = abs(velocity - self._velocities[-1])
                 self.largest_bend = max(self.largest_bend, step / (limits.acceleration * limits.period_s))
                 if step > limits.acceleration * limits.period_s + 1.0 or abs(velocity) > limits.speed:
-                    self._break(time_s, f"velocity set-points {self._velocities[-1]:g} and {velocity:g} in a row")
+                    text = f"velocity set-points {self._velocities[-1]:g} and {velocity:g} in a row"
+                    if velocity == 0.0:
+                        self._zeroed = (time_s, text)
+                    else:
+                        self._break(time_s, text)
             self._velocities.append(velocity)
 
     def _judge_order(self, time_s: float, controlword: int | None) -> None:
@@ -177,7 +198,7 @@ class Witness:
     def feedback(self, time_s: float, position: float) -> None:
         """Note the position that the drive reports."""
         if self._position is not None and time_s > self._position[0]:
-            self._speed = (position - self._position[1]) / (time_s - self._position[0])
+            self._speed = _difference(position, self._position[1]) / (time_s - self._position[0])
             is_plausible = _SLIDING < abs(self._speed) / self.limits.speed < 1.0
             if not is_plausible or (self._sliding is not None and self._sliding[1] * self._speed < 0.0):
                 self._sliding = None
@@ -221,7 +242,8 @@ class Witness:
         """Forget the state, so that the next one is a new answer of the drive."""
         self.statusword = None
 
-    def _break(self, time_s: float, text: str) -> None:
-        if len(self.broken) < _MOST_KEPT:
+    def _break(self, time_s: float, text: str, among: list[str] | None = None) -> None:
+        kept = self.broken if among is None else among
+        if len(kept) < _MOST_KEPT:
             limits = f"limits {self.limits.torque:.1f} and {self.limits.step:.1f} a command"
-            self.broken.append(f"{time_s:.4f} s: {text} ({limits})")
+            kept.append(f"{time_s:.4f} s: {text} ({limits})")

@@ -173,3 +173,29 @@ def test_a_run_whose_frames_were_lost_or_late_is_not_accused(lost) -> None:
 def test_an_offset_that_the_daemon_says_it_could_not_clear_is_not_held_against_it_twice() -> None:
     cycles = changed(clean(), slice(305, 340), torque=lambda _: 20.0)
     assert judged(cycles, errors="x: 60B2h torque offset cannot be read back [FH-222]") == []
+
+
+def test_positions_that_wrap_round_are_no_step():
+    cycles = [
+        replace(one, actual=_wrapped(one.actual + 2**31), position=_wrapped(one.position + 2**31)) for one in clean()
+    ]
+    assert max(one.position for one in cycles) - min(one.position for one in cycles) > 2**31
+    assert judged(cycles) == []
+
+
+def _wrapped(counts: int) -> int:
+    return (counts + 2**31) % 2**32 - 2**31
+
+
+def test_a_period_that_is_left_out_is_allowed_where_the_daemon_says_that_it_is_too_slow():
+    cycles = clean()
+    moving = [replace(one, time_s=one.time_s + (PERIOD_S if k > 120 else 0.0)) for k, one in enumerate(cycles)]
+    skipped = [*moving[:120], *moving[121:]]
+    found = judged(skipped)
+    assert found
+    assert all("from where the ones before led" in text for text in found)
+    result = {"drive_states": {"x": "switch on disabled"}, "cycles": len(cycles), "faults": []}
+    said = (
+        "the computer is too slow for 5 ms: ..., so set-points no longer wait for a missed one; take a longer period_s"
+    )
+    assert judged(skipped, result=result | {"warnings": [said]}) == []
