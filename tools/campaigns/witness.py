@@ -20,7 +20,7 @@ _ENABLED = 0x27  # statusword & 6Fh: operation enabled
 _ENABLE = 0x0F  # controlword & 8Fh: enable operation
 _QUICK_STOP = 0x02  # controlword & 86h
 _MOVING = 0.02  # of the largest speed: an axis that must not lose its power without a quick stop
-_SLIDING = 0.12  # of the largest speed: friction has its level of sliding, and still has it when the torque acts
+_SLIDING = 0.05  # of the largest speed: friction has its level of sliding
 _SLIDING_S = 0.05  # for so long
 _MOST_FRICTION = 1.6
 _LATE_PERIODS = 2.0  # by which commands may be nearer to each other than their periods
@@ -199,13 +199,19 @@ class Witness:
         """Note the position that the drive reports."""
         if self._position is not None and time_s > self._position[0]:
             self._speed = _difference(position, self._position[1]) / (time_s - self._position[0])
-            is_plausible = _SLIDING < abs(self._speed) / self.limits.speed < 1.0
+            is_plausible = self._least_sliding < abs(self._speed) < self.limits.speed
             if not is_plausible or (self._sliding is not None and self._sliding[1] * self._speed < 0.0):
                 self._sliding = None
             elif self._sliding is None:
                 self._sliding = (time_s, self._speed)
             self._speed = abs(self._speed)
         self._position = (time_s, position)
+
+    @property
+    def _least_sliding(self) -> float:
+        """Speed, counts/s, from which the axis still slides when the torque acts that is commanded now."""
+        slows = self.limits.acceleration * self.limits.period_s
+        return _SLIDING * self.limits.speed + (slows if math.isfinite(slows) else 0.0)
 
     def forget_times(self) -> None:
         """Forget when commands came: whoever looks at the wire was late itself."""
