@@ -223,7 +223,7 @@ def test_an_axis_that_brakes_in_either_direction_does_not_stand(speed):
 @pytest.mark.parametrize("step", [1, -1])
 def test_what_is_no_faster_than_standstill_is_disabled_soon(step):
     """Two counts in 50 ms are the noise of an encoder, three are motion."""
-    commands = quick_stopping(lambda now_ms: 2 * step * (now_ms % 4 > 1), 200)
+    commands = quick_stopping(lambda now_ms: 2 * step * (now_ms % 8 > 3), 200)
     assert [word for _, word in commands][:2] == [QUICK_STOP_BY_SDO, DISABLE_BY_SDO]
     assert 50 <= commands[1][0] <= 70
     faster = quick_stopping(lambda now_ms: 3 * step * (now_ms // 45), 1000)
@@ -231,7 +231,7 @@ def test_what_is_no_faster_than_standstill_is_disabled_soon(step):
 
 
 def test_a_position_that_wraps_round_is_no_motion():
-    commands = quick_stopping(lambda now_ms: -(2**31) if now_ms % 4 > 1 else 2**31 - 1, 200)
+    commands = quick_stopping(lambda now_ms: -(2**31) if now_ms % 8 > 3 else 2**31 - 1, 200)
     assert 50 <= commands[1][0] <= 70
 
 
