@@ -248,7 +248,7 @@ def test_the_command_says_what_it_wrote_and_what_comes_next(configuration, tmp_p
     said = capsys.readouterr().out.splitlines()
     assert f"written: {root}/etc/friction-hil/table/models/x.yaml" in said
     assert said[-2:] == [
-        "next: systemctl enable --now friction-hil@table; it waits, and enables no axis",
+        "next, where systemd runs: the commands above, then systemctl enable --now friction-hil@table",
         "then: friction-hil start table; its axes move",
     ]
     assert main(["service", "remove", "table", "--root", root, "--json"]) == 0
