@@ -65,6 +65,7 @@ def replay(
         print_json({"recordings": [outcome.facts for outcome in outcomes]})
     else:
         _print(outcomes)
+        _print_summary(outcomes)
     for outcome in outcomes:
         if "error" in outcome.facts:
             echo_labelled("Error:", outcome.facts["error"])
@@ -139,10 +140,9 @@ def _print(outcomes: Sequence[ReplayOutcome]) -> None:
     for outcome in outcomes:
         if outcome.picture is not None:
             click.echo(f"picture: {outcome.picture}")
-    _print_summary(outcomes, labels)
 
 
-def _print_summary(outcomes: Sequence[ReplayOutcome], labels: dict[str, str]) -> None:
+def _print_summary(outcomes: Sequence[ReplayOutcome]) -> None:
     """Print what the errors are, which is the lowest, and what to do next."""
     verdicts = [outcome.facts["verified"] for outcome in outcomes if "verification" in outcome.facts]
     if len(verdicts) > 1:
@@ -152,6 +152,7 @@ def _print_summary(outcomes: Sequence[ReplayOutcome], labels: dict[str, str]) ->
         return
     say("relative_error: RMS of measured minus modelled torque, over the RMS of the measured torque", stderr=False)
     if len({each["model"] for each, _ in found}) > 1:
+        labels = _labels([each["model"] for each, _ in found])
         best, outcome = min(found, key=lambda pair: _finite_or_inf(pair[0]["relative_error"]))
         where = f"{Path(outcome.facts['path']).name}, {outcome.facts['axis']}"
         say(f"lowest: {labels[best['model']]}, {_percent(best['relative_error'])} ({where})", stderr=False)

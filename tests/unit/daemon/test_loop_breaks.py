@@ -21,12 +21,12 @@ from friction_hil.errors import BusError
 from tests.loop_run import MODES, STOPPED_BY_FAULT, Drives, Run, axis
 from tests.servo_drives import configuration, make_loop
 
-FILE = "tests/unit/daemon/test_loop_breaks.py"
+FILE = "unit/daemon/test_loop_breaks.py"  # as messages show it
 BUG = rf"program error: RuntimeError: a bug \({FILE}:\d+, broken\); please report it \[FH-126\]"
 BROKEN = [
     (BusError("the bus is gone"), r"the bus is gone \[FH-117\]"),
     (RuntimeError("a bug"), BUG),
-    (MemoryError(), r"there is no memory left \(tests/unit/daemon/test_loop_breaks.py:\d+, broken\) \[FH-127\]"),
+    (MemoryError(), rf"there is no memory left \({FILE}:\d+, broken\) \[FH-127\]"),
 ]
 
 
