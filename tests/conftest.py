@@ -7,7 +7,7 @@ import tempfile
 
 from hypothesis import HealthCheck, settings
 
-from tests.examples import DEEP, SHORT
+from tests.examples import EXAMPLES, PROFILES
 
 # As the program does: threads of several workers wait for each other by spinning. Read when numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -23,8 +23,8 @@ _runtime = tempfile.TemporaryDirectory(prefix="fh")
 os.environ["XDG_RUNTIME_DIR"] = _runtime.name
 
 # A busy machine and the first call of a kernel, which compiles it, are no failures.
-for name, examples in (("short", SHORT), ("deep", DEEP)):
-    settings.register_profile(name, deadline=None, max_examples=examples, suppress_health_check=[HealthCheck.too_slow])
+for name in PROFILES:
+    settings.register_profile(name, deadline=None, max_examples=EXAMPLES, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("short")
 
 
