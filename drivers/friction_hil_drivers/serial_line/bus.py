@@ -2,7 +2,7 @@
 
 import select
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -53,7 +53,9 @@ class SerialBus:
     _is_commanded: bool = False  # the last cycle had commands
     _commands: dict[str, frozenset[Exchange]] = field(default_factory=dict)  # that carry those of an axis
     _background_index: int = 0
-    _is_step_sent: bool = False  # the last cycle sent a step instead of a background read
+    _is_step_turn: bool = True  # False after a step: its effect has to be read first
+    _last_step: Exchange | None = None
+    _stops: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # steps to a stop that are due, by axis
     _first_axis: int = 0  # index of the axis that may send a step first
     _steps: dict[tuple[str, tuple[str, ...]], Exchange] = field(default_factory=dict)
     _reads: dict[tuple[str, str], Exchange] = field(default_factory=dict)
@@ -82,6 +84,9 @@ class SerialBus:
     def request_feedback(self, deadline_ns: int | None, *, is_commanding: bool, is_read: bool) -> None:
         """Send the poll of a cycle.
 
+        If a drive owes replies, the line may have time for a single request to it: a step to a stop that could not be
+        sent goes first.
+
         Parameters
         ----------
         deadline_ns : int or None
@@ -94,9 +99,11 @@ class SerialBus:
         scheduler = self.scheduler
         batch = (self._commanding if is_commanding else self._listening).poll
         is_read = is_read or bool(scheduler.outstanding)  # outstanding replies are read when everything has been sent
-        if is_read and scheduler.send_batch(batch, deadline_ns):
+        stops = self._stops if self._last_step not in scheduler.sent else {}
+        if is_read and not stops and scheduler.send_batch(batch, deadline_ns):
             return
         scheduler.deadline_ns = deadline_ns
+        self._enqueue_step(stops)
         scheduler.enqueue(batch.exchanges)
         if is_read:
             scheduler.advance()
@@ -104,7 +111,12 @@ class SerialBus:
             scheduler.poll()
 
     def send_commands(
-        self, steps: Mapping[str, Mapping[str, float]], end_ns: int | None, *, is_commanding: bool
+        self,
+        steps: Mapping[str, Mapping[str, float]],
+        end_ns: int | None,
+        *,
+        is_commanding: bool,
+        stopping: Collection[str] = (),
     ) -> None:
         """Send the push, and in every second cycle a step of one axis (its effect has to be read in between).
 
@@ -119,23 +131,30 @@ class SerialBus:
             Beginning of the next cycle; a background read that would not end by then is left out.
         is_commanding : bool
             See `request_feedback`; if false, there are no steps.
+        stopping : collection of str
+            Axes whose step leads to a stop.
         """
         scheduler = self.scheduler
+        if scheduler.sent:
+            self._is_step_turn = self._last_step not in scheduler.sent
+        self._stops = {}
         scheduler.sent.clear()
         self._is_commanded = is_commanding
         endings = (self._commanding if is_commanding else self._listening).endings
         if endings and not steps:
             index = (self._background_index + 1) % len(endings)
             if scheduler.send_batch(endings[index], end_ns):
-                self._background_index, self._is_step_sent = index, False
+                self._background_index = index
                 return
         scheduler.deadline_ns = None  # it may still have the deadline of a poll that did not end
         plan = self.plan if is_commanding else self.listening
-        self._is_step_sent = bool(steps) and not self._is_step_sent and self._enqueue_step(steps)
+        is_step_queued = self._is_step_turn and self._enqueue_step(steps)
         scheduler.enqueue(plan.push)
-        if not self._is_step_sent:
+        if not is_step_queued:
             self._enqueue_background(plan, endings, end_ns)
         scheduler.flush()
+        if is_step_queued and stopping and not scheduler.state.is_normal:
+            self._stops = {axis: step for axis, step in steps.items() if axis in stopping}
 
     def _enqueue_step(self, steps: Mapping[str, Mapping[str, float]]) -> bool:
         """Queue a step of the next axis that has one; return True if any axis has.
@@ -146,11 +165,13 @@ class SerialBus:
             if step := steps.get(axis.name):
                 reads = [self.read_exchange(axis.name, name) for name in axis.to_read_back(step)]
                 if reads and axis.written == step:
+                    self._last_step = reads[-1]
                     self.scheduler.enqueue(reads, partial(axis.acknowledge, step))
                 else:
                     axis.image.values.update(step)
                     done = partial(axis.note_written if reads else axis.acknowledge, step)
-                    self.scheduler.enqueue((self.write_exchange(axis.name, step),), done)
+                    self._last_step = self.write_exchange(axis.name, step)
+                    self.scheduler.enqueue((self._last_step,), done)
                 self._first_axis = (self.axes.index(axis) + 1) % len(self.axes)
                 return True
         return False

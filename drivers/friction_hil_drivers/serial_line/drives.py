@@ -44,6 +44,7 @@ _SIMULATED_TIMEOUTS = 3  # in succession; in simulated time nothing else would e
 _RELEASE_NS = 300_000_000
 _REOPEN_S, _REOPEN_POLL_S = 0.3, 5e-3
 _POWER_OFF_S = 0.5  # for a drive to brake and take its power away
+_STOPS = Request.QUICK_STOP, Request.DISABLE
 _MAX_REFUSALS = 10  # successive refused commands that are a fault
 
 
@@ -235,15 +236,18 @@ class SerialDrives:
         """Write the commands, or put them where the next poll takes them; a dry run only reads."""
         end_ns = self._end_ns if self._clock.is_real else None
         steps: dict[str, Mapping[str, float]] = {}  # values to write in addition to the commands, by axis
+        stopping = set[str]()
         if not self._dry_run:
             for axis, command in zip(self._axes, commands, strict=True):
                 if command.request is not Request.LISTEN:
                     self._is_commanding = True
                 if step := axis.take(command, self._time_s):
                     steps[axis.name] = step
+                    if command.request in _STOPS:
+                        stopping.add(axis.name)
         is_sent = True
         for bus in self._buses:
-            bus.send_commands(steps, end_ns, is_commanding=self._is_commanding)
+            bus.send_commands(steps, end_ns, is_commanding=self._is_commanding, stopping=stopping)
             if bus.scheduler.queue:
                 is_sent = False
         if not is_sent:  # replies are awaited at the start of the next cycle only
