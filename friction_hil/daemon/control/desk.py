@@ -223,11 +223,14 @@ class Desk:
         self.take_back("its process died")
 
     def _judge_hangs(self) -> bool:
-        """Return True if the process that learns is far behind the loop, which waits for it in simulated time."""
+        """Return True if the process that learns is far behind the loop, which waits for it in simulated time.
+
+        Before its first row it compiles, and has nothing on trial.
+        """
         rows = self._state.rows(1)
-        if self._learning is None or not len(rows):
+        if self._learning is None or not len(rows) or (done := read_done_cycle(self._learning)) < 0:
             return False
-        behind = self._cycle(rows) - read_done_cycle(self._learning)
+        behind = self._cycle(rows) - done
         return behind * float(self._job.configuration["period_s"]) > _HANGS_S
 
     def _change(self, values: Mapping[str, Any], text: str, learning: OnTrial | None = None) -> dict[str, Any]:

@@ -203,3 +203,10 @@ def test_what_is_on_trial_is_taken_back_when_the_process_that_judges_it_hangs(lo
                 thread.join(60.0)
     assert now["axes"]["x"]["gain"] == before
     assert now["axes"]["x"]["learning"]["reason"] == "its process has done nothing for 10 s"
+
+
+def test_the_process_that_learns_does_not_hang_while_it_compiles_before_its_first_row(loop, ask):
+    loop.board.say(-1, {"axes": {"x": first_report("on", "rad", 0.9)}})
+    loop.cycle += round(2.0 * desk._HANGS_S / 1e-3)
+    loop.row(LoopState.RUNNING, DriveState.OPERATION_ENABLED)
+    assert ask(do="status")["axes"]["x"]["learning"] == first_report("on", "rad", 0.9)
