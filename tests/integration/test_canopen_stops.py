@@ -118,6 +118,7 @@ def is_quick_stop(frame: can.Message) -> bool:
     return by_sdo or (frame.arbitration_id == RPDO1 and frame.data[:2] == b"\x02\x00")
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("command", [PRE_OPERATIONAL, STOP])
 @pytest.mark.parametrize("mode", MODES)
 def test_an_axis_whose_node_is_taken_out_of_operational_is_stopped_for_certain(

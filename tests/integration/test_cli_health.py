@@ -144,6 +144,7 @@ def machine(folder: Path, **changes: object) -> Path:
     return path
 
 
+@pytest.mark.deep
 def test_a_fingerprint_is_a_motion_of_the_axis_that_is_kept_for_comparison(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

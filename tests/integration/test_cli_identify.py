@@ -88,6 +88,7 @@ def test_mistakes(swing: Path, capsys: pytest.CaptureFixture[str], words: list[s
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.deep
 @needs_emps
 def test_emps_published_parameters_to_the_printed_digits(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["identify", str(EMPS), "--models", "coulomb", *WORDS, "--json"]) == 0
@@ -101,6 +102,7 @@ def test_emps_published_parameters_to_the_printed_digits(capsys: pytest.CaptureF
     assert fits["coulomb + direction"]["train"]["relative_error"] == pytest.approx(0.03112, abs=6e-6)
 
 
+@pytest.mark.deep
 @needs_emps
 def test_emps_lugre_explains_and_moves_the_axis(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = tmp_path / "axis.yaml"

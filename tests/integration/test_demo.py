@@ -59,6 +59,7 @@ def outcome(tmp_path_factory):
         return Outcome(tmp_path_factory.mktemp("demo") / "deeper" / "folder")
 
 
+@pytest.mark.deep
 def test_compensation_takes_the_friction_out_of_the_circle(outcome):
     assert outcome.done.returncode == 0, outcome.done.stderr
     for axis in json.loads(outcome.done.stdout)["axes"].values():
@@ -156,6 +157,7 @@ def test_foreign_files_are_refused_before_anything_starts(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == [demo.PICTURE]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_ends_everything(tmp_path, number):
     mark = str(uuid.uuid4())
@@ -205,6 +207,7 @@ def test_a_killed_demo_leaves_no_process(tmp_path):
             waiting.discard(handle)
 
 
+@pytest.mark.deep
 def test_a_bus_that_does_not_open_is_explained(tmp_path):
     bare = ["unshare", "--user", "--map-root-user", "--net"]
     if subprocess.run([*bare, "true"], capture_output=True, check=False).returncode:

@@ -126,6 +126,7 @@ def test_stop_does_not_say_stopped_where_another_master_enables_the_drive_again(
     assert [each["result"] for each in json.loads(done.stdout)["drives"]] == ["powered"]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("is_ours", [False, True], ids=["durand", "simulated"])
 def test_stop_ends_what_a_killed_daemon_left_on(tmp_path: Path, is_ours: bool) -> None:
     keys = {"mode": "csv", "is_watchdog_required": False}

@@ -61,6 +61,7 @@ def started(configuration: Path, drives: DurandDrives) -> Iterator[Any]:
     raise AssertionError(said)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("mode", MODES)
 def test_a_run_moves_the_drive_and_ends_in_order(tmp_path: Path, mode: str) -> None:
     configuration = durand_configuration(tmp_path, mode=mode)
@@ -78,6 +79,7 @@ def test_a_run_moves_the_drive_and_ends_in_order(tmp_path: Path, mode: str) -> N
     assert abs(recording["velocity"][-1]) < 0.05, "disabled at rest"
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("mode", "manner"), [("csp", []), ("csv", AT_SYNC), ("cst", AT_SYNC)])
 def test_a_killed_daemon_leaves_no_torque(tmp_path: Path, mode: str, manner: list[str]) -> None:
     configuration = durand_configuration(tmp_path, mode=mode, **IN_REAL_TIME)
@@ -135,6 +137,7 @@ def test_the_peer_imports_nothing_of_the_product() -> None:
     assert len(seen) == 3
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("mode", "is_ours"), [("csp", False), ("csv", False), ("cst", False), ("csp", True)])
 def test_the_frames_of_a_whole_run_keep_to_the_standards(tmp_path: Path, mode: str, is_ours: bool) -> None:
     nodes = (1, 2)

@@ -42,6 +42,7 @@ def done(tmp_path_factory):
     return json.loads(printed.stdout)["learning"]["axes"], {name: fh.recordings.read(record, name) for name in "xy"}
 
 
+@pytest.mark.deep
 def test_parameters_are_handed_over_and_every_bit_is_reproduced(done):
     found, recording = done[0]["x"], done[1]["x"]
     assert found["mode"] == "on"

@@ -293,6 +293,7 @@ def test_a_fault_of_a_drive_from_another_hand_is_told_and_reset(slave_program, t
             assert again.feedback.state is DriveState.SWITCH_ON_DISABLED
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("kind", "variant"), [("rtu", "low word first"), ("tcp", "functions 3 and 16")])
 def test_the_daemon_moves_a_drive_from_another_hand(slave_program, tmp_path, kind, variant):
     coulomb = {

@@ -28,6 +28,7 @@ def pair(tmp_path: Path) -> list[Path]:
     return found
 
 
+@pytest.mark.deep
 def test_two_daemons_on_two_groups_of_one_port_do_not_hear_each_other(pair: list[Path]) -> None:
     """With SYNC as the only clock, one frame of the other pair would change every bit that follows it."""
     first, second = pair

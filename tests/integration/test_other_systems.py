@@ -37,6 +37,7 @@ def on_another_system(platform, commands, folder):
     return json.loads(done.stdout)
 
 
+@pytest.mark.deep
 def test_every_command_that_needs_no_drive_works_without_linux(folder):
     commands = [*WITHOUT_DRIVES, *ON_THE_RECORDING]
     used = {shlex.split(text)[1] for text, _ in commands} - {"--help", "--version"}

@@ -40,6 +40,7 @@ def writes(frames: list[Frame]) -> list[str]:
     ]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("is_ours", "is_event_driven"),
     [
@@ -75,6 +76,7 @@ def test_a_drive_that_a_plc_moves_is_left_alone(tmp_path: Path, is_ours: bool, i
     assert count > 20
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("changes", "wanted"),
     [

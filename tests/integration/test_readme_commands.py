@@ -240,6 +240,7 @@ def called(text: str) -> int:
     return main(shlex.split(text)[1:])
 
 
+@pytest.mark.deep
 def test_commands_that_need_no_drive(folder, capfd):
     pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
     for text, status in WITHOUT_DRIVES:
@@ -249,6 +250,7 @@ def test_commands_that_need_no_drive(folder, capfd):
         assert (folder / made).stat().st_size > 10_000
 
 
+@pytest.mark.deep
 def test_commands_that_run_drives_and_look_at_the_recording(folder, capfd):
     pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
     with simulated_drives(folder / "machine.yaml"):

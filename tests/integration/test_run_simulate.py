@@ -61,6 +61,7 @@ def wait_until(condition, timeout_s=30.0):
         time.sleep(0.02)
 
 
+@pytest.mark.deep
 def test_a_machine_on_a_real_bus_is_simulated_and_judged(tmp_path):
     path = write(tmp_path, compensation={"baseline_s": 2.0, "fade_s": 0.1})
     record = tmp_path / "run.mcap"
@@ -87,6 +88,7 @@ def test_a_machine_on_a_real_bus_is_simulated_and_judged(tmp_path):
     assert "in simulated time" in lines[0]
 
 
+@pytest.mark.deep
 def test_without_a_baseline_or_a_model_the_run_says_what_to_do(tmp_path):
     path = write(tmp_path, model="later.yaml", limits={"torque": 0.1, "velocity": 30.0})
     done = run("run", "--simulate", path, "--pace", "sync", "--duration", "1.5", "--json")
@@ -118,6 +120,7 @@ def test_whatever_ends_the_run_ends_its_drives(number, tmp_path):
     assert daemon.returncode in ((-signal.SIGKILL,) if number == signal.SIGKILL else (0, 130))
 
 
+@pytest.mark.deep
 def test_a_fault_and_drives_that_do_not_start_leave_nothing_behind(tmp_path):
     path = write(tmp_path, limits={"torque": 0.1, "velocity": 30.0, "following_error": 1e-6})
     faulty = run("run", "--simulate", path, "--pace", "sync", check=False)
@@ -129,6 +132,7 @@ def test_a_fault_and_drives_that_do_not_start_leave_nothing_behind(tmp_path):
     assert "Traceback" not in faulty.stderr + broken.stderr
 
 
+@pytest.mark.deep
 def test_a_sidecar_gets_its_master_and_the_bus_of_the_file_stays_silent(tmp_path):
     values = yaml.safe_load((Path(__file__).parents[2] / "config/sidecar.yaml").read_text())
     values["realtime"] = {"priority": 0}
@@ -143,6 +147,7 @@ def test_a_sidecar_gets_its_master_and_the_bus_of_the_file_stays_silent(tmp_path
     assert x["reduction"]["rms"] > 2.0
 
 
+@pytest.mark.deep
 def test_simulated_drives_are_tuned_and_the_model_of_the_machine_stays_as_it_is(tmp_path):
     path = write(tmp_path, period_s=4e-3, **{key: value for key, value in AXIS.items() if key != "trajectory"})
     words = (

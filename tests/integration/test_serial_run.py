@@ -85,6 +85,7 @@ def refused(configuration: Path, *options: str) -> tuple[int, str]:
 # A good line
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", ["modbus rtu", "odrive"])
 def test_friction_is_taken_out_the_same_way_each_time(tmp_path, kind):
     recordings, errors = [], []
@@ -111,6 +112,7 @@ def test_friction_is_taken_out_the_same_way_each_time(tmp_path, kind):
 # The daemon dies
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", ["modbus tcp", "odrive"])
 def test_a_killed_daemon_leaves_no_torque_behind(tmp_path, kind):
     configuration = write_serial_configuration(tmp_path, kind, **SLOW)
@@ -176,6 +178,7 @@ def test_a_connection_is_made_again_to_the_same_peer(host, shown):
         line.close()
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", KINDS)
 def test_drives_that_are_gone_end_the_run(tmp_path, kind):
     configuration = write_serial_configuration(tmp_path, kind)
@@ -248,6 +251,7 @@ def test_torque_goes_on_when_the_adapter_is_back(tmp_path):
 # A bad line
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", ["modbus rtu", "odrive"])
 def test_faults_on_the_line_are_bridged_and_counted(tmp_path, kind):
     configuration = write_serial_configuration(tmp_path, kind, simulation={"line": MODERATE}, **SLOW)
@@ -390,6 +394,7 @@ def test_an_axis_of_the_odrive_that_nobody_has(tmp_path):
     assert "Error: x: read position and velocity of x: " in text
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("driver", ["modbus", "ascii"])
 def test_a_simulated_serial_drive_runs_from_a_new_file(driver, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -5,9 +5,12 @@ import signal
 import socket
 import subprocess
 
+import pytest
+
 from tests.processes import start, write_configuration
 
 
+@pytest.mark.deep
 def test_the_daemon_reports_its_start_its_life_and_its_end(tmp_path):
     configuration = write_configuration(tmp_path)
     runtime = tmp_path / "run"

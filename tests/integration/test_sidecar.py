@@ -73,6 +73,7 @@ def wait_until(condition, timeout_s=60.0):
         time.sleep(0.01)
 
 
+@pytest.mark.deep
 def test_compensation_beside_a_master_reduces_its_following_error(configuration, tmp_path):
     recording = tmp_path / "run.mcap"
     with frame_log(configuration) as frames, simulated_drives(configuration, "--master"):
@@ -95,6 +96,7 @@ def test_compensation_beside_a_master_reduces_its_following_error(configuration,
     assert identified["best"].startswith("coulomb")
 
 
+@pytest.mark.deep
 def test_two_runs_are_equal_bit_for_bit(configuration, tmp_path):
     runs = []
     for name, late_s in (("first.mcap", 0.0), ("second.mcap", 2.5)):
@@ -127,6 +129,7 @@ def machine(configuration, *options):
         process.stderr.close()
 
 
+@pytest.mark.deep
 def test_when_the_daemon_is_killed_the_machine_runs_on_and_its_master_clears_the_offset(configuration):
     slow_down(configuration, max_missed=300)
     with frame_log(configuration) as frames, machine(configuration):
@@ -158,6 +161,7 @@ def test_when_the_machine_ends_the_daemon_fades_out_and_says_why(configuration):
     assert offsets(frames)[-1] == 0
 
 
+@pytest.mark.deep
 def test_beside_an_independent_master_only_offsets_are_sent(configuration):
     """A PLC on the canopen library moves the drive; its commissioning has prepared the offset's RPDO."""
     slow_down(configuration, max_missed=300)

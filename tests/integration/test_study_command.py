@@ -28,6 +28,7 @@ def outcome(tmp_path_factory):
     return folder, run
 
 
+@pytest.mark.deep
 def test_json_is_the_facts_by_model_and_nothing_else(outcome):
     _, run = outcome
     assert run.returncode == 0, run.stderr

@@ -130,6 +130,7 @@ def test_a_blocked_axis_is_found_out():
     assert fault.endswith("[FH-124]")
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("encoder", [1024, 4096, 1 << 20])
 @pytest.mark.parametrize("unit", ["counts/s", "rpm"])
 def test_coarse_and_fine_encoders(encoder, unit):
@@ -141,6 +142,7 @@ def test_coarse_and_fine_encoders(encoder, unit):
     assert run.moved(LoopState.FIRST_MOTION) < max(BOUND, 96.0 * 2.0 * math.pi / encoder)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("friction", [0.0, 0.02, 0.15, 0.3])
 def test_friction_is_no_fault(friction):
     dry = {"friction": {"model": "coulomb", "parameters": {"coulomb": friction, "static": 1.5 * friction}}}

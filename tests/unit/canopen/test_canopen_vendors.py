@@ -143,6 +143,7 @@ class Driven:
 ALL = [(name, mode) for name, drive in DRIVES.items() for mode, works in drive.works.items() if works]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("name", "mode"), ALL)
 def test_a_drive_that_can_be_driven_is_driven(tmp_path, name, mode):
     """Enabled, followed, and the torque arrives where it adds to the loops, whatever its PDOs allow."""
@@ -271,6 +272,7 @@ def test_tpdos_that_do_not_come_with_sync_are_refused(tmp_path):
     assert re.search(r"TPDO 1 .* does not come with every SYNC: its transmission type", str(error))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "manners",
     [{"controlword": "edge"}, {"controlword": "twice"}, {"switch_on_s": 2.0}, {"switch_on_s": 1.0, "enable_s": 1.5}],

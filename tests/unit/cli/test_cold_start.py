@@ -22,6 +22,7 @@ def run(folder: Path, *words: object, then: str = "") -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "words",
     [

@@ -50,6 +50,7 @@ def felt_share(name, bits, speed, *, is_even, gain=0.9):
     return float(np.sum(((friction - acting) * velocity)[settled]) / without)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("is_even", [True, False])
 @pytest.mark.parametrize("speed", SPEEDS)
 @pytest.mark.parametrize("bits", [14, 20])

@@ -293,6 +293,7 @@ def test_a_deviation_that_changes_its_sign_makes_no_jump(name):
 # --- an axis that rests under its demand
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("strength", [1.0, 1.2])
 @pytest.mark.parametrize("bits", [14, 20])
 @pytest.mark.parametrize("velocity_gain", [0.06, 0.2])

@@ -99,6 +99,7 @@ def test_a_simulated_drive_of_any_description_needs_nothing_else(driver, folder)
         made("--driver", driver, "--description", description, "--simulated", "--force")
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     "words", [("--mode", "cst"), ("--driver", "dynamixel"), ("--driver", "modbus", "--description", "kinco_fd5p")]
 )

@@ -30,6 +30,7 @@ def adapting(trajectory, bits, **changes):
     return configuration(x=axis_dict(trajectory=trajectory, **changes))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("bits", [14, 20])
 @pytest.mark.parametrize("name", MOTIONS)
 def test_it_is_said_before_a_run_what_the_run_says_at_its_end(name, bits) -> None:

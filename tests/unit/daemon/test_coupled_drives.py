@@ -158,6 +158,7 @@ def test_tune_refuses_to_twist_a_gantry(tmp_path: Path) -> None:
 # --- in the loop of the daemon
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("machine", ["gantry", "two_link_arm"])
 def test_the_compensator_helps_each_axis_of_a_mechanism(machine: str) -> None:
     """One period before and one after the compensation begins, both axes in motion; and the rehearsal agrees."""

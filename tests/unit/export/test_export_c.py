@@ -38,6 +38,7 @@ def library(tmp_path_factory):
     return {single: compiled(folder, subjects, single=single) for single in (False, True)}
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("single", "tolerance"), [(False, 1e-12), (True, 1e-5)])
 def test_every_model_gives_the_torque_of_this_library(library, single, tolerance):
     for name, model in EVERY_MODEL.items():

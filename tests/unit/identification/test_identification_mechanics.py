@@ -131,6 +131,7 @@ def test_resonance_and_anti_resonance_are_those_of_the_axis() -> None:
     assert resonance.values["delay_s"] == pytest.approx(0.5e-3, rel=0.1)  # a mean over the period of 1 ms
 
 
+@pytest.mark.deep
 def test_intervals_hold_the_true_values_as_often_as_they_say() -> None:
     """One repetition of each axis; `tests.coverage_of_errors` has as many as you like."""
     scores = []
@@ -206,6 +207,7 @@ def test_the_spring_of_a_coupling_is_not_put_into_the_bristle_unsaid() -> None:
     assert values["motor_friction"] < 0.05 * values["load_friction"]
 
 
+@pytest.mark.deep
 def test_the_bristle_of_a_rigid_axis_is_not_taken_for_a_coupling() -> None:
     result, mechanics = found(RIGID_LUGRE)
     assert result.best.values["sigma0"] == pytest.approx(50.0, rel=0.1)
@@ -303,6 +305,7 @@ def test_a_load_heavier_than_the_axis_is_refused() -> None:
         ModelFile.model_validate({"axis": "rotary", "friction": friction, "mechanics": content})
 
 
+@pytest.mark.deep
 def test_command_prints_what_was_found_and_what_was_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, report = tmp_path / "shaken.npz", tmp_path / "report.html"
     np.savez(path, **shaken(Axis()).columns)  # type: ignore[arg-type]

@@ -112,6 +112,7 @@ def results() -> list[Identification]:
     return [found(recorded(seed), replicas=4) for seed in range(6)]
 
 
+@pytest.mark.deep
 def test_each_parameter_is_found_within_its_limits(results: list[Identification]) -> None:
     for result in results:
         assert result.best.label == "lugre"
@@ -179,6 +180,7 @@ def test_subtracting_the_shift_leaves_viscous_friction_and_inertia_at_zero_or_ab
     assert model.parameters["sigma2"] == 0.0
 
 
+@pytest.mark.deep
 def test_directions_and_ripple_are_found_at_the_resolution_of_the_encoder() -> None:
     """From an eighth of a revolution."""
     best = found(recorded(1, is_modified=True), has_modifiers=True, replicas=4).best
@@ -200,6 +202,7 @@ def test_a_symmetric_axis_without_ripple_gets_no_modifiers() -> None:
     assert result.best.label == "lugre"
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("kind", "least", "most"), [("mean", 0.4, 0.6), ("instant", -0.1, 0.3), ("late", 1.8, 2.4)])
 def test_the_age_of_the_torque_is_found(kind: str, least: float, most: float) -> None:
     result = found(recorded(2, kind=kind), torque="auto", replicas=4)

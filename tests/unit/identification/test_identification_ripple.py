@@ -42,6 +42,7 @@ def search(position: Array, residual: Array, *, is_linear: bool = False) -> list
     return RippleSearch(position, left, columns, np.ones(len(position)), whole, is_linear=is_linear).orders()
 
 
+@pytest.mark.deep
 @settings(max_examples=8, deadline=None)
 @given(st.sampled_from([7, 9, 13]), st.sampled_from([36, 42, 50]), st.floats(0.0, TURN), st.floats(0.0, TURN))
 def test_whole_orders_are_found_together_in_a_fraction_of_a_turn(low: int, high: int, a: float, b: float) -> None:

@@ -24,6 +24,7 @@ def points(velocity: np.ndarray, offset: float = 0.0, **truth: float) -> Recordi
     return Recording("map.csv", "map", {"velocity": velocity, "torque": torque})
 
 
+@pytest.mark.deep
 @settings(max_examples=15, deadline=None)
 @given(st.floats(1e-3, 1e3), st.floats(0.1, 30.0))
 def test_a_map_gives_back_its_friction_at_any_scale(level: float, speed: float) -> None:

@@ -109,6 +109,7 @@ def test_unit_of_the_signal_changes_the_gain_alone() -> None:
     assert one.held_out.rmse == pytest.approx(other.held_out.rmse, rel=1e-4)
 
 
+@pytest.mark.deep
 def test_stated_errors_are_those_of_repeated_experiments() -> None:
     names = ("drive.gain", "drive.back_emf", "inertia", "coulomb")
     truth = {"drive.gain": GAIN, "drive.back_emf": BACK_EMF, "inertia": INERTIA, "coulomb": 0.05}
@@ -218,6 +219,7 @@ def test_command_writes_the_friction_in_torque(
     assert "not with --unknown-gain" in capsys.readouterr().err
 
 
+@pytest.mark.deep
 @needs_bam
 def test_servo_has_friction_that_grows_with_its_load(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -120,6 +120,7 @@ def recorded(mode, servo, *, is_compensated):
     return Recording("memory", "x", {name: each[moves] for name, each in values.items()}, metadata={"facts": facts})
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("mode", "lag_s", "bits"), [("csp", 3e-4, 20), ("csp", 1e-3, 16), ("csv", 1e-3, 20)])
 def test_the_loops_of_the_drive_do_not_disturb_the_lag(mode, lag_s, bits) -> None:
     servo = ServoConfig(motor=Motor(torque_lag_s=lag_s), encoder=Encoder(counts=2**bits))

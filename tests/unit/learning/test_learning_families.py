@@ -111,6 +111,7 @@ def test_what_does_not_help_is_taken_back_and_not_tried_again_soon(asked):
     assert driven.learner.figures.family.explained == {}
 
 
+@pytest.mark.deep
 def test_a_family_that_explains_no_more_is_not_tried():
     driven = Driven(MAP, gain=1.0).take(15 * WINDOW, error=1e-4, amplitude=0.3, true=MAP)
     assert not any(each.step is Step.FAMILY for _, each in driven.proposals)

@@ -44,6 +44,7 @@ def recorded(config, servo, duration_s):
     return {name: values[moves] for name, values in columns.items()}
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("mode", "bits"), [("csp", 20), ("csp", 13), ("csv", 20), ("cst", 20)])
 @pytest.mark.parametrize("is_compensated", [False, True])
 def test_a_rehearsal_has_the_error_of_the_loop_itself(mode, bits, is_compensated) -> None:

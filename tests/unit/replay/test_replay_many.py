@@ -126,6 +126,7 @@ def test_names_are_not_cut_short_where_nobody_watches(folder: Path, capsys: pyte
     assert f"{path.name} " in capsys.readouterr().out
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("methods", [["fork", "spawn", "forkserver"], ["spawn"]], ids=["linux", "windows"])
 def test_the_pool_gives_what_one_process_gives(
     methods: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch

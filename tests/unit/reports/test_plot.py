@@ -77,6 +77,7 @@ def recomputed(path: Path, stop_s: float, is_enabled: float) -> tuple[float, flo
     return float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error)))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("mode", AXES)
 def test_each_mode_has_its_picture_and_its_figures_are_those_of_the_columns(mode, runs, tmp_path, capsys):
     path = write(tmp_path / "run.mcap", runs[mode])

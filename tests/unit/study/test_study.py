@@ -256,6 +256,7 @@ class _Page(HTMLParser):
         assert self.open.pop() == tag
 
 
+@pytest.mark.deep
 def test_the_report_needs_nothing_else_and_is_the_same_each_time(tmp_path):
     result = study.run(["coulomb", "lugre"])
     study_report.claim(tmp_path)

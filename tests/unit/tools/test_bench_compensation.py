@@ -441,6 +441,7 @@ def test_command_prints_one_json_object(tmp_path):
     assert found["cases"][3]["reduction"]["ours"]["rms"] == outcomes[3].reduction["ours"].rms
 
 
+@pytest.mark.deep
 def test_command_tells_mistakes_and_lists_what_there_is(tmp_path):
     path = tmp_path / "grid.yaml"
     path.write_text(TINY.replace("2e-4", "2 kg"))

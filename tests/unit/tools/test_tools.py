@@ -485,6 +485,7 @@ def test_the_benchmark_of_health_has_every_change(monkeypatch: pytest.MonkeyPatc
     assert quiet["false_alarms_per_year"] >= 0.0
 
 
+@pytest.mark.deep
 def test_the_benchmark_of_the_loop_starts_a_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loop, "STARTS", 1)
     done = CliRunner().invoke(loop.command, ["start", "--json"])

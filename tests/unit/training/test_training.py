@@ -81,6 +81,7 @@ def test_several_states_learn_sliding_elements_that_lag():
     assert result.feedback_gain < 0.8
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_gated_network_is_good_where_it_runs(seed):
     """Two of the seeds of `tools/bench neural`: 0.008 unseen, and better than 0.02 at other periods."""

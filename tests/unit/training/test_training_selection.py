@@ -115,6 +115,7 @@ def test_friction_that_the_physical_model_describes_needs_no_network():
     assert "coulomb + direction" in {each.label for each in found.judged}
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("ripple", [0.0, 0.03])
 def test_a_known_model_gets_a_network_only_where_it_helps(ripple):
     content = residual_model_file([recorded(ripple=ripple)[0]], physical())
@@ -271,6 +272,7 @@ def test_a_network_of_a_given_structure_is_flagged_if_a_physical_model_is_as_goo
     assert 0.0 < found.network.least_speed < 0.1
 
 
+@pytest.mark.deep
 @pytest.mark.skipif(not EMPS.exists(), reason="the shared recording of the EMPS axis is not here")
 def test_the_friction_of_the_emps_axis_depends_on_its_position():
     named = {"time_s": "t", "position": "qm", "torque": "vir*35.150651"}

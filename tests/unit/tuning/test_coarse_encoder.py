@@ -89,6 +89,7 @@ def found(bits: int, period_s: float) -> Identification:
 COARSE = [(12, 1e-3), (14, 1e-3), (16, 4e-3), (20, 1e-3)]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("bits", "period_s"), COARSE)
 def test_friction_and_inertia_are_found_whatever_the_encoder(bits: int, period_s: float) -> None:
     fit = plain(found(bits, period_s))

@@ -44,6 +44,7 @@ def found(experiment):
     return identify([recording], IdentificationSettings(families=("lugre", "coulomb"), refine=False))
 
 
+@pytest.mark.deep
 def test_a_fit_that_swings_in_the_loop_is_not_tried(experiment, found) -> None:
     config, recording = experiment
     best = next(fit for fit in found.fits if fit.label == "lugre")

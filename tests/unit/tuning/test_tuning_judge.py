@@ -179,6 +179,7 @@ def lowered(name="x"):
     return CompensationNotices(name, "rad", _Guarded(1.0)).next(_Guarded(0.8), 0.0)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", MOTIONS)
 @pytest.mark.parametrize("into_s", [0.02, 1.0])
 def test_an_oscillation_is_attributed_to_its_motion(name, into_s, without) -> None:
