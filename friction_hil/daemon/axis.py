@@ -9,6 +9,7 @@ from friction_hil.compensator import CompensatorInputs
 from friction_hil.daemon.assembly import lead_s, make_compensator, make_limits, make_shadows
 from friction_hil.daemon.command import CommandWriter
 from friction_hil.daemon.control.message import AxisChange
+from friction_hil.daemon.control.state import error_without
 from friction_hil.daemon.figures import CompensationNotices, Condition, FeedbackGaps, FollowingErrors
 from friction_hil.daemon.first_motion import FirstMotion
 from friction_hil.daemon.follow_check import FollowCheck
@@ -434,6 +435,13 @@ class AxisLoop:
         """Return, once, that the compensation was taken back."""
         news, self._news = self._news, ""
         return news or None
+
+    def take_error_without(self) -> str | None:
+        """Return, once, the text of the event that a time without compensation has ended; None in most cycles."""
+        if (news := self.following_errors.news) is None:
+            return None
+        self.following_errors.news = None
+        return error_without(self.name, self._unit, news.rms, news.peak, news.seconds)
 
     def _bound_torque(self, state: LoopState, position: float, missed: int) -> None:
         """Let the torque of the loop's controller rise only until the axis moves, while its velocity is in doubt."""

@@ -35,6 +35,13 @@ class Figures:
         return Figures(_ratio(self.rms, other.rms), _ratio(self.peak, other.peak))
 
 
+@dataclass(frozen=True, slots=True)
+class ErrorFigures(Figures):
+    """Following error in one condition, rad or m, over ``seconds`` of steady motion in it."""
+
+    seconds: float
+
+
 def _ratio(before: float, after: float) -> float:
     """Compute before / after, where an error below the encoder's resolution is zero."""
     if after == 0.0:
@@ -163,6 +170,12 @@ class FollowingErrors:
     compared over the same parts of the path and equally long; if a run is too short for one, the steady motion that
     there is. Of a recording `friction_hil.analysis.baseline` computes the same figures by this class.
 
+    Attributes
+    ----------
+    news : ErrorFigures or None
+        Set when a time without compensation ends: of all whole periods without it, or of this time if there is none.
+        Whoever tells it sets it to None.
+
     Parameters
     ----------
     period_s : float
@@ -191,6 +204,8 @@ class FollowingErrors:
         "_settle",
         "_square",
         "_sums",
+        "_told_end",
+        "news",
     )
 
     def __init__(self, period_s: float, start_s: float, motion_s: float) -> None:
@@ -204,6 +219,8 @@ class FollowingErrors:
         self._begin = self._period_begin = self._period_end = math.inf
         self._recovered = 0.0  # cycle from which on errors count again
         self._parts = [_Parts() for _ in Condition]
+        self.news: ErrorFigures | None = None
+        self._told_end = -math.inf  # cycle before which the cycles of the last news were
         # of the period that has not ended yet: plain numbers, because every cycle adds to them
         self._count = self._left_out = 0
         self._square = self._peak = 0.0
@@ -268,10 +285,20 @@ class FollowingErrors:
 
     def _enter(self, condition: Condition) -> None:
         self._end_part(self._cycle)
+        if self._condition is Condition.WITHOUT:
+            self._note_without()
         self._condition = condition
         is_fading = condition is Condition.FADING
         self._begin = math.inf if is_fading else max(self._cycle + self._settle, self._first) - _ROUNDING
         self._period_begin, self._period_end = self._begin, self._begin + self._length
+
+    def _note_without(self) -> None:
+        """Make news of the figures without compensation; it takes as long after a thousand periods as after one."""
+        parts = self._parts[Condition.WITHOUT]
+        for each in [parts.whole] if parts.whole.count else parts.partial[-1:]:
+            if each.count and each.end > self._told_end:
+                self._told_end = each.end
+                self.news = ErrorFigures(math.sqrt(each.square / each.count), each.peak, each.count * self._given[0])
 
     def _end_period(self) -> None:
         period, parts = self._take_sum(self._period_end), self._parts[self._condition]

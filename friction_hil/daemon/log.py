@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from friction_hil.daemon.control.state import ERROR_WITHOUT
 from friction_hil.daemon.failure import calls_of, fault_of
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
@@ -13,6 +14,7 @@ from friction_hil.numerics.jit import Array
 _MOST_FAULTS = 20
 _MOST_NOTICES = 100  # of drives, and as many of requests; warnings likewise
 _BURST, _PER_S = 100.0, 8.0  # notices of drives: with more, a fault could be lost among the events of the ring
+_KEPT_EVENTS = 150  # fewer than the ring holds: after so many, what whoever looks later needs is told again
 _NAMED_S = 1.0  # after missed periods, in which a fault names them: it may be their consequence
 
 
@@ -84,7 +86,17 @@ class RunLog:
         self.has_fault = False
         self._missed = 0  # periods
         self._missed_cycle = -1  # that followed them
+        self._error_without: dict[str, str] = {}
+        self._events = 0  # since all of these were told
         self.result = LoopResult()
+
+    def _event(self, cycle: int, name: str, text: str) -> None:
+        self._sink.event(cycle, name, text)
+        self._events += 1
+        if self._events == _KEPT_EVENTS:
+            self._events = 0
+            for each in self._error_without.values():
+                self._sink.event(cycle, ERROR_WITHOUT, each)
 
     def fault(self, cycle: int, text: str, gaps: str = "") -> None:
         """Keep a fault, with what was missing shortly before: periods, and feedback (``gaps``).
@@ -102,7 +114,7 @@ class RunLog:
             if len(self._said) == 1:
                 text = _ahead_of_code(text, self._missed_before(cycle) + gaps)
             self.result.faults.append(text)
-            self._sink.event(cycle, "fault", text)
+            self._event(cycle, "fault", text)
 
     def _missed_before(self, cycle: int) -> str:
         """Return words on the periods that were missed shortly before a cycle; none: empty."""
@@ -117,23 +129,23 @@ class RunLog:
         """Keep an exception that has ended the loop as a fault; the recording gets the calls that led to it too."""
         self.fault(cycle, fault_of(error))
         for call in calls_of(error):
-            self._sink.event(cycle, "traceback", call)
+            self._event(cycle, "traceback", call)
 
     def reset(self, cycle: int) -> None:
         """Forget that there is a fault; it stays in the result. If it comes again, it counts again."""
         if self.has_fault:
-            self._sink.event(cycle, "reset", "the fault is reset")
+            self._event(cycle, "reset", "the fault is reset")
         self.has_fault = False
         self._said.clear()
 
     def change(self, cycle: int, number: int, text: str) -> None:
         """Keep a change that somebody made while the daemon runs; ``number`` is that of the message."""
-        self._sink.event(cycle, "change", str(number))
+        self._event(cycle, "change", str(number))
         self.act(cycle, text)
 
     def act(self, cycle: int, text: str) -> None:
         """Keep what somebody asked for while the daemon runs; unlike `notice` each time."""
-        self._sink.event(cycle, "notice", text)
+        self._event(cycle, "notice", text)
         self._acts += 1
         if self._acts <= _MOST_NOTICES:
             self.result.notices.append(text)
@@ -149,11 +161,11 @@ class RunLog:
             return
         self._is_flooded = self._is_flooded and self._room < 0.5 * _BURST
         self._room -= 1.0
-        self._sink.event(cycle, "notice", text)
+        self._event(cycle, "notice", text)
         if self._room < 1.0 and not self._is_flooded:
             self._is_flooded = True
             more = f"the drives said {_BURST:g} things in a row: of the next ones, {_PER_S:g} a second are recorded"
-            self._sink.event(cycle, "notice", more)
+            self._event(cycle, "notice", more)
 
     def drive_state(self, cycle: int, name: str, state: DriveState, *, is_read_back: bool) -> None:
         """Keep the state of a drive after the stop; one that may have power is a fault, however many there were before.
@@ -161,7 +173,7 @@ class RunLog:
         Where the driver reads nothing back, a run that failed already gets a warning: its fault says what happened.
         """
         self.result.drive_states.append(state)
-        self._sink.event(cycle, "drive_state", f"{name}: {state.words}")
+        self._event(cycle, "drive_state", f"{name}: {state.words}")
         if state is DriveState.UNKNOWN:
             text = f"{name}: the state of the drive after the stop is unknown: it may have power"
             tell = self._keep_fault if is_read_back or not self.result.faults else self.warn
@@ -173,7 +185,7 @@ class RunLog:
     def leftover(self, cycle: int, text: str) -> None:
         """Keep what the driver could not leave as it was found."""
         self.result.leftovers.append(text)
-        self._sink.event(cycle, "warning", text)
+        self._event(cycle, "warning", text)
 
     def missed(self, cycle: int, skipped: int, overslept_ns: int, max_missed: int) -> None:
         """Count the periods missed before ``cycle``; ``max_missed`` of them in a row are a fault."""
@@ -185,13 +197,18 @@ class RunLog:
 
     def state(self, cycle: int, state: LoopState) -> None:
         """Record the state that the run enters."""
-        self._sink.event(cycle, "state", state.name.lower())
+        self._event(cycle, "state", state.name.lower())
+
+    def error_without(self, cycle: int, axis: str, text: str) -> None:
+        """Record the following error of a time without compensation that has ended, for those who look later too."""
+        self._error_without[axis] = text
+        self._event(cycle, ERROR_WITHOUT, text)
 
     def warn(self, cycle: int, text: str) -> None:
         """Keep a warning."""
         if len(self.result.warnings) < _MOST_NOTICES:
             self.result.warnings.append(text)
-        self._sink.event(cycle, "warning", text)
+        self._event(cycle, "warning", text)
 
 
 def _ahead_of_code(text: str, more: str) -> str:

@@ -124,6 +124,8 @@ class Loop:
             updates.append(update)
             if update.warning is not None:
                 self._log.warn(cycle, update.warning)
+            if (text := axis.take_error_without()) is not None:
+                self._log.error_without(cycle, axis.name, text)
             if update.fault is not None and state is not LoopState.WAITING:  # without power nothing has to be stopped
                 self._log.fault(cycle, update.fault, axis.gaps.before(cycle))
         request = (REQUESTS_AFTER_FAULT if self._log.has_fault else REQUESTS)[state]

@@ -212,6 +212,7 @@ class Live:
         least every 2 s; rows that are overwritten before are lost, and counted.
         """
         has_ended = self.has_ended  # before the rows: what is written then is complete
+        events = tuple(map(self._event, self._ring.new_events()))  # before the rows: those before an event are there
         rows = self._ring.new_rows(self._wanted)
         lost = self._ring.rows_missed - self._missed
         self._missed = self._ring.rows_missed
@@ -221,7 +222,6 @@ class Live:
         values = rows.reshape(len(rows), len(facts.axes), len(facts.columns))
         found = Rows(facts, values)
         self._settings = self._settings_of(found)
-        events = tuple(map(self._event, self._ring.new_events()))
         learning = {} if self._learning is None else read_report(self._learning).get("axes", {})
         return Reading(found, lost, events, self._settings, stands, self.is_over, learning)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from friction_hil.daemon.control.state import Messages
-from friction_hil.daemon.figures import Condition
+from friction_hil.daemon.figures import Condition, ErrorFigures
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
 from friction_hil.drive.codes import code_of
@@ -73,6 +73,7 @@ class LiveFigures:
         for name, axis in self._axes.items():
             axis.take(rows, reading.settings, reading.lost)
             axis.learning = reading.learning.get(name, axis.learning)
+            axis.hear(self._messages.error_without.get(name))
 
     def snapshot(self) -> Snapshot:
         """Return the figures after what was taken so far."""
@@ -122,6 +123,7 @@ class _AxisFigures:
         has_torque = facts.drives.get(name, {}).get("torque_delay_s") is not None
         self._friction = FrictionTracer(name, facts.period_s, _MAP_WINDOWS * window_s, has_torque=has_torque)
         self._last = dict.fromkeys(_LAST, math.nan)
+        self._told: ErrorFigures | None = None
         self._error = math.nan
         self._settings: Settings | None = None
         self._friction.compile(facts.configuration["axes"][name]["model"])
@@ -138,6 +140,13 @@ class _AxisFigures:
         self._compensation.extend(compensation[np.isfinite(compensation)])
         self._friction.take(rows)
         self._last = {name: float(rows.of(self._name, name)[-1]) for name in _LAST}
+
+    def hear(self, error_without: Mapping[str, float] | None) -> None:
+        """Take what the daemon says of the last time without compensation: it has seen all of it."""
+        told = None if error_without is None else ErrorFigures(**error_without)
+        if told != self._told:
+            self._told = told
+            self._errors.forget(Condition.WITHOUT)
 
     def _adopt(self, settings: Settings) -> None:
         before, self._settings = self._settings, settings
@@ -162,7 +171,7 @@ class _AxisFigures:
             **{name: last[name] for name in _LAST[:7]},
             temperature=estimated if math.isfinite(estimated) else measured,
             error=self._error if is_known else math.nan,
-            without=self._errors.figures(Condition.WITHOUT),
+            without=self._errors.figures(Condition.WITHOUT) or self._told,
             compensated=self._errors.figures(Condition.WITH),
             compensation_rms=_rms(self._compensation.values()),
             friction=self._friction.figures(),

@@ -1,22 +1,13 @@
 """Following error over a window, without and with compensation. Pure."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from friction_hil.analysis import following
-from friction_hil.daemon.figures import SETTLE_S, Condition, Figures
+from friction_hil.daemon.figures import SETTLE_S, Condition, ErrorFigures
 from friction_hil.daemon.safety import LoopState
 from friction_hil.live.reading import Rows
 from friction_hil.live.window import Window
 from friction_hil.numerics.jit import Array
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorFigures(Figures):
-    """Following error in one condition, rad or m, over the last ``seconds`` of steady motion in it."""
-
-    seconds: float
 
 
 class RollingErrors:
@@ -74,6 +65,10 @@ class RollingErrors:
         self._counts_from, self._cycle = float(counts_from[-1]), float(cycle[-1])
         self._was_on, self._was_running = bool(is_on[-1]), bool(is_running[-1])
         return error
+
+    def forget(self, condition: Condition) -> None:
+        """Forget the cycles of a condition so far."""
+        self._windows[condition].clear()
 
     def figures(self, condition: Condition) -> ErrorFigures | None:
         """Return the figures of a condition; None if no cycle of it counts."""

@@ -104,7 +104,7 @@ class LiveEvent:
     time_s : float
         Time of the cycle, s.
     name : str
-        ``fault``, ``reset``, ``warning``, ``notice``, ``state``, ``change`` or ``drive_state``.
+        ``fault``, ``reset``, ``warning``, ``notice``, ``state``, ``change``, ``drive_state`` or ``error_without``.
     text : str
         Cut off after about 180 bytes.
     code, remedy : str

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from friction_hil.live.following_error import ErrorFigures
+from friction_hil.daemon.figures import ErrorFigures
 from friction_hil.live.friction_map import FrictionMap
 from friction_hil.live.lateness import Lateness
 
@@ -38,7 +38,8 @@ class AxisSnapshot:
     error : float
         Following error in the last row, demanded less measured position.
     without, compensated : ErrorFigures or None
-        Following error over the window, without and with compensation; None where there was no steady motion.
+        Following error over the window, without and with compensation; None where there was no steady motion. Once a
+        time without compensation has ended, of all of it, as the daemon has found it.
     compensation_rms : float
         Root mean square of the compensation over the window.
     friction : FrictionMap

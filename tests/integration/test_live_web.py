@@ -10,6 +10,7 @@ import socket
 import struct
 import subprocess
 import threading
+from dataclasses import asdict
 
 import pytest
 import yaml
@@ -18,6 +19,7 @@ from websockets.sync.client import connect
 
 from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.control.names import find
+from friction_hil.live import LiveFigures, attach
 from friction_hil.recordings import columns, mcap_format
 from tests.browser import PROGRAM, browser
 from tests.integration.test_runtime_control import answered, children, until
@@ -104,7 +106,7 @@ def served(tmp_path_factory):
     (folder / "token").chmod(0o600)
     circle = {"kind": "circle", "radius": 1.0, "frequency": 2.0, "ramp_s": 0.2}
     axes = {
-        "x": axis_dict(trajectory=circle),
+        "x": axis_dict(trajectory=circle, compensation={"fade_s": 0.1, "baseline_s": 1.5}),
         "y": axis_dict(node=2, trajectory={**circle, "phase": -math.pi / 2}),
     }
     (folder / "other.yaml").write_text(yaml.safe_dump(axes["x"]["model"] | {"version": 1}))
@@ -176,6 +178,25 @@ def test_metrics_follow_the_conventions_and_say_what_the_daemon_says(served):
     assert abs(found["friction_hil_following_error_radians", "x"]) < 0.5
     parameters = axis_dict()["model"]["friction"]["parameters"]
     assert found["friction_hil_model_parameter", "y", "lugre", "coulomb"] == parameters["coulomb"]
+
+
+def test_who_attaches_after_the_time_without_compensation_sees_its_error(served):
+    """The ring holds 8 s of rows, and later there is none of that time in it."""
+    status = until(lambda: (answer := ask(find(NAME), {"do": "status"}))["time_s"] > 12.0 and answer)
+    told = status["axes"]["x"]["error_without"]
+    assert told["peak"] > told["rms"] > 0.0
+    assert told["seconds"] == 0.5  # of 1.5 s, less ramp and settling: one of the periods of the path is whole
+    assert status["axes"]["y"]["error_without"] is None  # compensated from the start on
+    with attach(NAME) as live:
+        figures, reading = LiveFigures(live.facts, live.faults), live.read()
+        figures.take(reading)
+        assert reading.rows.of("x", "is_enabled").min() == 1.0
+        axes = figures.snapshot().axes
+    assert asdict(axes["x"].without) == told
+    assert axes["y"].without is None
+    found = served.page.metrics()
+    for part in ("rms", "peak"):
+        assert found[f"friction_hil_following_error_{part}_radians", "x", "off"] == told[part]
 
 
 @pytest.mark.parametrize(

@@ -151,6 +151,9 @@ def _lines(name: str, answer: dict[str, Any]) -> list[str]:
                 f"velocity {quantity(each['velocity'], unit + '/s')}, "
                 f"compensation {quantity(each['compensation'], force)}"
             )
+        if error := each.get("error_without"):
+            rms, peak = quantity(error["rms"], unit), quantity(error["peak"], unit)
+            lines.append(f"     following error without compensation {rms} RMS, {peak} peak")
         if learning := each.get("learning"):  # a daemon of an earlier version has none
             lines.append(f"     learning {learning_words.summary(learning)}")
             more = learning_words.parameters(learning), learning["last"] and f"last: {learning['last']}"

@@ -120,6 +120,7 @@ class Desk:
             self._state.look()
             messages = self._state.messages
             faults, warnings, notices = (list(each) for each in (messages.faults, messages.warnings, messages.notices))
+            errors = dict(messages.error_without)
             if self._state.stands:
                 warnings.append("the loop has written no row for a second: it stands, and the drives are unknown")
         configuration, _, files = self._present()
@@ -139,6 +140,7 @@ class Desk:
                 "model": configuration["axes"][name]["model"]["friction"]["model"],
                 "model_file": files[name],
                 "learning": learning.get(name),
+                "error_without": errors.get(name),
             }
         return {
             "protocol": PROTOCOL,

@@ -1,6 +1,7 @@
 """State of a daemon as the control socket reports it: read from the ring, without any work of the loop."""
 
 import math
+import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -26,6 +27,13 @@ _SHOWN = {
 _MOST_EVENTS = 20
 STANDS_S = 1.0  # without a row: the loop stands
 _LOOK_S = 1e-3
+ERROR_WITHOUT = "error_without"  # event: a time without compensation has ended, with this following error
+_ERROR_WITHOUT = re.compile(r"(\S+): RMS (\S+), peak (\S+) (?:rad|m) in (\S+) s")
+
+
+def error_without(axis: str, unit: str, rms: float, peak: float, seconds: float) -> str:
+    """Return the text of the event `ERROR_WITHOUT`, which `Messages` reads."""
+    return f"{axis}: RMS {rms:.9g}, peak {peak:.9g} {unit} in {seconds:.6g} s"
 
 
 @dataclass(slots=True)
@@ -38,11 +46,15 @@ class Messages:
         Faults that nobody has reset.
     warnings, notices : list of str
         The last ones.
+    error_without : dict of dict
+        By axis, of the last time without compensation that has ended: ``rms``, ``peak`` of the following error, rad or
+        m, and ``seconds`` of steady motion.
     """
 
     faults: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     notices: list[str] = field(default_factory=list)
+    error_without: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def take(self, name: str, text: str) -> None:
         """Take an event of the ring; those of other names are left out."""
@@ -50,6 +62,9 @@ class Messages:
             self.faults.append(text)
         elif name == "reset":
             self.faults.clear()
+        elif name == ERROR_WITHOUT and (found := _ERROR_WITHOUT.fullmatch(text)):
+            figures = zip(("rms", "peak", "seconds"), map(float, found.groups()[1:]), strict=True)
+            self.error_without[found[1]] = dict(figures)
         elif name in ("warning", "notice"):
             kept = self.warnings if name == "warning" else self.notices
             kept.append(text)

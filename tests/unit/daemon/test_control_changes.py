@@ -15,7 +15,8 @@ from friction_hil.daemon.control.mailbox import MailboxReader, MailboxWriter
 from friction_hil.daemon.control.message import Action, AxisChange, Change, pack
 from friction_hil.daemon.control.packed import room, unpack
 from friction_hil.daemon.control.prepare import entry_of, prepare
-from friction_hil.daemon.figures import Condition
+from friction_hil.daemon.control.state import ERROR_WITHOUT, Messages
+from friction_hil.daemon.figures import SETTLE_S, Condition
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.static_torque import StaticTorque
 from friction_hil.daemon.stop import StopRequest
@@ -27,7 +28,7 @@ from friction_hil.recordings.mcap_writer import McapWriter
 from friction_hil.replay.verify import verify
 from tests.loop_run import Drives
 from tests.networks import model_file, random_network
-from tests.servo_drives import TRUE_FRICTION, axis_dict, configuration, make_loop
+from tests.servo_drives import PERIOD_S, TRUE_FRICTION, axis_dict, configuration, make_loop
 
 MOTION = {"kind": "sine", "amplitude": 0.3, "frequency": 2.0, "ramp_s": 0.1}
 LIMITS = {"torque": 0.3, "velocity": 30.0, "following_error": 0.5}
@@ -528,3 +529,28 @@ def test_a_damaged_gravity_is_refused(changed, damage):
     assert taken.axes == [AxisChange(static=whole), None]
     with pytest.raises(ValueError, match="the feed-forward of gravity is"):
         unpack(pack(Change(1, axes=[AxisChange(static=whole._replace(**damage)), None])), records)
+
+
+def test_the_error_without_compensation_is_told_when_compensation_begins_after_each_start():
+    plan = {1500: Action.STOP, 1900: Action.START}
+    with_baseline = {"fade_s": 0.05, "baseline_s": 1.3}
+    axes = {
+        "x": quick(compensation=with_baseline),
+        "y": quick(node=2, compensation={**with_baseline, "enabled": False}),
+        "z": quick(node=3),  # compensated from the start on
+    }
+    run = Changed(configuration(**axes), plan, until=3500)
+    assert run.result.faults == []
+    told = [(cycle, text) for cycle, name, text in run.sink.events if name == ERROR_WITHOUT]
+    running = np.flatnonzero(np.diff((run.column("state") == LoopState.RUNNING).astype(int)) == 1) + 1
+    on = np.flatnonzero(np.diff(run.column("is_enabled")) == 1.0) + 1
+    assert [cycle for cycle, _ in told] == list(on)  # in the cycle in which compensation begins
+    error = run.column("position_demand") - run.column("position")
+    period, settled = round(0.5 / PERIOD_S), round((0.25 + SETTLE_S) / PERIOD_S)  # after the ramp of `make_loop`
+    for (cycle, text), began in zip(told, running, strict=True):
+        messages = Messages()
+        messages.take(ERROR_WITHOUT, text)
+        counted = error[began + settled :][:period]  # a whole period
+        assert began + settled + period <= cycle
+        figures = {"rms": np.sqrt(np.mean(counted**2)), "peak": np.abs(counted).max(), "seconds": 0.5}
+        assert messages.error_without == {"x": pytest.approx(figures, rel=1e-3)}

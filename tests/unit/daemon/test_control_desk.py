@@ -21,6 +21,7 @@ from friction_hil.daemon.control.journal import make_journal
 from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.control.message import Action
 from friction_hil.daemon.control.packed import room, unpack
+from friction_hil.daemon.control.state import error_without
 from friction_hil.daemon.learning_board import LearningBoard, first_report
 from friction_hil.daemon.ring import RingWriter
 from friction_hil.daemon.safety import LoopState
@@ -210,3 +211,14 @@ def test_the_process_that_learns_does_not_hang_while_it_compiles_before_its_firs
     loop.cycle += round(2.0 * desk._HANGS_S / 1e-3)
     loop.row(LoopState.RUNNING, DriveState.OPERATION_ENABLED)
     assert ask(do="status")["axes"]["x"]["learning"] == first_report("on", "rad", 0.9)
+
+
+def test_status_has_the_error_without_compensation_and_a_newer_one_replaces_it(loop, ask):
+    known = {"rms": 2.57e-4, "peak": 6.1e-4, "seconds": 9.5}
+    with loop.going_on([(LoopState.RUNNING, DriveState.OPERATION_ENABLED)]):
+        assert ask(do="status")["axes"]["x"]["error_without"] is None
+        loop.ring.push_event(loop.cycle, "error_without", error_without("x", "rad", 9.0, 9.0, 1.0))
+        loop.ring.push_event(loop.cycle, "error_without", error_without("x", "rad", **known))
+        loop.ring.push_event(loop.cycle, "error_without", "x: of a version that is not known yet")
+        assert ask(do="status")["axes"]["x"]["error_without"] == known
+    assert ask(do="status")["axes"]["x"]["error_without"] == known  # it was measured, though the loop stands now

@@ -8,6 +8,7 @@ from friction_hil.config import from_dict
 from friction_hil.daemon.control.mailbox import MailboxReader, MailboxWriter
 from friction_hil.daemon.control.message import Action, Change, pack
 from friction_hil.daemon.control.packed import room
+from friction_hil.daemon.control.state import Messages
 from friction_hil.daemon.figures import SETTLE_S, Condition
 from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.loop import Loop
@@ -169,12 +170,21 @@ def test_a_sidecar_that_is_started_again_begins_without_compensation_again():
 
     machine = Machine(disturb=disturb)
     config = configuration(compensation={"fade_s": 0.1, "baseline_s": 0.7})
-    result, _sink, axis = run(machine, config=config, mailbox=mailbox, duration_s=1.5)
+    result, sink, axis = run(machine, config=config, mailbox=mailbox, duration_s=1.5)
     assert result.faults == []
     assert max(map(abs, machine.sent[800:900])) > 0.05
     assert set(machine.sent[1100:2000]) == {0.0}  # 0.7 s from the start on
     assert max(map(abs, machine.sent[2100:2500])) > 0.05
-    assert axis.following_errors.figures(Condition.WITHOUT).counted > 0.1 / PERIOD_S
+    again = axis.following_errors.figures(Condition.WITHOUT)
+    assert again.counted > 0.1 / PERIOD_S
+    told = Messages()
+    for name, text in [each[1:] for each in sink.events if each[1] == "error_without"]:
+        before = dict(told.error_without)
+        told.take(name, text)
+        assert told.error_without != before  # once for each of the two times
+    assert before
+    seconds = again.counted * PERIOD_S
+    assert told.error_without["x"] == pytest.approx({"rms": again.rms, "peak": again.peak, "seconds": seconds})
 
 
 def test_gravity_is_left_to_the_master_whose_loops_carry_it_already():

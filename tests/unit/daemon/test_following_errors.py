@@ -126,6 +126,26 @@ def test_an_interrupted_operation_settles_anew():
     assert (without.peak, without.counted) == (1.0, 2 * round(1.5 / T))
 
 
+@given(baseline_s=st.floats(0.5, 2.5), motion_s=st.sampled_from([PERIOD_S, math.inf]), seed=st.integers(0, 1000))
+@settings(max_examples=20, deadline=None)
+def test_the_end_of_a_time_without_compensation_is_news_once_with_its_figures(baseline_s, motion_s, seed):
+    """A thousandth of a second into a fade, not after it: a run that ends then has had them."""
+    cycles = conditions(baseline_s, 5.0)
+    error = np.random.default_rng(seed).standard_normal(len(cycles))
+    errors, told = FollowingErrors(T, RAMP_S, motion_s), {}
+    for k, condition in enumerate(cycles):
+        errors.take(Condition(condition), float(error[k]), 0, is_usable=True)
+        if errors.news is not None:
+            told[k], errors.news = errors.news, None
+    end = int(np.argmax(cycles != WITHOUT))
+    alone, _ = taken(cycles[:end], error, motion_s=motion_s)
+    if alone is None:
+        assert told == {}
+    else:
+        rms, seconds = pytest.approx(alone.rms), pytest.approx(alone.counted * T)
+        assert {k: (each.rms, each.peak, each.seconds) for k, each in told.items()} == {end: (rms, alone.peak, seconds)}
+
+
 @pytest.mark.parametrize("mode", ["csp", "cst"])
 def test_a_run_has_the_figures_that_its_recording_shows(mode):
     given = {"trajectory": SINE, "compensation": {"baseline_s": 2.0, "fade_s": 0.1}}

@@ -4,9 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from friction_hil.daemon.control.state import Messages, error_without
 from friction_hil.daemon.figures import FeedbackGaps
 from friction_hil.daemon.log import RunLog
-from friction_hil.daemon.ring import EVENT_SLOTS
+from friction_hil.daemon.ring import EVENT_SLOTS, RingObserver, RingWriter
 from friction_hil.drive import DriveState
 
 
@@ -21,6 +22,13 @@ class Events:
 
     def event(self, cycle, name, text):
         self.events.append((cycle, name, text))
+
+
+class Ring(Events):
+    """A sink that writes events to a ring."""
+
+    def __init__(self, ring):
+        self.event = ring.push_event
 
 
 @pytest.mark.parametrize("state", [DriveState.UNKNOWN, DriveState.OPERATION_ENABLED])
@@ -112,3 +120,21 @@ def test_warnings_of_years_do_not_fill_the_memory():
         log.warn(cycle, f"warning {cycle}")
     assert len(log.result.warnings) == 100
     assert len(sink.events) == 10_000
+
+
+def test_the_error_without_compensation_stays_in_the_ring_for_whoever_looks_late():
+    ring = RingWriter(1, 1)
+    log = RunLog(Ring(ring), 1e-3)
+    log.error_without(0, "x", error_without("x", "rad", 9.0, 9.0, 1.0))
+    log.error_without(1, "y", error_without("y", "m", 3e-4, 7e-4, 2.5))
+    log.error_without(2, "x", error_without("x", "rad", 1e-4, 2e-4, 1.5))  # after a stop and a start
+    for k in range(3 * EVENT_SLOTS):
+        messages = Messages()
+        for _, name, text in RingObserver(ring.descriptor).new_events():
+            messages.take(name, text)
+        x, y = messages.error_without["x"], messages.error_without["y"]
+        assert (x, y) == (
+            {"rms": 1e-4, "peak": 2e-4, "seconds": 1.5},
+            {"rms": 3e-4, "peak": 7e-4, "seconds": 2.5},
+        )
+        log.warn(k, "something")

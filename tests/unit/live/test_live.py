@@ -12,14 +12,18 @@ import pytest
 
 from friction_hil import errors
 from friction_hil.cli.output import to_json
+from friction_hil.cli.work.control import _lines
 from friction_hil.config import self_contained
+from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.control.desk import Desk
 from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.journal import make_journal
 from friction_hil.daemon.control.lock import ControlSocket
 from friction_hil.daemon.control.mailbox import MailboxReader
+from friction_hil.daemon.control.names import find
 from friction_hil.daemon.control.packed import room
 from friction_hil.daemon.control.server import ControlServer
+from friction_hil.daemon.control.state import error_without
 from friction_hil.daemon.figures import SETTLE_S
 from friction_hil.daemon.learning_board import LearningBoard
 from friction_hil.daemon.ring import RingWriter
@@ -27,6 +31,8 @@ from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
 from friction_hil.live import LiveFacts, LiveFigures, Reading, Rows, Settings, Watch, attach, friction_map
 from friction_hil.live.reading import AxisSettings, LiveEvent
+from friction_hil.live.web.content import _values
+from friction_hil.live.web.metrics import metrics_text
 from friction_hil.recordings import columns
 from tests.servo_drives import axis_dict, configuration
 
@@ -269,5 +275,51 @@ def test_what_cannot_be_attached_is_named(folder):
         with pytest.raises(errors.FrictionHilError, match="is of friction-hil 99, and this is"):
             attach("mill")
         assert len(os.listdir("/proc/self/fd")) <= before + 1  # of the server's side
+    finally:
+        daemon.end()
+
+
+def of_x(live, figures):
+    figures.take(live.read())
+    return figures.snapshot().axes["x"]
+
+
+def test_who_attaches_after_the_time_without_compensation_sees_its_error_too(folder):
+    daemon = Daemon()
+    daemon.serve()
+    running = {"state": LoopState.RUNNING, "position": 0.0, "is_fresh": 1.0, "change": 0.0}
+    settle = round((RAMP_S + SETTLE_S) / PERIOD_S) + 1
+
+    def tell(rms, seconds):
+        daemon.ring.push_event(daemon.ring.rows_pushed, "error_without", error_without("x", "rad", rms, 2.0, seconds))
+
+    try:
+        with attach("mill") as early:
+            seen = LiveFigures(early.facts, early.faults)
+            assert of_x(early, seen).without is None
+            for _ in range(settle // 20 + 1):
+                daemon.push(20, **running, is_enabled=0.0, position_demand=0.5)
+                own = of_x(early, seen).without
+            assert own.rms == 0.5
+            tell(1.0, 9.5)
+            daemon.push(64, **running, is_enabled=1.0, position_demand=0.1)
+            told = of_x(early, seen).without
+            assert (told.rms, told.peak, told.seconds) == (1.0, 2.0, 9.5)  # of all of it
+        with attach("mill") as late:
+            seen = LiveFigures(late.facts, late.faults)
+            assert of_x(late, seen).without == told
+            text = "1.00 rad RMS, 2.00 rad peak"
+            assert dict(_values(seen.snapshot().axes["x"]))["Error without"] == text
+            metrics = metrics_text("mill", seen.snapshot(), {})
+            assert 'following_error_rms_radians{axis="x",compensation="off",daemon="mill"} 1.0\n' in metrics
+            assert to_json(asdict(seen.snapshot()))["axes"]["x"]["without"] == {"rms": 1.0, "peak": 2.0, "seconds": 9.5}
+            lines = _lines("mill", ask(find("mill"), {"do": "status"}))
+            assert f"     following error without compensation {text}" in lines
+            for _ in range(settle // 20 + 1):  # another time without compensation
+                daemon.push(20, **running, is_enabled=0.0, position_demand=0.25)
+                own = of_x(late, seen).without
+            assert own.rms == 0.25
+            tell(3.0, 4.0)
+            assert of_x(late, seen).without.rms == 3.0
     finally:
         daemon.end()
