@@ -1,0 +1,53 @@
+"""The tutorials as a reader follows them: every command of their shell blocks, in order, in one folder."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.deep
+
+ROOT = Path(__file__).parents[2]
+LEFT_OUT = re.compile(r"\bmachine\.yaml\b|\btune\b")  # needs a drive on can0; has tests of its own, and takes minutes
+
+
+def blocks(page, language):
+    text = (ROOT / "tools" / "site" / page).read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
+def follow(page, folder):
+    commands = [line for block in blocks(page, "sh") for line in block.splitlines() if not LEFT_OUT.search(line)]
+    assert commands
+    for command in commands:
+        program, *words = shlex.split(command)
+        assert program == "friction-hil"
+        output = None
+        if ">" in words:
+            output = folder / words.pop()
+            words.pop()
+        done = subprocess.run(
+            [sys.executable, "-m", "friction_hil", *words], cwd=folder, capture_output=True, text=True, timeout=400
+        )
+        assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"
+        if output is not None:
+            output.write_text(done.stdout)
+
+
+def test_the_first_axis_gives_the_log_of_the_second_and_the_configuration_of_the_third(tmp_path):
+    follow("first_axis.md", tmp_path)
+    assert {"trial.png", "trial.yaml"} <= {each.name for each in tmp_path.iterdir()}
+    follow("csv_to_model.md", tmp_path)
+    assert {"axis.yaml", "axis.html", "compared.png"} <= {each.name for each in tmp_path.iterdir()}
+    follow("in_ci.md", tmp_path)
+    for program in blocks("in_ci.md", "python"):
+        subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True, timeout=60)
+
+
+def test_the_sidecar_runs_beside_its_plc(tmp_path):
+    shutil.copytree(ROOT / "config", tmp_path / "config")
+    follow("beside_a_plc.md", tmp_path)
