@@ -70,6 +70,7 @@ class SessionSettings:
     is_fault_reset_wanted: bool = False
     is_paced_by_sync: bool = False
     is_status_shown: bool = False
+    status_title: str = ""  # of a run of known duration that is part of something longer
     has_black_box: bool = True  # a file for each fault, with the minute before it
     allowed_speeds: Mapping[str, float] = field(default_factory=dict)
     is_waiting: bool = False
@@ -454,6 +455,7 @@ def _job(
             "fingerprint": fingerprint(),
         },
         status_line=settings.is_status_shown,
+        status_title=f"{settings.status_title}, of {settings.duration_s:.0f} s" if settings.status_title else "",
         kinds=[configuration.axes[axis.name].model.axis for axis in axes],
         rotate_s=recording.rotate_s,
         rotate_bytes=recording.rotate_bytes,

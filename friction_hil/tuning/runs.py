@@ -57,6 +57,7 @@ class TuningRuns:
             is_fault_reset_wanted=self._settings.is_fault_reset_wanted,
             is_paced_by_sync=self._settings.is_paced_by_sync,
             is_status_shown=self._settings.is_status_shown,
+            status_title=path.stem.replace("_", " "),
             has_black_box=False,  # all of a trial is recorded
             allowed_speeds=speeds,
         )

@@ -48,6 +48,8 @@ class Job:
         Values that JSON can hold, by name; written to the file before the first row.
     status_line : bool
         True to print a live line to standard error.
+    status_title : str
+        What moves and for how long, for that line.
     kinds : list of {"rotary", "linear"}
         Kind of each axis, for the units of the status line; all rotary when empty.
     rotate_s, rotate_bytes : optional
@@ -75,6 +77,7 @@ class Job:
     overwrite: bool = False
     metadata: dict[str, Any] = field(default_factory=dict)
     status_line: bool = False
+    status_title: str = ""
     kinds: "list[AxisKind]" = field(default_factory=list)
     rotate_s: float | None = None
     rotate_bytes: int | None = None

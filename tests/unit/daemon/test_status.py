@@ -121,3 +121,10 @@ def test_the_cursor_goes_back_to_the_first_line_each_time(monkeypatch):
             row[at] = part or row[at]
     assert [text.split()[0] for text in row if text] == ["1.0", "x", "y"]
     assert row[3:] == [""]
+
+
+def test_a_part_of_something_longer_says_what_moves_and_for_how_long():
+    job = Job(["x"], list(columns.NAMES), 0, 1e-3, 0, status_title="x experiment 2, of 16 s")
+    line = StatusLine(job)
+    line.show(rows(["x"]), 0)
+    assert line.lines(0, 80, 24)[0].startswith("x experiment 2, of 16 s  1.0 s  RUNNING")
