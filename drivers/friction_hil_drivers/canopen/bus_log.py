@@ -12,6 +12,7 @@ from friction_hil.errors import DriveError, RecordingError
 from friction_hil.recordings import Recording
 from friction_hil.recordings.contradictions import contradictions
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.dialogue import UPLOAD, Address, answered, expedited
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.frame_log import FrameLog
 from friction_hil_drivers.canopen.log_mapping import OWN, LoggedPdo, LogMapping, mappings
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _HALF = 1 << 16  # counts: whose low bytes stand where the high ones are expected moves by so many
-_EXPEDITED_UPLOAD = 0x43  # of 4 bytes; 4 is added for each byte that is not used
 
 
 class LoggedObjects(ObjectReader):
@@ -42,12 +42,12 @@ class LoggedObjects(ObjectReader):
         self.where = f"node {options.node} in {path}"
         self._number = options.axis_number
         self._dictionary = None if options.eds is None else load_eds(options.eds, options.node)
-        self._answers: dict[tuple[int, int], bytes] = {}
+        self._answers: dict[Address, bytes] = {}
         for row in log.rows_of(objects.SDO_RESPONSE_BASE + options.node):
             answer = log.data[row].tobytes()
-            unused = (answer[0] - _EXPEDITED_UPLOAD) // 4
-            if answer[0] & 0xF3 == _EXPEDITED_UPLOAD and 0 <= unused < 4:
-                self._answers[int.from_bytes(answer[1:3], "little"), answer[3]] = answer[4 : 8 - unused]
+            address, content = answered(answer), expedited(answer, UPLOAD)
+            if address is not None and content is not None:
+                self._answers[address] = content
 
     def bytes_of(self, entry: Object) -> bytes | None:
         """Return the content of an object that is in the log, None for others."""

@@ -1,16 +1,118 @@
-"""SDO transfers as bytes in and bytes out: no bus, no clock. An answer that is not that of the request is passed over.
+"""The SDO protocol: its frames, and one transfer as bytes in and bytes out. No bus, no clock.
 
-Source: CiA 301, 7.2.4.3 (expedited and segmented upload, expedited download).
+Three drive a transfer: `sdo` waits for one node, `conversation` asks many at once, `sdo_stop` takes one step a cycle.
+Source: CiA 301, 7.2.4.3 (expedited and segmented upload and download).
 """
 
 import struct
+from collections import Counter
+from enum import IntEnum
 
 from friction_hil_drivers.canopen.objects import Object
 
-_HEAD = struct.Struct("<BHB")  # command, index, sub-index
-_UPLOAD, _UPLOAD_SEGMENT, _DOWNLOAD = 0x40, 0x60, 0x20
-_ABORT = 0x80
-_TOGGLE = 0x10
+HEAD = struct.Struct("<BHB")  # command, index, sub-index
+LAST_FOUR = struct.Struct("<I")  # abort code, or number of bytes of a segmented transfer
+FRAME_BYTES = 8
+
+# Command specifiers of requests, and of the answer to each
+SPECIFIER = 0xE0
+DOWNLOAD_SEGMENT, DOWNLOAD, UPLOAD, UPLOAD_SEGMENT, ABORT = 0x00, 0x20, 0x40, 0x60, 0x80
+ANSWERS = {DOWNLOAD_SEGMENT: 0x20, DOWNLOAD: 0x60, UPLOAD: 0x40, UPLOAD_SEGMENT: 0x00}
+# The other bits of a command, whose numbers of unused bytes are in bits 2 and 3, of a segment in bits 1 to 3
+TOGGLE, EXPEDITED, SIZE_INDICATED, LAST = 0x10, 0x02, 0x01, 0x01
+
+Address = tuple[int, int]  # index and sub-index
+
+SEGMENT: Address = (-1, -1)  # stands for the object of a segment, which names none
+
+
+class Abort(IntEnum):
+    """Abort codes (CiA 301, table 22)."""
+
+    TOGGLE = 0x05030000
+    TIME_OUT = 0x05040000
+    COMMAND = 0x05040001
+    OUT_OF_MEMORY = 0x05040005
+    UNSUPPORTED_ACCESS = 0x06010000
+    WRITE_ONLY = 0x06010001
+    READ_ONLY = 0x06010002
+    NO_OBJECT = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    PDO_TOO_LONG = 0x06040042
+    INCOMPATIBLE = 0x06040043
+    HARDWARE = 0x06060000
+    LENGTH = 0x06070010
+    NO_SUBINDEX = 0x06090011
+    VALUE = 0x06090030
+    TOO_HIGH = 0x06090031
+    TOO_LOW = 0x06090032
+    NOT_TRANSFERRED = 0x08000020
+    LOCAL_CONTROL = 0x08000021
+    DEVICE_STATE = 0x08000022
+    NO_DATA = 0x08000024
+
+
+# Why a server says that it has no such object ...
+ABSENT = (Abort.NO_OBJECT, Abort.NO_SUBINDEX)
+# ... and that it has one which cannot be read now
+HIDDEN = (
+    Abort.TIME_OUT,
+    Abort.OUT_OF_MEMORY,
+    Abort.WRITE_ONLY,
+    Abort.HARDWARE,
+    Abort.NOT_TRANSFERRED,
+    Abort.LOCAL_CONTROL,
+    Abort.DEVICE_STATE,
+)
+
+
+def abort(address: Address, code: int) -> bytes:
+    """Return the frame by which either side ends a transfer."""
+    return HEAD.pack(ABORT, *address) + LAST_FOUR.pack(code)
+
+
+def abort_code(answer: bytes) -> int | None:
+    """Return the code of an abort, None for another answer."""
+    is_abort = len(answer) == FRAME_BYTES and answer[0] & SPECIFIER == ABORT
+    return LAST_FOUR.unpack_from(answer, 4)[0] if is_abort else None
+
+
+def requested(request: bytes | bytearray) -> Address | None:
+    """Return the object of a request, `SEGMENT` for a segment, None for an abort and for what is used here nowhere."""
+    if len(request) != FRAME_BYTES or request[0] & SPECIFIER not in ANSWERS:
+        return None
+    command, index, subindex = HEAD.unpack_from(request)
+    return SEGMENT if command & SPECIFIER in (DOWNLOAD_SEGMENT, UPLOAD_SEGMENT) else (index, subindex)
+
+
+def answered(answer: bytes) -> Address | None:
+    """Return the object that an answer names, None for a segment, which names none."""
+    if len(answer) != FRAME_BYTES or answer[0] & SPECIFIER in (0x00, 0x20):
+        return None
+    _, index, subindex = HEAD.unpack_from(answer)
+    return index, subindex
+
+
+def expedited(data: bytes, specifier: int) -> bytes | None:
+    """Return the content of an expedited request ``DOWNLOAD``, or answer to ``UPLOAD``, that states how long it is."""
+    if len(data) != FRAME_BYTES or data[0] & ~(TOGGLE | 0x0C) != specifier | EXPEDITED | SIZE_INDICATED:
+        return None
+    return data[4 : FRAME_BYTES - (data[0] >> 2 & 0x03)]
+
+
+def describe(answer: bytes) -> str:
+    """Return an answer in words: ``abort 06020000h for 60A9h:00``."""
+    if len(answer) != FRAME_BYTES:
+        return f"a frame of {len(answer)} bytes"
+    address = answered(answer)
+    if address is None:
+        return "a segment"
+    name = f"{address[0]:04X}h:{address[1]:02X}"
+    code = abort_code(answer)
+    if code is not None:
+        return f"abort {code:08X}h for {name}"
+    is_value = answer[0] & SPECIFIER == ANSWERS[UPLOAD]
+    return f"{'the value of' if is_value else 'the confirmation of a write to'} {name}"
 
 
 class Transfer:
@@ -28,27 +130,51 @@ class Transfer:
         The node did not answer; set by whoever keeps the time.
     """
 
+    __slots__ = ("_toggle", "abort_code", "data", "entry", "is_done", "is_silent")
+
+    _beginning = _segment = -1  # specifiers of the requests
+
     def __init__(self, entry: Object) -> None:
         self.entry = entry
-        self.is_done = False
+        self.is_done = self.is_silent = False
         self.data: bytes | None = None
         self.abort_code = 0
-        self.is_silent = False
+        self._toggle: int | None = None  # of the segment under way; None: the request that begins the transfer is
 
     def first(self) -> bytes:
         """Return the first request; also begins again."""
         raise AssertionError("each direction has its own")
 
+    def accepts(self, answer: bytes) -> bool:
+        """Return True for the answer, or the abort, that belongs to the request under way.
+
+        An answer names its object, a segment only its toggle bit. A server that knows of no transfer cannot name the
+        object of a segment that it aborts: it says 0000h.
+        """
+        if self.is_done or len(answer) != FRAME_BYTES:
+            return False
+        address: Address = HEAD.unpack_from(answer)[1:]
+        specifier = answer[0] & SPECIFIER
+        if self._toggle is None:
+            return address == self.entry.address and specifier in (ANSWERS[self._beginning], ABORT)
+        if specifier == ABORT:
+            return address in (self.entry.address, (0, 0))
+        return specifier == ANSWERS[self._segment] and answer[0] & TOGGLE == self._toggle
+
     def take(self, answer: bytes) -> bytes | None:
-        """Take an answer of the node; return the next request, if one follows."""
-        if self.is_done or len(answer) != 8:
+        """Take an answer of the node, or pass over what is none; return the next request, if one follows."""
+        if not self.accepts(answer):
             return None
-        if answer[0] == _ABORT:
-            if self._is_ours(answer):
-                self.abort_code = int(struct.unpack_from("<I", answer, 4)[0])
-                self.is_done = True
-            return None
-        return self._go_on(answer)
+        code = abort_code(answer)
+        if code is None:
+            return self._go_on(answer)
+        self.abort_code, self.is_done = code, True
+        return None
+
+    @property
+    def awaited(self) -> Address:
+        """Object that the answer under way names, `SEGMENT` for a segment."""
+        return self.entry.address if self._toggle is None else SEGMENT
 
     @property
     def value(self) -> int | None:
@@ -60,68 +186,118 @@ class Transfer:
     @property
     def is_accepted(self) -> bool:
         """True if the node has carried the transfer out."""
-        return self.is_done and not self.abort_code
+        return self.data is not None
 
     def _head(self, command: int) -> bytes:
-        return _HEAD.pack(command, self.entry.index, self.entry.subindex)
-
-    def _is_ours(self, answer: bytes) -> bool:
-        return answer[1:4] == self._head(0)[1:]
+        return HEAD.pack(command, self.entry.index, self.entry.subindex)
 
     def _go_on(self, answer: bytes) -> bytes | None:
         raise AssertionError("each direction has its own")
+
+    def _next_toggle(self) -> int:
+        self._toggle = 0 if self._toggle is None else self._toggle ^ TOGGLE
+        return self._toggle
+
+    def _end(self, data: bytes) -> None:
+        self.data, self.is_done = data, True
 
 
 class Upload(Transfer):
     """Read an object."""
 
+    __slots__ = ("_segments",)
+
+    _beginning, _segment = UPLOAD, UPLOAD_SEGMENT
+
     def first(self) -> bytes:
         """See `Transfer.first`."""
-        self._segments: bytearray | None = None
-        self._toggle = 0
-        return self._head(_UPLOAD) + bytes(4)
+        self._toggle, self._segments = None, b""
+        return self._head(UPLOAD) + bytes(4)
 
     def _go_on(self, answer: bytes) -> bytes | None:
-        if self._segments is not None:
-            return self._take_segment(answer)
-        if answer[0] & 0xE0 != _UPLOAD or not self._is_ours(answer):
+        if self._toggle is not None:
+            self._segments += answer[1 : FRAME_BYTES - (answer[0] >> 1 & 0x07)]
+            if answer[0] & LAST:
+                self._end(self._segments)
+                return None
+        elif answer[0] & EXPEDITED:
+            content = expedited(answer, UPLOAD)
+            # without a size it has as many bytes as its type
+            self._end(answer[4 : 4 + (self.entry.type.bits // 8 or 4)] if content is None else content)
             return None
-        if answer[0] & 0x02:  # expedited
-            size = 4 - (answer[0] >> 2 & 0x03) if answer[0] & 0x01 else (self.entry.type.bits // 8 or 4)
-            self.data = answer[4 : 4 + size]
-            self.is_done = True
-            return None
-        self._segments = bytearray()
-        return bytes([_UPLOAD_SEGMENT]) + bytes(7)
-
-    def _take_segment(self, answer: bytes) -> bytes | None:
-        assert self._segments is not None
-        if answer[0] & 0xE0 or answer[0] & _TOGGLE != self._toggle:
-            return None
-        self._segments += answer[1 : 8 - (answer[0] >> 1 & 0x07)]
-        if answer[0] & 0x01:
-            self.data = bytes(self._segments)
-            self.is_done = True
-            return None
-        self._toggle ^= _TOGGLE
-        return bytes([_UPLOAD_SEGMENT | self._toggle]) + bytes(7)
+        return bytes([UPLOAD_SEGMENT | self._next_toggle()]) + bytes(7)
 
 
 class Download(Transfer):
-    """Write an integer of at most 4 bytes: as many as its type has, or ``size``."""
+    """Write an object: its content, or an integer with as many bytes as its type has, or ``size``."""
 
-    def __init__(self, entry: Object, value: int, size: int | None = None) -> None:
+    __slots__ = ("_content", "_left")
+
+    _beginning, _segment = DOWNLOAD, DOWNLOAD_SEGMENT
+
+    def __init__(self, entry: Object, content: bytes | int, size: int | None = None) -> None:
         super().__init__(entry)
-        self._value, self._size = value, size or entry.type.bits // 8
+        if isinstance(content, int):
+            content = content.to_bytes(size or entry.type.bits // 8, "little", signed=content < 0)
+        self._content = content
 
     def first(self) -> bytes:
         """See `Transfer.first`."""
-        size = self._size
-        data = self._value.to_bytes(size, "little", signed=self._value < 0)
-        return self._head(_DOWNLOAD | 0x03 | (4 - size) << 2) + data.ljust(4, b"\0")
+        size = len(self._content)
+        self._toggle = None
+        self._left: bytes | None = None  # to be sent in segments; None: nothing is
+        if 0 < size <= 4:
+            head = self._head(DOWNLOAD | EXPEDITED | SIZE_INDICATED | 4 - size << 2)
+            return head + self._content.ljust(4, b"\0")
+        self._left = self._content
+        return self._head(DOWNLOAD | SIZE_INDICATED) + LAST_FOUR.pack(size)
 
     def _go_on(self, answer: bytes) -> bytes | None:
-        if answer[0] == 0x60 and self._is_ours(answer):
-            self.data = b""
-            self.is_done = True
-        return None
+        if self._left is None:
+            self._end(b"")
+            return None
+        segment, left = self._left[:7], self._left[7:]
+        self._left = left or None
+        unused = 7 - len(segment)
+        command = DOWNLOAD_SEGMENT | self._next_toggle() | unused << 1 | (0 if left else LAST)
+        return bytes([command]) + segment + bytes(unused)
+
+
+class OwedAnswers:
+    """Answers that one server owes, and those that arrived when nothing waited for them.
+
+    A server answers in order. So a request for an object that still owes an answer has to wait for that one first: it
+    could not tell the two apart.
+
+    Attributes
+    ----------
+    strays : list of bytes
+    """
+
+    def __init__(self) -> None:
+        self.strays: list[bytes] = []
+        self._owed: Counter[Address] = Counter()
+
+    def sent(self, address: Address) -> None:
+        """Count a request; ``address`` is `Transfer.awaited`."""
+        self._owed[address] += 1
+
+    def came(self, address: Address) -> None:
+        """Count the answer to a request."""
+        self._owed[address] -= 1
+
+    def owes(self, address: Address) -> bool:
+        """Return True if an answer for an object is to come that nothing waits for."""
+        return self._owed[address] > 0
+
+    def give_up(self, address: Address) -> None:
+        """Count on no answer for an object any more."""
+        del self._owed[address]
+
+    def drop(self, answer: bytes) -> None:
+        """Take an answer that belongs to no request, or to one that was given up."""
+        self.strays.append(answer)
+        address = answered(answer)
+        if address is None or not self.owes(address):
+            address = SEGMENT  # or the abort of one
+        self._owed[address] = max(0, self._owed[address] - 1)

@@ -1,6 +1,5 @@
 """Which objects the PDOs in a log of CAN frames carry: by the configuration, the log, the EDS, or this driver."""
 
-import struct
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from friction_hil.drive import DriveState, Mode
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.dialogue import DOWNLOAD, HEAD, UPLOAD, expedited
 from friction_hil_drivers.canopen.frame_log import FrameLog
 from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, PdoRecord, field_format
 from friction_hil_drivers.canopen.objects import Object
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from friction_hil_drivers.canopen.object_reader import ObjectReader
 
 OWN = "that this driver sets up"
-_DOWNLOADS = {0x2F: 1, 0x2B: 2, 0x27: 3, 0x23: 4}  # expedited, by the bytes of the value
-_UPLOADS = {0x4F: 1, 0x4B: 2, 0x47: 3, 0x43: 4}
 _NO_COB_ID = -1  # of no frame
 _PDOS = 4  # of each direction
 _MOST_OBJECTS = 8
@@ -167,13 +165,12 @@ def _logged(log: FrameLog, node: int, axis: int) -> Iterator[LoggedPdo]:
 def _transfers(log: FrameLog, node: int) -> list[tuple[int, int, int, int]]:
     """Return row, index, sub-index and value of each object that was written to a node, or read from it."""
     found = []
-    for base, kinds in (objects.SDO_REQUEST_BASE, _DOWNLOADS), (objects.SDO_RESPONSE_BASE, _UPLOADS):
+    for base, specifier in (objects.SDO_REQUEST_BASE, DOWNLOAD), (objects.SDO_RESPONSE_BASE, UPLOAD):
         for row in log.rows_of(base + node).tolist():
-            data = log.data[row].tobytes()
-            size = kinds.get(data[0])
-            if size is not None and log.lengths[row] == len(data):
-                _, index, subindex, value = struct.unpack("<BHBI", data)
-                found.append((row, index, subindex, value & (1 << 8 * size) - 1))
+            data = log.data[row, : log.lengths[row]].tobytes()
+            if (content := expedited(data, specifier)) is not None:
+                _, index, subindex = HEAD.unpack_from(data)
+                found.append((row, index, subindex, int.from_bytes(content, "little")))
     return sorted(found)
 
 

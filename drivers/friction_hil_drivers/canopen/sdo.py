@@ -19,21 +19,22 @@ from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.codec import Frame
 from friction_hil_drivers.canopen.conversation import PATIENCE_S
+from friction_hil_drivers.canopen.dialogue import (
+    ABSENT,
+    HIDDEN,
+    SEGMENT,
+    Abort,
+    Address,
+    abort,
+    abort_code,
+    answered,
+    describe,
+)
 from friction_hil_drivers.canopen.frames import FrameBus
 from friction_hil_drivers.canopen.journal import Journal, hexadecimal
 from friction_hil_drivers.canopen.object_reader import ObjectReader
 from friction_hil_drivers.canopen.objects import Object
-from friction_hil_drivers.canopen.sdo_answers import (
-    ABSENT,
-    HIDDEN,
-    SEGMENT,
-    WRITE_ONLY,
-    Address,
-    Request,
-    abort_code,
-    address_of,
-    describe,
-)
+from friction_hil_drivers.canopen.sdo_answers import Request
 
 _READ_ATTEMPTS = 3  # within the patience: reading again is harmless, and a frame may have been lost
 _MOST_NOTES = 5
@@ -97,12 +98,12 @@ class MatchingSdo(canopen.sdo.client.SdoClient):
                 if code is not None:
                     raise canopen.SdoAbortedError(code)
                 return answer
-        self._send(_abort_after_timeout(request.address))
+        self._send(abort(request.address, Abort.TIME_OUT))
         raise canopen.SdoCommunicationError("no SDO response received")
 
     def abort(self, abort_code: int = 0x08000000) -> None:
         """Abort the transfer under way, naming its object as CiA 301 demands."""
-        self._send(_abort(self._transfer, abort_code))
+        self._send(abort(self._transfer, abort_code))
 
     def _send(self, request: bytes) -> None:
         self.send_request(request)  # type: ignore[no-untyped-call]
@@ -130,7 +131,7 @@ class MatchingSdo(canopen.sdo.client.SdoClient):
 
     def _drop(self, answer: bytes) -> None:
         self.strays.append(answer)
-        address = address_of(answer)
+        address = answered(answer)
         if address is None or self._owed[address] <= 0:
             address = SEGMENT  # or the abort of one
         self._owed[address] = max(0, self._owed[address] - 1)
@@ -143,14 +144,6 @@ class MatchingSdo(canopen.sdo.client.SdoClient):
             else:
                 time.sleep(min(left, 0.001))
         return None if self.responses.empty() else bytes(self.responses.get())
-
-
-def _abort(address: Address, code: int) -> bytes:
-    return bytes([0x80]) + address[0].to_bytes(2, "little") + bytes([address[1]]) + code.to_bytes(4, "little")
-
-
-def _abort_after_timeout(address: Address) -> bytes:
-    return _abort(address, 0x05040000)
 
 
 def _channel(node: int, network: Any, pump: Callable[[float], None] | None, now: Callable[[], float]) -> MatchingSdo:
@@ -236,7 +229,7 @@ class SdoClient(ObjectReader):
                 self.refusals[entry.address] = str(error)
                 if error.code in HIDDEN:
                     self._hidden.add(entry.address)
-                absent = "" if error.code == WRITE_ONLY else ": taken as absent"
+                absent = "" if error.code == Abort.WRITE_ONLY else ": taken as absent"
                 self._note(f"the drive does not show {entry} ({error}){absent}")
             return None
 

@@ -13,8 +13,7 @@ from friction_hil.drive.codes import coded
 from friction_hil.drive.inventory import Stop
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.conversation import Pause, Script
-from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
-from friction_hil_drivers.canopen.sdo_answers import ABSENT
+from friction_hil_drivers.canopen.dialogue import ABSENT, Download, Transfer, Upload
 from friction_hil_drivers.cia402 import profile
 
 _POLL_S = 0.02

@@ -10,8 +10,7 @@ from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.conversation import Pause, Script
-from friction_hil_drivers.canopen.dialogue import Upload
-from friction_hil_drivers.canopen.sdo_answers import SEGMENT, Address, Request, abort_code, address_of
+from friction_hil_drivers.canopen.dialogue import SEGMENT, Address, Upload, abort_code, answered, requested
 
 # Asked of each node before anything else: what never changes in a node, and tells two of them apart
 IDENTITY = (objects.DEVICE_TYPE, objects.VENDOR_ID, objects.PRODUCT_CODE, objects.SERIAL_NUMBER)
@@ -41,13 +40,12 @@ class NodeAnswers:
 
     def requested(self, data: bytes | bytearray) -> None:
         """Take a request to the node."""
-        request = Request.of(data, SEGMENT) if Request.is_one(data) else None
-        if request is not None:
-            self._requests[request.key] += 1
+        if (address := requested(data)) is not None:
+            self._requests[address] += 1
 
     def answered(self, data: bytes) -> None:
         """Take an answer of the node."""
-        address = address_of(data) or SEGMENT
+        address = answered(data) or SEGMENT
         self._answers[address] += 1
         before = self._last.setdefault(address, data)
         if before != data and self._answers[address] > self._requests[address] > 0:

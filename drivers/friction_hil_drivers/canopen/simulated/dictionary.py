@@ -3,7 +3,6 @@
 import copy
 import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from canopen.objectdictionary import ODArray, ODVariable
 
 from friction_hil.errors import UsageError
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.dialogue import Abort
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, compact_arrays, load_eds
 from friction_hil_drivers.canopen.objects import DataType, Object
 from friction_hil_drivers.canopen.simulated.wire_types import Value, wire_type
@@ -18,27 +18,6 @@ from friction_hil_drivers.canopen.simulated.wire_types import Value, wire_type
 _FIRST_OBJECT = 0x1000
 _MOST_MS = 0xFFFF  # the lower half of a consumer entry
 _UNICODE_STRING, _DOMAIN = 0x0B, 0x0F
-
-
-class Abort(IntEnum):
-    """SDO abort codes (CiA 301)."""
-
-    TOGGLE = 0x05030000
-    COMMAND = 0x05040001
-    OUT_OF_MEMORY = 0x05040005
-    UNSUPPORTED_ACCESS = 0x06010000
-    WRITE_ONLY = 0x06010001
-    READ_ONLY = 0x06010002
-    NO_OBJECT = 0x06020000
-    NOT_MAPPABLE = 0x06040041
-    PDO_TOO_LONG = 0x06040042
-    INCOMPATIBLE = 0x06040043
-    LENGTH = 0x06070010
-    NO_SUBINDEX = 0x06090011
-    VALUE = 0x06090030
-    TOO_HIGH = 0x06090031
-    TOO_LOW = 0x06090032
-    NO_DATA = 0x08000024
 
 
 class SdoAbortError(Exception):

@@ -8,7 +8,8 @@ from friction_hil.drive import DriveState, Mode
 from friction_hil.errors import DriveError
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
+from friction_hil_drivers.canopen.dialogue import Abort
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.setpoints import NO_MODE, Setpoints

@@ -4,7 +4,8 @@ import struct
 from collections.abc import Callable
 
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
+from friction_hil_drivers.canopen.dialogue import Abort
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
 
 _FRAME = struct.Struct("<HB5x")
 _HISTORY_LENGTH = 8

@@ -1,7 +1,8 @@
 """Error control of a simulated node: its heartbeat (1017h), those it watches (1016h), node guarding (100Ch, 100Dh)."""
 
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbortError
+from friction_hil_drivers.canopen.dialogue import Abort
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, Entry, SdoAbortError
 
 _MS = 1_000_000  # ns
 

@@ -23,6 +23,7 @@ from friction_hil.motion.trajectory import (
     triangle_path,
 )
 from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen.dialogue import Download, Transfer
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.mapping import SYNCHRONOUS, PdoRecord
 from friction_hil_drivers.canopen.objects import NmtCommand, NmtState, Object
@@ -335,8 +336,9 @@ class StandInMaster:
         for slave in self._slaves:
             if slave.offset_ns is not None and self._now() - slave.offset_ns > _SILENCE_PERIODS * self._period_s * 1e9:
                 slave.offset_ns = None
-                bits = mapping_words(slave.sidecar.offset)[0] & 0xFF
-                self._open_bus.send(objects.SDO_REQUEST_BASE + slave.node, _download(objects.TORQUE_OFFSET, 0, bits))
+                size = (mapping_words(slave.sidecar.offset)[0] & 0xFF) // 8
+                request = Download(objects.TORQUE_OFFSET, 0, size).first()
+                self._open_bus.send(objects.SDO_REQUEST_BASE + slave.node, request)
 
     # Setting up
 
@@ -359,28 +361,24 @@ class StandInMaster:
         DriveError
             The drive does not answer, or refuses.
         """
-        request = _download(entry, value, entry.type.bits)
+        download = Download(entry, value)
         end = time.monotonic() + _BOOT_S
         while (left := end - time.monotonic()) > 0.0:
-            self._open_bus.send(objects.SDO_REQUEST_BASE + node, request)
-            answer = self._answer(node, request, min(left, _ANSWER_S))
-            if answer is None:
-                continue
-            if answer[0] == 0x60:
+            self._open_bus.send(objects.SDO_REQUEST_BASE + node, download.first())
+            self._await(node, download, min(left, _ANSWER_S))
+            if download.is_accepted:
                 return
-            abort = int.from_bytes(answer[4:8], "little")
-            raise DriveError(f"node {node} refuses {value} for {entry}: abort {abort:08X}h", code=codes.SDO_ABORT)
+            if download.is_done:
+                text = f"node {node} refuses {value} for {entry}: abort {download.abort_code:08X}h"
+                raise DriveError(text, code=codes.SDO_ABORT)
         raise DriveError(f"node {node} does not answer (writing {entry})", code=codes.NO_ANSWER)
 
-    def _answer(self, node: int, request: bytes, timeout_s: float) -> bytes | None:
+    def _await(self, node: int, transfer: Transfer, timeout_s: float) -> None:
         end = time.monotonic() + timeout_s
-        while (left := end - time.monotonic()) > 0.0:
+        while not transfer.is_done and (left := end - time.monotonic()) > 0.0:
             frame = self._open_bus.receive(left)
-            if frame is None or frame[0] != objects.SDO_RESPONSE_BASE + node:
-                continue
-            if len(frame[1]) == 8 and frame[1][1:4] == request[1:4]:
-                return bytes(frame[1])
-        return None
+            if frame is not None and frame[0] == objects.SDO_RESPONSE_BASE + node:
+                transfer.take(frame[1])
 
     @property
     def _open_bus(self) -> "FrameBus":
@@ -413,10 +411,3 @@ def _map(master: StandInMaster, node: int, record: PdoRecord, pdo: SidecarPdo, k
     master.write(node, record.mapping(0), len(words))
     master.write(node, type_entry, kind)
     master.write(node, record.cob_id, pdo.cob_id)
-
-
-def _download(entry: Object, value: int, bits: int) -> bytes:
-    """Return the request of an expedited SDO download."""
-    size = bits // 8
-    data = (value & (1 << bits) - 1).to_bytes(size, "little")
-    return struct.pack("<BHB", 0x23 | (4 - size) << 2, entry.index, entry.subindex) + data.ljust(4, b"\0")

@@ -5,8 +5,9 @@ from collections.abc import Callable
 from functools import partial
 
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.dialogue import Abort
 from friction_hil_drivers.canopen.objects import NmtCommand, NmtState
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.disturbances import DisturbedWire, ShownValues
 from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies

@@ -4,8 +4,9 @@ import struct
 from collections.abc import Sequence
 
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.dialogue import Abort
 from friction_hil_drivers.canopen.objects import DataType
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbortError
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, Entry, SdoAbortError
 from friction_hil_drivers.canopen.simulated.wire_types import Value, WireType
 
 _LARGEST_SYNCHRONOUS = 240

@@ -1,22 +1,13 @@
 """SDO server: expedited and segmented transfers in both directions (CiA 301)."""
 
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbortError
+from friction_hil_drivers.canopen import dialogue as sdo
+from friction_hil_drivers.canopen.dialogue import Abort
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, Entry, SdoAbortError
 
-_HEAD = struct.Struct("<BHB")
-_SIZE = struct.Struct("<I")
-_ABORT = struct.Struct("<BHBI")
 _LARGEST = 4096  # bytes of one object: a faulty client must not fill the memory
-
-# Command specifiers of the client, in the upper three bits
-_DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORTED = 0, 1, 2, 3, 4
-_SEGMENTS = (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT)
-# Responses of the server, and bits of both sides' first byte
-_UPLOAD_RESPONSE, _DOWNLOAD_RESPONSE, _DOWNLOAD_SEGMENT_RESPONSE, _ABORT_RESPONSE = 0x40, 0x60, 0x20, 0x80
-_TOGGLE, _EXPEDITED, _SIZE_INDICATED, _LAST = 0x10, 0x02, 0x01, 0x01
 
 
 @dataclass(slots=True)
@@ -46,10 +37,10 @@ class SdoServer:
         self._send = send
         self._transfer: _Transfer | None = None
         self._services = {
-            _DOWNLOAD_SEGMENT: self._download_segment,
-            _DOWNLOAD: self._download,
-            _UPLOAD: self._upload,
-            _UPLOAD_SEGMENT: self._upload_segment,
+            sdo.DOWNLOAD_SEGMENT: self._download_segment,
+            sdo.DOWNLOAD: self._download,
+            sdo.UPLOAD: self._upload,
+            sdo.UPLOAD_SEGMENT: self._upload_segment,
         }
 
     def reset(self) -> None:
@@ -58,14 +49,14 @@ class SdoServer:
 
     def request(self, data: bytes) -> None:
         """Answer a request; one that has not eight bytes is not an SDO request and gets no answer."""
-        if len(data) != 8:
+        if len(data) != sdo.FRAME_BYTES:
             return
-        command, index, subindex = _HEAD.unpack_from(data)
-        specifier = command >> 5
-        if specifier == _ABORTED:
+        command, index, subindex = sdo.HEAD.unpack_from(data)
+        specifier = command & sdo.SPECIFIER
+        if specifier == sdo.ABORT:
             self._transfer = None
             return
-        if specifier in _SEGMENTS:
+        if specifier in (sdo.DOWNLOAD_SEGMENT, sdo.UPLOAD_SEGMENT):
             transfer = self._transfer
             index, subindex = (transfer.entry.index, transfer.entry.subindex) if transfer else (0, 0)
         else:
@@ -76,45 +67,46 @@ class SdoServer:
             self._services[specifier](data)
         except SdoAbortError as error:
             self._transfer = None
-            self._send(_ABORT.pack(_ABORT_RESPONSE, index, subindex, error.code))
+            self._send(sdo.abort((index, subindex), error.code))
 
     def _upload(self, data: bytes) -> None:
-        _, index, subindex = _HEAD.unpack_from(data)
+        _, index, subindex = sdo.HEAD.unpack_from(data)
         entry = self._dictionary.find(index, subindex)
         value = entry.upload()
         if len(value) <= 4:
-            command = _UPLOAD_RESPONSE | (4 - len(value)) << 2 | _EXPEDITED | _SIZE_INDICATED
-            self._send(_HEAD.pack(command, index, subindex) + value.ljust(4, b"\0"))
+            command = sdo.ANSWERS[sdo.UPLOAD] | (4 - len(value)) << 2 | sdo.EXPEDITED | sdo.SIZE_INDICATED
+            self._send(sdo.HEAD.pack(command, index, subindex) + value.ljust(4, b"\0"))
         else:
             self._transfer = _Transfer(entry, is_upload=True, data=bytearray(value))
-            self._send(_HEAD.pack(_UPLOAD_RESPONSE | _SIZE_INDICATED, index, subindex) + _SIZE.pack(len(value)))
+            head = sdo.HEAD.pack(sdo.ANSWERS[sdo.UPLOAD] | sdo.SIZE_INDICATED, index, subindex)
+            self._send(head + sdo.LAST_FOUR.pack(len(value)))
 
     def _upload_segment(self, data: bytes) -> None:
         transfer = self._expected(data[0], is_upload=True)
         segment = bytes(transfer.data[:7])
         del transfer.data[:7]
-        command = transfer.toggle | (7 - len(segment)) << 1 | (0 if transfer.data else _LAST)
-        transfer.toggle ^= _TOGGLE
+        command = transfer.toggle | (7 - len(segment)) << 1 | (0 if transfer.data else sdo.LAST)
+        transfer.toggle ^= sdo.TOGGLE
         if not transfer.data:
             self._transfer = None
         self._send(bytes([command]) + segment.ljust(7, b"\0"))
 
     def _download(self, data: bytes) -> None:
-        command, index, subindex = _HEAD.unpack_from(data)
+        command, index, subindex = sdo.HEAD.unpack_from(data)
         entry = self._dictionary.find(index, subindex)
         if not entry.is_writable:
             raise SdoAbortError(Abort.READ_ONLY)
-        if command & _EXPEDITED:
+        if command & sdo.EXPEDITED:
             size = entry.type.bits // 8 or 4
-            if command & _SIZE_INDICATED:
+            if command & sdo.SIZE_INDICATED:
                 size = 4 - (command >> 2 & 3)
             entry.download(data[4 : 4 + size])
         else:
-            announced = _SIZE.unpack_from(data, 4)[0] if command & _SIZE_INDICATED else None
+            announced = sdo.LAST_FOUR.unpack_from(data, 4)[0] if command & sdo.SIZE_INDICATED else None
             if announced is not None and entry.type.bits and announced * 8 != entry.type.bits:
                 raise SdoAbortError(Abort.LENGTH)
             self._transfer = _Transfer(entry, is_upload=False, size=announced)
-        self._send(_HEAD.pack(_DOWNLOAD_RESPONSE, index, subindex) + bytes(4))
+        self._send(sdo.HEAD.pack(sdo.ANSWERS[sdo.DOWNLOAD], index, subindex) + bytes(4))
 
     def _download_segment(self, data: bytes) -> None:
         command = data[0]
@@ -122,19 +114,19 @@ class SdoServer:
         transfer.data += data[1 : 8 - (command >> 1 & 7)]
         if len(transfer.data) > _LARGEST:
             raise SdoAbortError(Abort.OUT_OF_MEMORY)
-        if command & _LAST:
+        if command & sdo.LAST:
             if transfer.size not in (None, len(transfer.data)):
                 raise SdoAbortError(Abort.LENGTH)
             transfer.entry.download(bytes(transfer.data))
             self._transfer = None
-        self._send(bytes([_DOWNLOAD_SEGMENT_RESPONSE | transfer.toggle]) + bytes(7))
-        transfer.toggle ^= _TOGGLE
+        self._send(bytes([sdo.ANSWERS[sdo.DOWNLOAD_SEGMENT] | transfer.toggle]) + bytes(7))
+        transfer.toggle ^= sdo.TOGGLE
 
     def _expected(self, command: int, *, is_upload: bool) -> _Transfer:
         """Return the transfer that a segment belongs to; abort where it belongs to none."""
         transfer = self._transfer
         if transfer is None or transfer.is_upload is not is_upload:
             raise SdoAbortError(Abort.COMMAND)
-        if command & _TOGGLE != transfer.toggle:
+        if command & sdo.TOGGLE != transfer.toggle:
             raise SdoAbortError(Abort.TOGGLE)
         return transfer

@@ -6,7 +6,8 @@ from friction_hil.drive import Mode
 from friction_hil.errors import UsageError
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
+from friction_hil_drivers.canopen.dialogue import Abort
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.units import SimulatedUnits, unwrapped
 from friction_hil_drivers.canopen.units import wrap
 

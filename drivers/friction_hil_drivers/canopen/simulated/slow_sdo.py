@@ -1,17 +1,14 @@
 """SDO server of a simulated drive that answers late, not at all, or with an abort code of its choice."""
 
-import struct
 from collections import deque
 from collections.abc import Callable, Sequence
 
+from friction_hil_drivers.canopen.dialogue import DOWNLOAD, FRAME_BYTES, HEAD, SPECIFIER, UPLOAD, abort
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
 from friction_hil_drivers.canopen.simulated.manners import SdoManner
 from friction_hil_drivers.canopen.simulated.sdo import SdoServer
 
-_HEAD = struct.Struct("<BHB")
-_ABORT = struct.Struct("<BHBI")
-_DOWNLOAD, _UPLOAD, _ABORT_RESPONSE = 1, 2, 0x80  # client's command specifiers; server's abort
-_ACCESS = {_DOWNLOAD: "write", _UPLOAD: "read"}
+_ACCESS = {DOWNLOAD: "write", UPLOAD: "read"}
 _NS = 1_000_000_000
 
 
@@ -64,8 +61,8 @@ class SlowSdoServer:
             return
         self._extra_ns = 0 if manner is None else round(manner.delay_s * _NS)
         if manner is not None and manner.abort is not None:
-            _, index, subindex = _HEAD.unpack_from(data)
-            self._answer(_ABORT.pack(_ABORT_RESPONSE, index, subindex, manner.abort))
+            _, index, subindex = HEAD.unpack_from(data)
+            self._answer(abort((index, subindex), manner.abort))
         else:
             self._server.request(data)
 
@@ -91,10 +88,10 @@ class SlowSdoServer:
 
     def _manner_of(self, data: bytes) -> SdoManner | None:
         """Return the exception for a request, and count it."""
-        if not self._manners or len(data) != 8:
+        if not self._manners or len(data) != FRAME_BYTES:
             return None
-        command, index, subindex = _HEAD.unpack_from(data)
-        access = _ACCESS.get(command >> 5)
+        command, index, subindex = HEAD.unpack_from(data)
+        access = _ACCESS.get(command & SPECIFIER)
         if access is None:
             return None
         for manner, left in self._manners:
