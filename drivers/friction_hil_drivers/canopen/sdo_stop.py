@@ -10,10 +10,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from friction_hil.drive import DriveState
-from friction_hil_drivers.canopen import objects, raw_sdo
+from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.codec import Frame
-from friction_hil_drivers.canopen.objects import Object
-from friction_hil_drivers.canopen.raw_sdo import SdoAnswer
+from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
 from friction_hil_drivers.canopen.temperature import TemperatureRead
 from friction_hil_drivers.canopen.units import wrap
 from friction_hil_drivers.cia402 import profile
@@ -26,28 +25,6 @@ STANDSTILL_NS = 50_000_000
 _VERIFY_NS = 100_000_000  # between two readings of a drive without power
 _ERROR_CODE_ATTEMPTS = 5
 _MOST_UNANSWERED = 2  # requests in a row; then the node may be in NMT state Stopped, which has no SDO
-
-
-class Request(NamedTuple):
-    """Request to the SDO server: ``value`` is written, or None to read."""
-
-    entry: Object
-    value: int | None = None
-
-    def frame(self, node: int) -> Frame:
-        """Return the request as a frame."""
-        if self.value is None:
-            return raw_sdo.upload(node, self.entry)
-        return raw_sdo.download(node, self.entry, self.value)
-
-    def of_axis(self, axis: int) -> "Request":
-        """Return the request for the same object of axis ``axis`` of a node with several."""
-        return Request(self.entry.of_axis(axis), self.value) if axis else self
-
-    def is_answered_by(self, answer: SdoAnswer) -> bool:
-        """Return True for the answer to this request, or the abort of it."""
-        is_same = (answer.index, answer.subindex) == (self.entry.index, self.entry.subindex)
-        return is_same and (answer.is_abort or answer.is_upload is (self.value is None))
 
 
 class _Step(IntEnum):
@@ -107,8 +84,8 @@ class SdoStop:
         """True if the last requests were not answered."""
         return self._unanswered >= _MOST_UNANSWERED
 
-    def request(self, now_ns: int) -> Request | None:
-        """Return the request that is due."""
+    def request(self, now_ns: int) -> Transfer | None:
+        """Return the transfer that is due."""
         elapsed_ns = now_ns - self._began_ns
         if elapsed_ns > _QUICK_STOP_NS or (elapsed_ns > _BLIND_NS and not self._is_heard):
             self._is_disabling = True
@@ -117,25 +94,24 @@ class SdoStop:
                 return None
             self._step = _Step.READ_STATE
         if self._step is _Step.READ_STATE:
-            return Request(objects.STATUSWORD)
+            return Upload(objects.STATUSWORD)
         if self._step is _Step.READ_POSITION:
-            return Request(objects.POSITION_ACTUAL)
+            return Upload(objects.POSITION_ACTUAL)
         word = profile.DISABLE_VOLTAGE if self._is_disabling else profile.QUICK_STOP
-        return Request(objects.CONTROLWORD, word)
+        return Download(objects.CONTROLWORD, word)
 
-    def take(self, request: Request, answer: SdoAnswer | None, now_ns: int) -> None:
-        """Take the answer to ``request``; None: there was none."""
-        if answer is None:
+    def take(self, transfer: Transfer, now_ns: int) -> None:
+        """Take the transfer that was due last, once it is over."""
+        if transfer.is_silent:
             self.state, self.is_proved = DriveState.UNKNOWN, False
             self._step = _Step.COMMAND
             self._unanswered += 1
             return
         self._is_heard, self._unanswered = True, 0
-        value = answer.value(request.entry)
-        if request.entry is objects.STATUSWORD:
-            self._take_state(value, now_ns)
-        elif request.entry is objects.POSITION_ACTUAL:
-            self._take_position(value, now_ns)
+        if self._step is _Step.READ_STATE:
+            self._take_state(transfer.value, now_ns)
+        elif self._step is _Step.READ_POSITION:
+            self._take_position(transfer.value, now_ns)
         else:
             self._step = _Step.READ_STATE
 
@@ -187,22 +163,25 @@ class ErrorCodeRead:
         """Read the code again."""
         self.code, self.attempts_left = None, _ERROR_CODE_ATTEMPTS
 
-    def request(self) -> Request | None:
-        """Return the request that is due."""
-        return Request(objects.ERROR_CODE) if self.attempts_left else None
+    def request(self, now_ns: int) -> Transfer | None:
+        """Return the transfer that is due."""
+        return Upload(objects.ERROR_CODE) if self.attempts_left else None
 
-    def take(self, answer: SdoAnswer | None) -> None:
-        """Take the answer; None: there was none."""
+    def take(self, transfer: Transfer, now_ns: int) -> None:
+        """Take the transfer once it is over."""
         self.attempts_left -= 1
-        if answer is not None:
-            self.code, self.attempts_left = answer.value(objects.ERROR_CODE), 0
+        if not transfer.is_silent:
+            self.code, self.attempts_left = transfer.value, 0
+
+
+_Taker = SdoStop | ErrorCodeRead | TemperatureRead
 
 
 class _Pending(NamedTuple):
-    """Request that was sent, and who takes its answer."""
+    """Transfer whose answer is awaited, and who takes it."""
 
-    request: Request
-    taker: "SdoStop | ErrorCodeRead | TemperatureRead"
+    transfer: Transfer
+    taker: _Taker
     deadline_ns: int
 
 
@@ -230,8 +209,8 @@ class CyclicSdo:
 
     __slots__ = (
         "_axis",
-        "_node",
         "_pending",
+        "_request_id",
         "_temperature",
         "error_code",
         "is_stopping",
@@ -239,7 +218,7 @@ class CyclicSdo:
     )
 
     def __init__(self, node: int, standstill: float, axis: int, temperature: TemperatureRead) -> None:
-        self._node = node
+        self._request_id = objects.SDO_REQUEST_BASE + node
         self._axis = axis
         self.stop = SdoStop(standstill)
         self.error_code = ErrorCodeRead()
@@ -263,33 +242,30 @@ class CyclicSdo:
         if self._pending is not None:
             if now_ns < self._pending.deadline_ns:
                 return None
-            self._answered(self._pending, None, now_ns)
-        pending = self._due(now_ns)
-        if pending is None:
-            return None
-        self._pending = pending
-        return pending.request.of_axis(self._axis).frame(self._node)
+            self._pending.transfer.is_silent = True
+            self._finish(self._pending, now_ns)
+        self._pending = self._due(now_ns)
+        return None if self._pending is None else (self._request_id, self._pending.transfer.first())
 
     def _due(self, now_ns: int) -> _Pending | None:
-        """Return the request that is due: the stop comes first, the temperature last."""
-        deadline_ns = now_ns + ANSWER_NS
-        if self.is_stopping and (request := self.stop.request(now_ns)) is not None:
-            return _Pending(request, self.stop, deadline_ns)
-        if (request := self.error_code.request()) is not None:
-            return _Pending(request, self.error_code, deadline_ns)
-        if (entry := self._temperature.request(now_ns)) is not None:
-            return _Pending(Request(entry), self._temperature, deadline_ns)
+        """Return the transfer that is due: the stop comes first, the temperature last."""
+        takers: tuple[_Taker, ...] = (self.error_code, self._temperature)
+        for taker in (self.stop, *takers) if self.is_stopping else takers:
+            if (transfer := taker.request(now_ns)) is not None:
+                transfer.entry = transfer.entry.of_axis(self._axis)
+                return _Pending(transfer, taker, now_ns + ANSWER_NS)
         return None
 
     def take(self, data: bytes, now_ns: int) -> None:
         """Take a frame of the SDO server; what answers no request of this client is ignored."""
-        answer, pending = raw_sdo.decode(data), self._pending
-        if answer is not None and pending is not None and pending.request.of_axis(self._axis).is_answered_by(answer):
-            self._answered(pending, answer, now_ns)
+        pending = self._pending
+        if pending is None:
+            return
+        if pending.transfer.take(data) is not None:
+            pending.transfer.first()  # what comes in segments is no number: it counts as no answer
+        if pending.transfer.is_done:
+            self._finish(pending, now_ns)
 
-    def _answered(self, pending: _Pending, answer: SdoAnswer | None, now_ns: int) -> None:
+    def _finish(self, pending: _Pending, now_ns: int) -> None:
         self._pending = None
-        if isinstance(pending.taker, SdoStop):
-            pending.taker.take(pending.request, answer, now_ns)
-        else:
-            pending.taker.take(answer)
+        pending.taker.take(pending.transfer, now_ns)

@@ -13,12 +13,12 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.dialogue import Transfer, Upload
 from friction_hil_drivers.canopen.mapping import MappedPdo, place
 from friction_hil_drivers.canopen.objects import DataType, Object
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.object_reader import ObjectReader
-    from friction_hil_drivers.canopen.raw_sdo import SdoAnswer
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 _TYPES = {
@@ -156,23 +156,24 @@ class TemperatureRead:
         if self._options is not None:
             self.due_ns = now_ns + self._interval_ns
 
-    def request(self, now_ns: int) -> Object | None:
-        """Return the object to be read now."""
+    def request(self, now_ns: int) -> Transfer | None:
+        """Return the reading that is due."""
         if self._options is None or now_ns < self.due_ns:
             return None
         self.due_ns = now_ns + self._interval_ns
-        return self._options.entry
+        return Upload(self._options.entry)
 
-    def take(self, answer: "SdoAnswer | None") -> None:
-        """Take the answer; None: there was none."""
+    def take(self, transfer: Transfer, now_ns: int) -> None:
+        """Take a reading once it is over."""
         assert self._options is not None
-        value = math.nan if answer is None else self._options.decode(answer.data)
+        value = self._options.decode(transfer.data or b"")
         if math.isfinite(value):
             self.value, self._failed = value, 0
             return
         self._failed += 1
         if self._failed == _PATIENCE:
             self.value = math.nan
-            why = "does not answer" if answer is None else "refuses it" if answer.is_abort else "answers with no number"
+            answer = "answers with no number" if transfer.is_accepted else "refuses it"
+            why = "does not answer" if transfer.is_silent else answer
             text = f"{self._options.entry} was not read {_PATIENCE} times in a row: the drive {why}"
             self.notice = coded(text, codes.OBJECT_MISSING)

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import DriveState
 from friction_hil.drive.finding import Finding
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import objects, raw_sdo
+from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.codec import Frame, decode_heartbeat, emergency_code
+from friction_hil_drivers.canopen.dialogue import Upload
 from friction_hil_drivers.canopen.watchdogs import Means
 from friction_hil_drivers.cia402 import profile
 
@@ -207,7 +208,7 @@ class WatchdogTrial:
         if kind == "guarding":
             self._bus.send_remote(self._guard_id, 1)
         elif kind == _POLL:
-            self._bus.send(*raw_sdo.upload(self._axis.node, objects.STATUSWORD))
+            self._bus.send(objects.SDO_REQUEST_BASE + self._axis.node, Upload(objects.STATUSWORD).first())
         else:
             for frame in self._frames[kind]:
                 self._bus.send(*frame)
@@ -226,11 +227,10 @@ class WatchdogTrial:
             if state is not None and state != objects.NmtState.OPERATIONAL:
                 text = f"NMT state {_nmt_words(state)}"
         elif can_id == objects.SDO_RESPONSE_BASE + node:
-            answer = raw_sdo.decode(data)
-            if answer is not None and (answer.index, answer.subindex) == objects.STATUSWORD.address:
-                statusword = answer.value(objects.STATUSWORD)
-                if statusword is not None and profile.drive_state(statusword) is not DriveState.SWITCHED_ON:
-                    text = f"state {profile.drive_state(statusword).words}"
+            upload = Upload(objects.STATUSWORD)
+            upload.take(data)
+            if upload.value is not None and (found := profile.drive_state(upload.value)) is not DriveState.SWITCHED_ON:
+                text = f"state {found.words}"
         if text and text not in (known for _, known in seen.states):
             seen.states.append((after_s, text))
 

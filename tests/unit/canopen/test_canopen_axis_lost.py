@@ -302,6 +302,18 @@ def test_an_answer_to_another_request_is_not_taken():
         assert (feedback.state, frames) == (DriveState.UNKNOWN, [])
 
 
+def test_an_answer_in_segments_counts_as_none():
+    """A statusword fits into one frame; what looks like the segment of one may belong to another client."""
+    bench = Stopped(PRE_OPERATIONAL)
+    bench.cycle()
+    bench.ask()
+    assert bench.answer(WRITTEN)[1] == [READ_STATE]
+    for frame in ("4141600002000000", "0b50020000000000"):
+        feedback, frames = bench.answer(bytes.fromhex(frame))
+        assert (feedback.state, frames) == (DriveState.UNKNOWN, [])
+    assert bench.answer(statusword(0x0250))[0].state is DriveState.SWITCH_ON_DISABLED
+
+
 def test_a_drive_that_is_not_heard_any_more_is_stopped_by_sdo_too():
     """TPDOs do not come, RPDOs may get there: both ways are tried, and no word follows from the old state."""
     bench = Bench(Mode.CSV)
