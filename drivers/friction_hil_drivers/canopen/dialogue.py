@@ -263,41 +263,21 @@ class Download(Transfer):
         return bytes([command]) + segment + bytes(unused)
 
 
-class OwedAnswers:
-    """Answers that one server owes, and those that arrived when nothing waited for them.
+class OwedAnswers(Counter[Address]):
+    """Answers that one server owes, by what they name, and ``strays``: those that arrived when nothing waited for them.
 
     A server answers in order. So a request for an object that still owes an answer has to wait for that one first: it
     could not tell the two apart.
-
-    Attributes
-    ----------
-    strays : list of bytes
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self.strays: list[bytes] = []
-        self._owed: Counter[Address] = Counter()
-
-    def sent(self, address: Address) -> None:
-        """Count a request; ``address`` is `Transfer.awaited`."""
-        self._owed[address] += 1
-
-    def came(self, address: Address) -> None:
-        """Count the answer to a request."""
-        self._owed[address] -= 1
-
-    def owes(self, address: Address) -> bool:
-        """Return True if an answer for an object is to come that nothing waits for."""
-        return self._owed[address] > 0
-
-    def give_up(self, address: Address) -> None:
-        """Count on no answer for an object any more."""
-        del self._owed[address]
 
     def drop(self, answer: bytes) -> None:
         """Take an answer that belongs to no request, or to one that was given up."""
         self.strays.append(answer)
         address = answered(answer)
-        if address is None or not self.owes(address):
+        if address is None or self[address] <= 0:
             address = SEGMENT  # or the abort of one
-        self._owed[address] = max(0, self._owed[address] - 1)
+        self[address] = max(0, self[address] - 1)

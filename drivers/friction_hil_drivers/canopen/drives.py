@@ -1,8 +1,7 @@
 """CiA 402 drives on one CAN bus, as the daemon's drive port has them.
 
-While connecting, a thread of the canopen library reads the bus for its SDO client. That thread has ended before the
-cyclic phase begins: a second busy thread would delay wake-ups by up to 5 ms. From then on `exchange` alone reads and
-writes the bus.
+While connecting, the SDO client reads the bus. In the cyclic phase `exchange` alone reads and writes it. There is no
+second thread: a busy one would delay wake-ups by up to 5 ms.
 """
 
 import contextlib

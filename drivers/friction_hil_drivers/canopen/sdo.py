@@ -1,22 +1,19 @@
-"""SDO client: a drive's object dictionary, read and written while the drive is being configured.
+"""Blocking SDO client: a drive's object dictionary, read and written while the drive is being configured.
 
-The canopen library (2.4.1) takes whatever arrives next for the answer to its request. A drive that answers late once is
-then believed to have answered the following request, and so on: `MatchingSdo` accepts only the answer that belongs to a
-request. No thread reads the bus: a request reads it until its answer came.
+No thread reads the bus: a request reads it until its answer came.
 """
 
 import contextlib
 import time
-from collections import Counter
+from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any
+from functools import partial
 
 import can
 import canopen
-import canopen.sdo.client
 
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.codec import Frame
 from friction_hil_drivers.canopen.conversation import PATIENCE_S
 from friction_hil_drivers.canopen.dialogue import (
@@ -25,133 +22,75 @@ from friction_hil_drivers.canopen.dialogue import (
     SEGMENT,
     Abort,
     Address,
+    Download,
+    OwedAnswers,
+    Transfer,
+    Upload,
     abort,
-    abort_code,
-    answered,
     describe,
 )
 from friction_hil_drivers.canopen.frames import FrameBus
 from friction_hil_drivers.canopen.journal import Journal, hexadecimal
 from friction_hil_drivers.canopen.object_reader import ObjectReader
 from friction_hil_drivers.canopen.objects import Object
-from friction_hil_drivers.canopen.sdo_answers import Request
 
 _READ_ATTEMPTS = 3  # within the patience: reading again is harmless, and a frame may have been lost
 _MOST_NOTES = 5
 _MOST_WAITING = 1000  # frames read at once: a request has its time limit on a busy bus too
 
 
-class MatchingSdo(canopen.sdo.client.SdoClient):
-    """SDO client of the canopen library that compares index, sub-index and toggle bit of each answer.
+class SdoChannel:
+    """Transfers with the SDO server of one node, one after the other.
 
-    Answers that belong to no request, or to one that was given up, are dropped and kept in ``strays``. A server answers
-    in order; so a request for an object that still owes an answer waits for that one first, because it could not tell
-    the two apart.
-
-    Parameters
-    ----------
-    node : int
-        Node number of the server.
-    pump : callable, optional
-        Reads the bus for at most so many seconds and hands what arrived to `on_response`; without it, another thread
-        must do that.
-    now : callable, optional
-        Clock, s.
+    ``pump`` reads the bus for at most so many seconds, and puts the answers of the node into ``arrived``.
     """
 
-    def __init__(
-        self, node: int, pump: Callable[[float], None] | None = None, now: Callable[[], float] = time.monotonic
-    ) -> None:
-        super().__init__(0x600 + node, 0x580 + node, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
-        self._pump = pump
-        self._now = now
-        self.patience_s = PATIENCE_S
-        self.attempts = 1
-        self.strays: list[bytes] = []
-        self._owed: Counter[Address] = Counter()
-        self._transfer: Address = (0, 0)
+    def __init__(self, send: Callable[[bytes], None], pump: Callable[[float], None], now: Callable[[], float]) -> None:
+        self._send, self._pump, self._now = send, pump, now
+        self.arrived: deque[bytes] = deque()
+        self.owed = OwedAnswers()
+        self.patience_s = PATIENCE_S  # for the answer to a request
 
-    def request_response(self, sdo_request: bytes | bytearray) -> bytes:
-        """Send a request and return its answer.
+    def carry_out(self, transfer: Transfer, attempts: int) -> None:
+        """Carry out a transfer; the request that begins it is sent so many times at most."""
+        request: bytes | None = transfer.first()
+        while request is not None:
+            answer = self._ask(transfer, request, attempts)
+            if answer is None:
+                transfer.is_silent = True
+                self._send(abort(transfer.entry.address, Abort.TIME_OUT))
+                return
+            request = transfer.take(answer)
 
-        Raises
-        ------
-        canopen.SdoAbortedError
-            The server aborts the transfer.
-        canopen.SdoCommunicationError
-            It does not answer.
-        """
-        request = Request.of(sdo_request, self._transfer)
-        self._transfer = request.address
-        # a segment must not be sent twice: a server that had it already would abort
-        attempts = 1 if request.is_segment else self.attempts
+    def _ask(self, transfer: Transfer, request: bytes, attempts: int) -> bytes | None:
+        """Send a request and return its answer; None if none comes."""
+        address = transfer.awaited
+        if address == SEGMENT:
+            attempts = 1  # a server that had it already would abort
         wait_s = self.patience_s / attempts
-        self._drop_strays()
-        self._await_owed(request.key, wait_s)
+        self._pump(0.0)
+        while self.arrived:
+            self.owed.drop(self.arrived.popleft())
+        end = self._now() + wait_s
+        while self.owed[address] > 0 and (answer := self._next(end)) is not None:
+            self.owed.drop(answer)
+        del self.owed[address]
         for _ in range(attempts):
-            self._send(bytes(sdo_request))
-            self._owed[request.key] += 1
-            answer = self._await_answer(request, wait_s)
-            if answer is not None:
-                self._owed[request.key] -= 1
-                code = abort_code(answer)
-                if code is not None:
-                    raise canopen.SdoAbortedError(code)
-                return answer
-        self._send(abort(request.address, Abort.TIME_OUT))
-        raise canopen.SdoCommunicationError("no SDO response received")
-
-    def abort(self, abort_code: int = 0x08000000) -> None:
-        """Abort the transfer under way, naming its object as CiA 301 demands."""
-        self._send(abort(self._transfer, abort_code))
-
-    def _send(self, request: bytes) -> None:
-        self.send_request(request)  # type: ignore[no-untyped-call]
-
-    def _await_answer(self, request: Request, wait_s: float) -> bytes | None:
-        end = self._now() + wait_s
-        while (answer := self._next(end)) is not None:
-            if request.is_answered_by(answer):
-                return answer
-            self._drop(answer)
+            self._send(request)
+            self.owed[address] += 1
+            end = self._now() + wait_s
+            while (answer := self._next(end)) is not None:
+                if transfer.accepts(answer):
+                    self.owed[address] -= 1
+                    return answer
+                self.owed.drop(answer)
         return None
-
-    def _await_owed(self, address: Address, wait_s: float) -> None:
-        """Wait for the answers to earlier requests for the same object."""
-        end = self._now() + wait_s
-        while self._owed[address] > 0 and (answer := self._next(end)) is not None:
-            self._drop(answer)
-        del self._owed[address]
-
-    def _drop_strays(self) -> None:
-        if self._pump is not None:
-            self._pump(0.0)
-        while not self.responses.empty():
-            self._drop(self.responses.get())
-
-    def _drop(self, answer: bytes) -> None:
-        self.strays.append(answer)
-        address = answered(answer)
-        if address is None or self._owed[address] <= 0:
-            address = SEGMENT  # or the abort of one
-        self._owed[address] = max(0, self._owed[address] - 1)
 
     def _next(self, end: float) -> bytes | None:
         """Return the next answer, None where none came until ``end``."""
-        while self.responses.empty() and (left := end - self._now()) > 0.0:
-            if self._pump is not None:
-                self._pump(left)
-            else:
-                time.sleep(min(left, 0.001))
-        return None if self.responses.empty() else bytes(self.responses.get())
-
-
-def _channel(node: int, network: Any, pump: Callable[[float], None] | None, now: Callable[[], float]) -> MatchingSdo:
-    """Return the SDO channel of a node, which hears what its server sends."""
-    channel = MatchingSdo(node, pump, now)
-    channel.network = network
-    network.subscribe(channel.tx_cobid, channel.on_response)
-    return channel
+        while not self.arrived and (left := end - self._now()) > 0.0:
+            self._pump(left)
+        return self.arrived.popleft() if self.arrived else None
 
 
 class SdoClient(ObjectReader):
@@ -159,14 +98,11 @@ class SdoClient(ObjectReader):
 
     Parameters
     ----------
-    node
-        ``canopen.RemoteNode`` on a network that is being read, or the `MatchingSdo` of a node.
+    channel : SdoChannel
     axis : str
         Name of the axis, for messages.
     where : str
         Node and bus, for messages.
-    pump, now : callable, optional
-        See `MatchingSdo`.
 
     Attributes
     ----------
@@ -184,15 +120,8 @@ class SdoClient(ObjectReader):
         True: every write is refused, as if by the drive, and nothing is sent.
     """
 
-    def __init__(
-        self,
-        node: Any,
-        axis: str,
-        where: str,
-        pump: Callable[[float], None] | None = None,
-        now: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._sdo = node if isinstance(node, MatchingSdo) else _channel(node.id, node.network, pump, now)
+    def __init__(self, channel: SdoChannel, axis: str, where: str) -> None:
+        self._channel = channel
         self.axis = axis
         self.where = where
         self.axis_number = 0
@@ -208,30 +137,28 @@ class SdoClient(ObjectReader):
     @property
     def patience_s(self) -> float:
         """Time within which the drive must answer a request, s."""
-        return self._sdo.patience_s
+        return self._channel.patience_s
 
     @contextlib.contextmanager
     def patience(self, seconds: float) -> Iterator[None]:
         """Wait no longer than so many seconds for an answer meanwhile."""
-        before, self._sdo.patience_s = self._sdo.patience_s, seconds
+        before, self._channel.patience_s = self._channel.patience_s, seconds
         try:
             yield
         finally:
-            self._sdo.patience_s = before
+            self._channel.patience_s = before
 
     def bytes_of(self, entry: Object) -> bytes | None:
         """See `ObjectReader.bytes_of`; an object that the drive refuses to show counts as absent, with a note."""
         entry = entry.of_axis(self.axis_number)
-        try:
-            return self._upload(entry)
-        except canopen.SdoAbortedError as error:
-            if error.code not in ABSENT:
-                self.refusals[entry.address] = str(error)
-                if error.code in HIDDEN:
-                    self._hidden.add(entry.address)
-                absent = "" if error.code == Abort.WRITE_ONLY else ": taken as absent"
-                self._note(f"the drive does not show {entry} ({error}){absent}")
-            return None
+        upload = self._upload(entry)
+        if upload.data is None and upload.abort_code not in ABSENT:
+            reason = self.refusals[entry.address] = _words(upload)
+            if upload.abort_code in HIDDEN:
+                self._hidden.add(entry.address)
+            absent = "" if upload.abort_code == Abort.WRITE_ONLY else ": taken as absent"
+            self._note(f"the drive does not show {entry} ({reason}){absent}")
+        return upload.data
 
     def why_absent(self, entry: Object) -> str:
         """See `ObjectReader.why_absent`."""
@@ -251,18 +178,18 @@ class SdoClient(ObjectReader):
         """Return the width in bits, as the standard has it, of an object that cannot be read; None for another."""
         return entry.type.bits if self.why_hidden(entry) else None
 
-    def _upload(self, entry: Object) -> bytes:
-        try:
-            with self._attempts(_READ_ATTEMPTS):
-                return bytes(self._sdo.upload(entry.index, entry.subindex))
-        except canopen.SdoCommunicationError as error:
-            if self._has_answered:
-                raise self._answer_lost("reading", entry) from error
-            text = (
-                f"{self.axis}: no drive answers as {self.where} (reading {entry}): is the drive on, is this "
-                "its node number, and is the bit rate right?"
-            )
-            raise DriveError(text, code=codes.NO_ANSWER) from error
+    def _upload(self, entry: Object) -> Upload:
+        upload = Upload(entry)
+        self._carry_out(upload, _READ_ATTEMPTS)
+        if not upload.is_silent:
+            return upload
+        if self._has_answered:
+            raise self._answer_lost("reading", entry)
+        text = (
+            f"{self.axis}: no drive answers as {self.where} (reading {entry}): is the drive on, is this "
+            "its node number, and is the bit rate right?"
+        )
+        raise DriveError(text, code=codes.NO_ANSWER)
 
     def write(self, entry: Object, value: int, bits: int | None = None) -> None:
         """Write an integer object, with the width that its type has or ``bits``.
@@ -298,15 +225,14 @@ class SdoClient(ObjectReader):
 
     def download(self, entry: Object, data: bytes, shown: str = "") -> None:
         """Write the content of an object without keeping what it held before; see `write_bytes`."""
-        try:
-            with self._attempts(1):
-                self._sdo.download(entry.index, entry.subindex, data)
-        except canopen.SdoAbortedError as error:
-            self.write_refusals[entry.address] = f"refused {hexadecimal(data)} (abort {error.code:08X}h)"
-            text = f"{self.axis}: writing {shown or data.hex()} to {entry} of {self.where}: {error}"
-            raise DriveError(text, code=codes.SDO_ABORT) from error
-        except canopen.SdoCommunicationError as error:
-            raise self._answer_lost("writing", entry) from error
+        download = Download(entry, data)
+        self._carry_out(download, 1)
+        if download.is_silent:
+            raise self._answer_lost("writing", entry)
+        if not download.is_accepted:
+            self.write_refusals[entry.address] = f"refused {hexadecimal(data)} (abort {download.abort_code:08X}h)"
+            text = f"{self.axis}: writing {shown or data.hex()} to {entry} of {self.where}: {_words(download)}"
+            raise DriveError(text, code=codes.SDO_ABORT)
 
     def peek(self, entry: Object) -> bytes | None:
         """Return the content of an object, None where the drive does not show it for whatever reason; without a note.
@@ -316,10 +242,7 @@ class SdoClient(ObjectReader):
         DriveError
             The drive does not answer.
         """
-        try:
-            return self._upload(entry)
-        except canopen.SdoAbortedError:
-            return None
+        return self._upload(entry).data
 
     def try_write(self, entry: Object, value: int) -> bool:
         """Write an object that the drive may lack or refuse; return True if it then holds the value.
@@ -345,20 +268,15 @@ class SdoClient(ObjectReader):
             self.write_refusals.setdefault(address, f"holds {found:#x} after {value:#x} was written")
         return found == value
 
-    @contextlib.contextmanager
-    def _attempts(self, attempts: int) -> Iterator[None]:
-        """Send a request so many times at most; tell afterwards what arrived beside its answer."""
-        self._sdo.attempts = attempts
+    def _carry_out(self, transfer: Transfer, attempts: int) -> None:
+        """Carry out a transfer; tell afterwards what arrived beside its answers."""
         try:
-            yield
-            self._has_answered = True
-        except canopen.SdoAbortedError:
-            self._has_answered = True
-            raise
+            self._channel.carry_out(transfer, attempts)
+            self._has_answered |= not transfer.is_silent
         finally:
-            for answer in self._sdo.strays:
+            for answer in self._channel.owed.strays:
                 self._note_stray(answer)
-            self._sdo.strays.clear()
+            self._channel.owed.strays.clear()
 
     def _note_stray(self, answer: bytes) -> None:
         self._late += 1
@@ -375,21 +293,9 @@ class SdoClient(ObjectReader):
         return DriveError(text, code=codes.ANSWER_LOST)
 
 
-class _Network(canopen.Network):
-    """Network of the canopen library that sends on a frame bus."""
-
-    def __init__(self, bus: FrameBus, asking: Callable[[int, bytes], None] | None) -> None:
-        super().__init__(bus.bus)
-        self._frames = bus
-        self._asking = asking
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Send a data frame; ``remote`` frames are not sent here."""
-        if remote:
-            raise ValueError("SDO has no remote frames")
-        if self._asking is not None:
-            self._asking(can_id, bytes(data))
-        self._frames.send(can_id, bytes(data))
+def _words(transfer: Transfer) -> str:
+    """Return why a drive refuses a transfer."""
+    return str(canopen.SdoAbortedError(transfer.abort_code))
 
 
 class SdoNetwork:
@@ -421,21 +327,26 @@ class SdoNetwork:
     ) -> None:
         self._bus = FrameBus(bus, "of the SDO client") if isinstance(bus, can.BusABC) else bus
         self._heard = heard
+        self._asking = asking
         self._now = now
-        self._network: Any = _Network(self._bus, asking)
         self.meanwhile: Callable[[], float] | None = None
-        self._channels: dict[int, MatchingSdo] = {}  # a node with several axes has one
+        self._channels: dict[int, SdoChannel] = {}  # by the identifier of its answers; a node with several axes has one
 
     def client(self, node: int, axis: str, where: str) -> SdoClient:
         """Return the SDO client of a node; `axis` and `where` are for its messages."""
-        if node not in self._channels:
-            self._channels[node] = _channel(node, self._network, self._pump, self._now)
-        return SdoClient(self._channels[node], axis, where)
+        channel = SdoChannel(partial(self._send, objects.SDO_REQUEST_BASE + node), self._pump, self._now)
+        channel = self._channels.setdefault(objects.SDO_RESPONSE_BASE + node, channel)
+        return SdoClient(channel, axis, where)
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
         """Allow the clients to read the bus; nothing else may read it meanwhile."""
         yield
+
+    def _send(self, can_id: int, data: bytes) -> None:
+        if self._asking is not None:
+            self._asking(can_id, data)
+        self._bus.send(can_id, data)
 
     def _pump(self, timeout: float) -> None:
         """Take a frame that comes within ``timeout`` seconds, and those that wait already."""
@@ -448,4 +359,5 @@ class SdoNetwork:
             timeout = 0.0
             if self._heard is not None:
                 self._heard(frame)
-            self._network.notify(frame[0], bytearray(frame[1]), 0.0)
+            if (channel := self._channels.get(frame[0])) is not None:
+                channel.arrived.append(frame[1])

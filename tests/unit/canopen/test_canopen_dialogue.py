@@ -2,7 +2,7 @@
 
 import pytest
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
+from friction_hil_drivers.canopen.dialogue import Abort, Download, Transfer, Upload, describe
 
 
 def give(transfer: Transfer, *answers: str) -> list[str]:
@@ -65,3 +65,39 @@ def test_a_download_and_its_abort() -> None:
     assert download.is_done
     assert not download.is_accepted
     assert download.abort_code == 0x08000022
+
+
+def test_what_does_not_fit_into_one_frame_is_written_in_segments() -> None:
+    download = Download(objects.DEVICE_NAME, b"durand servo")
+    answers = ("6008100000000000", "2000000000000000", "2000000000000000", "3000000000000000")  # the first one twice
+    assert give(download, *answers) == ["210810000c000000", "00" + b"durand ".hex(), "15" + b"servo".hex() + "0000"]
+    assert download.is_accepted
+
+
+def test_an_answer_without_a_size_has_that_of_its_type() -> None:
+    upload = Upload(objects.TORQUE_OFFSET)
+    give(upload, "42b26000fbff0000")
+    assert (upload.data, upload.value) == (b"\xfb\xff", -5)
+
+
+def test_a_server_that_lost_a_transfer_ends_it_without_its_object() -> None:
+    upload = Upload(objects.DEVICE_NAME)
+    give(upload, "410810000c000000", "8000000001000405")
+    assert (upload.is_done, upload.is_accepted, upload.abort_code) == (True, False, Abort.COMMAND)
+    upload = Upload(objects.DEVICE_NAME)
+    give(upload, "8000000001000405")
+    assert not upload.is_done, "it ends the transfer of another client"
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        ("80a9600000000206", "abort 06020000h for 60A9h:00"),
+        ("43a96001b4470300", "the value of 60A9h:01"),
+        ("60a9600000000000", "the confirmation of a write to 60A9h:00"),
+        ("0041414141414141", "a segment"),
+        ("43a960", "a frame of 3 bytes"),
+    ],
+)
+def test_an_answer_in_words(answer: str, words: str) -> None:
+    assert describe(bytes.fromhex(answer)) == words

@@ -4,7 +4,6 @@ import re
 from collections.abc import Callable, Iterator
 
 import can
-import canopen
 import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
@@ -18,37 +17,34 @@ from friction_hil_drivers.canopen.mapping import (
     wire_time_s,
 )
 from friction_hil_drivers.canopen.negotiation import PdoNegotiator
-from friction_hil_drivers.canopen.sdo import SdoClient
+from friction_hil_drivers.canopen.sdo import SdoNetwork
 
 from friction_hil.drive import Mode
 from friction_hil.errors import DriveError
-from tests.canopen_bench import NODE, Bench
+from tests.canopen_bench import NODE, Bench, BenchBus
 
 
-class Wire(can.BusABC):
+class Wire(BenchBus):
     """Hands the master's frames to the node and the node's answers back, at once; ``garble`` may change these."""
 
-    def __init__(self, network, bench):
-        super().__init__(channel="wire")
-        self.network, self.bench = network, bench
+    def __init__(self, bench):
+        super().__init__(bench)
         self.garble = lambda data: data
         self.requests = []
 
     def send(self, msg, timeout=None):
         self.requests.append(bytes(msg.data))
         for can_id, data in self.bench.send(msg.arbitration_id, bytes(msg.data)):
-            self.network.notify(can_id, bytearray(self.garble(data)), 0.0)
+            self.answers.put(can.Message(arbitration_id=can_id, data=self.garble(data), is_extended_id=False))
 
 
 class Drive:
     """A simulated drive and the SDO access to it."""
 
     def __init__(self, **settings):
-        network = canopen.Network()
         self.bench = Bench(**settings)
-        network.bus = self.wire = Wire(network, self.bench)
-        node = network.add_node(NODE, object_dictionary=None)
-        self.access = SdoClient(node, "x", f"node {NODE} on a wire")
+        self.wire = Wire(self.bench)
+        self.access = SdoNetwork(self.wire).client(NODE, "x", f"node {NODE} on a wire")
 
     def negotiate(self, entries, *, is_receive=False, taken=None, **how):
         return PdoNegotiator(self.access, is_receive=is_receive, node=NODE, taken=taken).negotiate(entries, **how)

@@ -7,9 +7,9 @@ import time
 import can
 import pytest
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.dialogue import Download, Upload
 from friction_hil_drivers.canopen.frames import FrameBus
 from friction_hil_drivers.canopen.sdo import PATIENCE_S, SdoNetwork
-from friction_hil_drivers.canopen.sdo_answers import Request
 
 from friction_hil.errors import DriveError
 from tests.canopen_bench import NODE, Bench, BenchBus
@@ -207,8 +207,19 @@ def test_the_abort_after_a_time_out_names_the_object(make):
     ],
 )
 def test_answers_and_their_requests(request_hex, answer_hex, belongs):
-    request = Request.of(bytes.fromhex(request_hex), (0x1008, 0))
-    assert request.is_answered_by(bytes.fromhex(answer_hex)) is belongs
+    transfer = {
+        0x40: Upload(objects.VELOCITY_UNIT),
+        0x2B: Download(objects.VELOCITY_UNIT, bytes(2)),
+        0x60: Upload(objects.DEVICE_NAME),
+        0x70: Upload(objects.DEVICE_NAME),
+        0x00: Download(objects.DEVICE_NAME, b"abcdefghi"),
+    }[bytes.fromhex(request_hex)[0]]
+    sent = transfer.first()
+    for before in ("41081000 10000000", "60081000 00000000", "00414141 41414141"):  # up to the request under way
+        if sent != bytes.fromhex(request_hex):
+            sent = transfer.take(bytes.fromhex(before)) or sent
+    assert sent == bytes.fromhex(request_hex)
+    assert transfer.accepts(bytes.fromhex(answer_hex)) is belongs
 
 
 def serve_late(bus, is_stopping):

@@ -23,7 +23,8 @@ from friction_hil.motion.trajectory import (
     triangle_path,
 )
 from friction_hil_drivers.canopen import codes, objects
-from friction_hil_drivers.canopen.dialogue import Download, Transfer
+from friction_hil_drivers.canopen.conversation import Conversation
+from friction_hil_drivers.canopen.dialogue import Download
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.mapping import SYNCHRONOUS, PdoRecord
 from friction_hil_drivers.canopen.objects import NmtCommand, NmtState, Object
@@ -43,7 +44,7 @@ _EVENT_DRIVEN = 255
 _OFFSET_RPDO = 3  # RPDO 4
 _TO_FAULT = 1  # 6007h
 _HEARTBEAT_S = 0.1
-_ANSWER_S, _BOOT_S = 2.0, 20.0
+_ANSWER_S, _ATTEMPTS = 2.0, 10  # a drive may be booting
 _STOP_S = 4.0  # for drives to come to rest and to lose their power; less than `simulate` waits for this process
 _SETTLE_S = 0.2  # enabled, before the motion begins
 _SILENCE_PERIODS = 20  # without a torque offset, after which the one in force is cleared
@@ -362,23 +363,13 @@ class StandInMaster:
             The drive does not answer, or refuses.
         """
         download = Download(entry, value)
-        end = time.monotonic() + _BOOT_S
-        while (left := end - time.monotonic()) > 0.0:
-            self._open_bus.send(objects.SDO_REQUEST_BASE + node, download.first())
-            self._await(node, download, min(left, _ANSWER_S))
-            if download.is_accepted:
-                return
-            if download.is_done:
-                text = f"node {node} refuses {value} for {entry}: abort {download.abort_code:08X}h"
-                raise DriveError(text, code=codes.SDO_ABORT)
-        raise DriveError(f"node {node} does not answer (writing {entry})", code=codes.NO_ANSWER)
-
-    def _await(self, node: int, transfer: Transfer, timeout_s: float) -> None:
-        end = time.monotonic() + timeout_s
-        while not transfer.is_done and (left := end - time.monotonic()) > 0.0:
-            frame = self._open_bus.receive(left)
-            if frame is not None and frame[0] == objects.SDO_RESPONSE_BASE + node:
-                transfer.take(frame[1])
+        talk = Conversation(self._open_bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS)
+        talk.hold({node: (transfer for transfer in (download,))})
+        if download.is_silent:
+            raise DriveError(f"node {node} does not answer (writing {entry})", code=codes.NO_ANSWER)
+        if not download.is_accepted:
+            text = f"node {node} refuses {value} for {entry}: abort {download.abort_code:08X}h"
+            raise DriveError(text, code=codes.SDO_ABORT)
 
     @property
     def _open_bus(self) -> "FrameBus":
