@@ -11,7 +11,7 @@ from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.stop import StopRequest
-from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode, Request
+from friction_hil.drive import AxisFacts, Command, Drives, DriveState, Feedback, Mode, Request
 from friction_hil.friction import describe
 from friction_hil.motion.trajectory import PathTime
 from friction_hil.recordings import columns
@@ -51,7 +51,7 @@ def configuration(**axes):
     return from_dict(data, "test")
 
 
-class ServoDrives:
+class ServoDrives(Drives):
     """Simulated servos as `friction_hil.drive.Drives`: commands act from the next cycle on.
 
     ``disturb(cycle, feedback)`` may change what the loop sees; ``states`` overrides a drive's state. A drive that is to

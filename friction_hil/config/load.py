@@ -87,12 +87,11 @@ def file_problems(path: str | Path, configuration: Configuration) -> list[Proble
     except OptionError as mixed:
         found.append(origins.at_option(mixed))
     for driver in dict.fromkeys(axis.driver for axis in configuration.axes.values()):
-        check = getattr(load_driver(driver), "check_files", None)
-        check_bus = getattr(load_driver(driver), "check_bus", None)
-        if check_bus is not None and configuration.bus is not None:
-            found += [origins.locate(("bus", key), text) for key, text in check_bus(configuration.bus)]
+        kind = load_driver(driver)
+        if configuration.bus is not None:
+            found += [origins.locate(("bus", key), text) for key, text in kind.check_bus(configuration.bus)]
         axes = {name: axis for name, axis in configuration.axes.items() if axis.driver == driver}
-        for name, key, error in () if check is None else check(configuration, axes):
+        for name, key, error in kind.check_files(configuration, axes):
             if isinstance(error, ConfigurationError):
                 found += error.problems
             else:

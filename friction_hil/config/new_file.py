@@ -116,8 +116,7 @@ def new_configuration(wanted: Wanted) -> str:
     if wanted.is_simulated and wanted.is_linear:
         raise UsageError("--simulated: the simulated drive is rotary; leave --linear out")
     driver = load_driver(wanted.driver)
-    hook = getattr(driver, "new_keys", None)
-    given = _required_keys(driver.Options) if hook is None else hook(wanted)
+    given = driver.new_keys(wanted) or _required_keys(driver.Options)
     if wanted.mode is not None and wanted.mode not in given.modes:
         raise UsageError(f"--mode: this drive has no mode {wanted.mode!r}; {choices(wanted.mode, given.modes)}")
     mode = wanted.mode or given.modes[0]

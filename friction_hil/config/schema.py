@@ -13,6 +13,7 @@ from friction_hil.config.bus import BusConfig
 from friction_hil.config.live import LiveConfig
 from friction_hil.config.recording import RecordingConfig
 from friction_hil.config.simulation import SimulationConfig, mechanism_mistakes
+from friction_hil.drive.driver import OptionChecks
 from friction_hil.ros import JOINT_STATES
 
 
@@ -93,9 +94,10 @@ def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
         by_driver.setdefault(axis.driver, {})[name] = axis
     for axes in by_driver.values():
         options = type(next(iter(axes.values())).options)
-        check, check_timing = getattr(options, "check", None), getattr(options, "check_timing", None)
-        found = [] if check is None else list(check(axes, configuration.bus))
-        if check_timing is not None:
-            found += check_timing(axes, configuration.period_s, configuration.realtime.max_missed)
+        assert issubclass(options, OptionChecks)  # load_driver sees to it
+        found = [
+            *options.check(axes, configuration.bus),
+            *options.check_timing(axes, configuration.period_s, configuration.realtime.max_missed),
+        ]
         for name, field, message in found:
             yield ("axes", name, *field.split(".")), message

@@ -34,7 +34,7 @@ def mechanism_mistakes(mechanism: Gantry | TwoLinkArm, axes: "Mapping[str, AxisC
             yield (*here, index), f"there is no axis {name!r}; {choices(name, axes)}"
         elif not isinstance(axis.simulation, ServoConfig):
             yield (*here, index), f"{name} has no 'simulation' section, which has the inertia of its motor"
-        elif not getattr(load_driver(axis.driver, SIMULATED_DRIVES), "have_common_time", False):
+        elif not load_driver(axis.driver, SIMULATED_DRIVES).have_common_time:
             yield (
                 (*here, index),
                 f"{name} has the driver {axis.driver}: simulated drives on serial lines pass their time request by "

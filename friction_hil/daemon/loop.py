@@ -186,7 +186,7 @@ class Loop:
         except Exception as error:  # noqa: BLE001 - the states of the drives are to be reported
             read_back = [DriveState.UNKNOWN] * len(self._axes)
             self._fail(cycle, error)
-        for text in getattr(self._drives, "leftovers", ()):
+        for text in self._drives.leftovers:
             self._log.leftover(cycle, text)
         if self._settings.dry_run or not self._is_commanded:
             return

@@ -103,7 +103,7 @@ class LockedPacer(Pacer):
 
 def make_pacer(drives: Drives, clock: Clock, period_s: float, warm_caches: Callable[[int], None]) -> Pacer:
     """Return the pacer of a loop: locked to another controller where the drives have a ``phase_lock``."""
-    lock: PhaseLock | None = getattr(drives, "phase_lock", None)
+    lock = drives.phase_lock
     if lock is None or not clock.is_real:
         return Pacer(clock, period_s, warm_caches)
     return LockedPacer(clock, period_s, warm_caches, lock)

@@ -226,9 +226,9 @@ def _prepare(
     path_time = PathTime(ramp_s(configuration.axes.values()))
     shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})
     max_stale = realtime.max_missed
-    if getattr(drives, "is_passive", False):  # the feedback comes when another master asks for it
+    if drives.is_passive:  # the feedback comes when another master asks for it
         max_stale = max(max_stale, math.ceil(_PASSIVE_STALE_S / configuration.period_s))
-    make_axis = FollowerAxis if _is_follower(drives) else AxisLoop
+    make_axis = FollowerAxis if drives.is_follower else AxisLoop
     axes = [
         make_axis(
             fact.name,
@@ -309,12 +309,8 @@ def _control_job(
         files={name: str(file) for name, file in files.items() if file is not None},
         started_unix_ns=job.started_unix_ns,
         ramp_s=ramp_s(configuration.axes.values()),
-        remedies={str(code): code.remedy for code in FaultCode} | dict(getattr(drives, "remedies", {})),
+        remedies={str(code): code.remedy for code in FaultCode} | dict(drives.remedies),
     )
-
-
-def _is_follower(drives: Drives) -> bool:
-    return bool(getattr(drives, "is_follower", False))
 
 
 def _run(
@@ -337,7 +333,7 @@ def _run(
             enable_timeout_s=configuration.enable_timeout_s,
             dry_run=settings.dry_run,
             is_fault_reset_wanted=settings.is_fault_reset_wanted,
-            is_follower=_is_follower(prepared.drives),
+            is_follower=prepared.drives.is_follower,
             is_waiting=settings.is_waiting,
         )
         control = prepared.control
@@ -364,7 +360,7 @@ def _run(
 def _close(drives: Drives, report: Callable[[str], None]) -> None:
     """Leave the bus, and tell what the driver could not leave as it was found, or does not know of that."""
     drives.close()
-    for line in (*getattr(drives, "leftovers", ()), *getattr(drives, "remarks", ())):
+    for line in (*drives.leftovers, *drives.remarks):
         report(line)
 
 

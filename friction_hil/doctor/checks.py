@@ -69,14 +69,14 @@ def _watchdogs(configuration: Configuration) -> Iterator[Finding]:
     """Yield what each drive does when the daemon is silent."""
     clock = RealClock(configuration.realtime.spin_us)
     for name in dict.fromkeys(axis.driver for axis in configuration.axes.values()):
-        attempt = getattr(load_driver(name), "try_watchdogs", None)
         axes = {key: axis for key, axis in configuration.axes.items() if axis.driver == name}
-        if attempt is None:
+        found = load_driver(name).try_watchdogs(configuration, axes, clock)
+        if found is None:
             detail = f"the driver {name} has no trial of its watchdogs"
             fix = "disconnect the drive's cable at standstill and see whether it loses its power"
             yield Finding(f"driver {name}: watchdogs", "warn", detail, fix, "FH-445")
             continue
-        yield from attempt(configuration, axes, clock)
+        yield from found
 
 
 def _load(path: Path) -> tuple[Configuration | None, list[Problem]]:
@@ -152,8 +152,7 @@ def _hardware(root: Path) -> Iterator[Finding]:
             fix = "install its dependencies with pip"
             yield Finding(f"driver {name}", "warn", f"it cannot be imported: {error}", fix, "FH-405")
             continue
-        check = getattr(driver, "check_machine", None)
-        for finding in () if check is None else check(root):
+        for finding in driver.check_machine(root):
             if finding not in reported:
                 reported.add(finding)
                 yield finding
@@ -174,14 +173,13 @@ def _daemon(configuration: Configuration) -> Iterator[Finding]:
         for note in axis.model.friction_model.notes:
             yield Finding(f"{name}: model", "warn", note, "check whether the model file is meant so", "FH-404")
     for name in dict.fromkeys(axis.driver for axis in configuration.axes.values()):
-        check = getattr(load_driver(name), "check_connection", None)
         axes = {key: axis for key, axis in configuration.axes.items() if axis.driver == name}
-        if check is None:
-            detail = f"the driver {name} has no checks of its connection"
-            fix = "friction-hil run with --dry-run connects and only listens"
-            yield Finding(f"driver {name}", "warn", detail, fix, "FH-406")
-            continue
         try:
-            yield from check(configuration, axes)
+            connection = load_driver(name).check_connection(configuration, axes)
+            if connection is None:
+                detail = f"the driver {name} has no checks of its connection"
+                fix = "friction-hil run with --dry-run connects and only listens"
+                connection = (Finding(f"driver {name}", "warn", detail, fix, "FH-406"),)
+            yield from connection
         except FrictionHilError as error:
             yield failure(f"driver {name}", error, "FH-407")

@@ -9,5 +9,5 @@ def explanations() -> dict[str, Explanation]:
     """Return them by code, in the order of the codes; drivers have theirs in the attribute ``explanations``."""
     found = {str(code): code.explanation for code in FaultCode} | CODES
     for name in driver_names():
-        found |= getattr(load_driver(name), "explanations", {})
+        found |= load_driver(name).explanations
     return dict(sorted(found.items()))

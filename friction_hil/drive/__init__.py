@@ -1,22 +1,20 @@
 """Drive port: the interface between the daemon and the drivers.
 
-`port` defines the data of each cycle and the protocol of a driver, `codes` the codes of faults, `finding` the reports
-to ``friction-hil doctor``, `encoder` the unwrapping of encoder counters.
+`driver` has the base classes of drivers, `port` the data of each cycle, `codes` the codes of faults, `finding` the
+reports to ``friction-hil doctor``, `encoder` the unwrapping of encoder counters.
 """
 
 from friction_hil.drive.codes import FaultCode
+from friction_hil.drive.driver import Driver, Drives, SimulatedDriver
 from friction_hil.drive.finding import Finding
 from friction_hil.drive.port import (
     AxisFacts,
     Clock,
     Command,
-    Driver,
-    Drives,
     DriveState,
     Feedback,
     Mode,
     Request,
-    SimulatedDriver,
 )
 from friction_hil.drive.unit_row import UnitRow, unit_table
 

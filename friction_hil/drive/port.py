@@ -1,23 +1,11 @@
-"""Drive port: the interface between the daemon and the drivers.
-
-A driver is a class registered under the entry-point group ``friction_hil.drivers``. One instance serves all
-axes of its kind on one bus, because they share each cycle on the bus: one SYNC, the feedback of every drive, the
-command to every drive. The class that simulates the drives is registered under ``friction_hil.simulated_drives``
-by the same name.
-"""
+"""Data that pass between the daemon and the drivers in each cycle, and the clock."""
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Protocol
 
 from friction_hil.drive.unit_row import UnitRow
-
-if TYPE_CHECKING:
-    from pydantic import BaseModel
-
-    from friction_hil.config import AxisConfig, Configuration
 
 
 class Mode(IntEnum):
@@ -177,125 +165,4 @@ class Clock(Protocol):
 
     def sleep_until(self, deadline_ns: int) -> None:
         """Return at ``deadline_ns``, or at once when it has passed."""
-        ...
-
-
-class Drives(Protocol):
-    """All drives of one driver on one bus, called from one thread.
-
-    Order of calls: ``connect`` (blocking: identity, parameters, mapping, watchdogs), ``start`` (cyclic phase), then
-    ``receive`` and ``send`` in each cycle, and ``close`` in any case. Between ``start`` and ``close`` no other
-    thread may use the bus.
-
-    Drives that another controller enables and moves have ``is_follower = True``: the loop then requests nothing
-    (`Request.LISTEN`), and only the torque of its commands is sent, as offset. In real time they have a ``phase_lock``
-    too (`friction_hil.drive.phase_lock.PhaseLock`), and the loop keeps its pace.
-    """
-
-    def connect(self) -> Sequence[AxisFacts]:
-        """Configure every drive, in the order of the axes.
-
-        Raises
-        ------
-        BusError, DriveError
-            The bus does not open, no drive answers, or a drive does not match the configuration.
-        """
-        ...
-
-    def start(self) -> None:
-        """Begin the cyclic phase."""
-        ...
-
-    def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
-        """Start a cycle on the bus and fill ``feedback``; return when all has arrived, or when it is too late.
-
-        Parameters
-        ----------
-        feedback : sequence of Feedback
-        end_ns : int
-            Time at which the next cycle begins; the driver decides how long before it is too late.
-        """
-        ...
-
-    def send(self, commands: Sequence[Command]) -> None:
-        """Write one command to each axis."""
-        ...
-
-    def warm_caches(self) -> None:
-        """Run the code of a cycle in the spin before its deadline, to fill the processor's caches.
-
-        Nothing is sent, and no feedback changes; what arrived since the last cycle may be processed.
-        """
-        ...
-
-    def close(self) -> Sequence[DriveState] | None:
-        """Disable the drives and leave the bus. May be called at any time, also twice.
-
-        Returns
-        -------
-        sequence of DriveState or None
-            State of each drive as read back after the stop, `DriveState.UNKNOWN` where it was not. A state that is
-            powered or unknown is a fault of the run. None: the driver reads nothing back; what counts then is the
-            feedback of the last cycle. Afterwards the lists of str ``leftovers`` and ``remarks``, where the driver has
-            them, say what could not be left as it was found, which is exit status 1, and what is not known of that.
-        """
-        ...
-
-
-class Driver(Protocol):
-    """Class named by an entry point of ``friction_hil.drivers``.
-
-    It may have the attributes ``remedies``, what to do about each of its codes, by code, for those who show its faults,
-    and ``explanations``, an `Explanation` of each code, for ``friction-hil explain``.
-    It may have these classmethods:
-
-    ``check_files(configuration, axes)``
-        Yields the errors in the files named by its keys as (axis, key, error); no port or bus is opened.
-    ``check_bus(bus)``
-        Yields what is wrong with the section ``bus`` of a configuration as (key, message); nothing is opened.
-    ``new_keys(wanted)``
-        Returns its keys in a new configuration; see `friction_hil.config.new_file.Wanted`.
-    ``check_machine(root)``
-        Yields a `friction_hil.drive.Finding` for everything that its kind of drive needs of the machine, from the files
-        below ``root`` (a Path; ``/`` of a real machine). Drivers that need the same yield equal findings.
-    ``check_connection(configuration, axes)``
-        Yields a Finding for each part of the connection to the drives that can be checked without writing to one. Not
-        repeated is what ``check_files`` reports. Ports and buses opened for it are closed at once.
-    ``try_watchdogs(configuration, axes, clock)``
-        Sets each drive up, without torque and at standstill, lets each of its watchdogs lapse, and yields a Finding for
-        each: what was seen to act, and what was not.
-    ``open_inventory(bus)`` and ``inventory_node(axis)``
-        Opens a bus (the section ``bus`` of a configuration) and returns a `friction_hil.drive.inventory.Inventory`, for
-        ``friction-hil drives`` (``may_disturb``: it may read nodes that another master reads); and returns the number
-        under which that finds the drive of an axis.
-    ``stop_axes(configuration, axes)`` and ``reset_axes(configuration, axes)``
-        For ``friction-hil stop`` and ``reset``: takes the power of each drive, or resets its fault and leaves it
-        without power; returns a `friction_hil.drive.inventory.StopReport` of what was read back. Neither enables a
-        drive; one that does not answer does not keep the others from being stopped.
-    """
-
-    Options: "type[BaseModel]"  # keys of an axis that belong to the driver
-
-    def __call__(
-        self, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", clock: Clock, *, dry_run: bool
-    ) -> Drives:
-        """Return the drives of ``axes``, not connected yet."""
-        ...
-
-
-class SimulatedDriver(Protocol):
-    """Class named by an entry point of ``friction_hil.simulated_drives``.
-
-    It may have the static methods ``make_master`` (see ``simulate --master``) and ``make_private(configuration,
-    folder)``, which returns the configuration on a bus or lines that nothing else uses, and the name of what it
-    replaces (see ``run --simulate``), and ``simulated_facts(name, axis, period_s)``, which returns the `AxisFacts` that
-    the driver finds of such a drive, for simulations without a bus (see ``friction-hil study MACHINE``). Drives whose
-    class has ``have_common_time = True`` advance together, so that axes may share a mechanism: their servos are those
-    of `friction_hil.config.simulation.simulated_servos`.
-    """
-
-    Options: "type[BaseModel]"  # keys of ``simulation`` of an axis
-
-    def __call__(self, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", *, pace: str) -> Any:
-        """Return simulated drives; ``run(is_stopping)`` serves the bus until ``is_stopping()`` is true."""
         ...

@@ -23,10 +23,8 @@ def read(source: Source) -> list[Recording]:
         raise UsageError(f"{source.path}: raw CAN frames need the configuration of the machine: --config machine.yaml")
     recordings: list[Recording] = []
     for driver in dict.fromkeys(axis.driver for axis in configuration.axes.values()):
-        read_bus_log = getattr(load_driver(driver), "read_bus_log", None)
-        if read_bus_log is not None:
-            own = {name: axis for name, axis in configuration.axes.items() if axis.driver == driver}
-            recordings += read_bus_log(source.path, own)
+        own = {name: axis for name, axis in configuration.axes.items() if axis.driver == driver}
+        recordings += load_driver(driver).read_bus_log(source.path, own)
     if not recordings:
         raise UsageError(f"{source.path}: no driver of the configuration decodes CAN logs")
     names = source.select([recording.axis for recording in recordings])

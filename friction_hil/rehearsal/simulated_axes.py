@@ -88,11 +88,10 @@ def simulated_machines(configuration: "Configuration") -> tuple[SimulatedMachine
 
 
 def _facts(name: str, axis: "AxisConfig", period_s: float) -> "AxisFacts":
-    find = getattr(load_driver(axis.driver, SIMULATED_DRIVES), "simulated_facts", None)
-    if find is None:
+    facts = load_driver(axis.driver, SIMULATED_DRIVES).simulated_facts(name, axis, period_s)
+    if facts is None:
         raise UsageError(
             f"{name}: the delays of simulated drives of the driver {axis.driver} are known only while a line is open, "
             "so that the axis cannot be simulated without one; use driver: canopen"
         )
-    facts: AxisFacts = find(name, axis, period_s)
     return facts

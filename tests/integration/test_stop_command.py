@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from friction_hil.cli import main
+from friction_hil.drive import Driver
 from tests.launcher import start
 from tests.peers.serial_processes import wait_until, write_serial_configuration
 from tests.processes import listening, run, run_daemon, simulated_drives, write_configuration
@@ -97,11 +98,11 @@ def test_what_is_not_read_back_is_unknown_and_keeps_no_other_axis_from_being_sto
 def test_a_driver_that_can_stop_nothing_leaves_its_drives_unknown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("friction_hil.cli.work.stop.load_driver", lambda name: object())
+    monkeypatch.setattr("friction_hil.cli.work.stop.load_driver", lambda name: Driver)
     status = main(["stop", str(write_configuration(tmp_path)), "--json"])
     (axis,) = json.loads(capsys.readouterr().out)["axes"]
     assert (status, axis["result"], axis["after"]) == (1, "unknown", "unknown")
-    assert "the driver canopen can only stop drives within a run" in axis["detail"]
+    assert "its driver can only stop drives within a run" in axis["detail"]
 
 
 def test_reset_leaves_the_drive_of_another_master_alone(tmp_path: Path) -> None:

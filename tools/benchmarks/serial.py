@@ -122,7 +122,8 @@ def _rates(label: str, path: Path, target_us: float) -> list[Row]:
 
 def _enabled(configuration: Configuration) -> SerialDrives:
     (axis,) = configuration.axes.values()
-    drives: SerialDrives = load_driver(axis.driver)(configuration, configuration.axes, RealClock(), dry_run=False)
+    drives = load_driver(axis.driver)(configuration, configuration.axes, RealClock(), dry_run=False)
+    assert isinstance(drives, SerialDrives)
     drives.connect()
     drives.start()
     feedback = Feedback()

@@ -174,7 +174,7 @@ class CanopenDrives(CanopenService):
         self._journals: dict[int, Journal] = {}
         self._nmt_states: dict[int, int | None] = {}  # of nodes that were given another one: the state found
         self._states: dict[str, DriveState] = {}  # read back while leaving
-        self._is_passive = False
+        self.is_passive = False
         self._is_reading = True  # nothing was written yet
         self.leftovers: list[str] = []
         self.remarks: list[str] = []
@@ -183,11 +183,6 @@ class CanopenDrives(CanopenService):
         self._identifiers: set[int] = set()  # of all PDOs in use
         self._exchange: CyclicExchange | PassiveExchange | None = None
         self._is_started = False
-
-    @property
-    def is_passive(self) -> bool:
-        """True for a dry run that only listens, because another master is at work."""
-        return self._is_passive
 
     # Connecting
 
@@ -280,7 +275,7 @@ class CanopenDrives(CanopenService):
         ]
         if refusals and not self._dry_run:
             raise DriveError("; ".join(refusals), code=codes.ALREADY_POWERED)
-        self._is_passive = self._dry_run and bool(refusals or self._others.words)
+        self.is_passive = self._dry_run and bool(refusals or self._others.words)
         self._refuse_other_masters()
 
     def _refuse_other_masters(self) -> None:
@@ -300,7 +295,7 @@ class CanopenDrives(CanopenService):
     def _connect_axis(self, name: str, config: "AxisConfig") -> CanopenAxis:
         options, client = canopen_options(config), self._clients[name]
         assert self._configuration.bus is not None
-        client.is_read_only = self._is_passive
+        client.is_read_only = self.is_passive
         try:
             drive = configure(
                 client,
@@ -314,7 +309,7 @@ class CanopenDrives(CanopenService):
                 sync_id=self._configuration.bus.sync_cob_id,
             )
         except DriveError as error:
-            if self._is_passive and error.code in _OF_MAPPING:
+            if self.is_passive and error.code in _OF_MAPPING:
                 raise nothing_to_hear(client, self._others, error.detail) from error
             raise
         notes = client.notes if client.journal is None else [*client.notes, *client.journal.notes]
@@ -325,7 +320,7 @@ class CanopenDrives(CanopenService):
         """Find out the NMT state of a node, and take it out of Operational, in which it may refuse new mappings."""
         self._refuse_other_masters()
         self._refuse_twins(client, node)
-        if self._is_passive:
+        if self.is_passive:
             return
         self._is_reading = False
         if node in self._nmt_states:
@@ -337,7 +332,7 @@ class CanopenDrives(CanopenService):
             self._set_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, node)
 
     def _passive_notes(self) -> list[str]:
-        if not self._is_passive:
+        if not self.is_passive:
             return []
         heard = self._others.words or "its power is on"
         return [f"another master drives it ({heard}): this dry run only listens to its TPDOs, and reads by SDO"]
@@ -359,7 +354,7 @@ class CanopenDrives(CanopenService):
     def _make_exchange(self, bus: "FrameBus") -> CyclicExchange | PassiveExchange:
         assert self._configuration.bus is not None
         sync_id = self._configuration.bus.sync_cob_id
-        if self._is_passive:
+        if self.is_passive:
             period_s = self._configuration.period_s
             return passive_exchange(
                 bus, self._axes, self._clients, self._others, self._clock, period_s=period_s, sync_id=sync_id
@@ -391,7 +386,7 @@ class CanopenDrives(CanopenService):
             self._keep_setpoints()
         self._is_started = True
         for axis in self._axes:
-            if not self._is_passive:
+            if not self.is_passive:
                 self._set_nmt(objects.NmtCommand.START, axis.node)
         self._exchange.start()
 
@@ -435,7 +430,7 @@ class CanopenDrives(CanopenService):
             if self._bus is not None:
                 stack.callback(self._bus.close)
                 try:
-                    if self._network is not None and not self._is_passive:
+                    if self._network is not None and not self.is_passive:
                         self._leave(self._network)
                 finally:
                     self._bus = None

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from friction_hil.drive.driver import OptionChecks
 from friction_hil_drivers.canopen.load_encoder import LoadEncoderOptions
 from friction_hil_drivers.canopen.si_units import parse_velocity_unit
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
@@ -30,7 +31,7 @@ class Identity(BaseModel):
     product_code: int | None = Field(None, ge=0, le=0xFFFFFFFF, description="1018h:02")
 
 
-class CanopenOptions(BaseModel):
+class CanopenOptions(BaseModel, OptionChecks):
     """Options of an axis with ``driver: canopen``."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)

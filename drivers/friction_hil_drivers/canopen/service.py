@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from friction_hil.drive import Driver
 from friction_hil_drivers.canopen.options import canopen_options
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from friction_hil_drivers.canopen.inventory import CanopenInventory
 
 
-class CanopenService:
+class CanopenService(Driver):
     """Functions of the driver that need no cyclic phase."""
 
     @staticmethod

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback, Mode
+from friction_hil.drive import AxisFacts, Clock, Command, Drives, DriveState, Feedback, Mode
 from friction_hil.drive.phase_lock import PhaseLock
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import codes, objects
@@ -40,7 +40,7 @@ _REAL_ACTUATION_CYCLES = 0.75
 _STEPPED_ACTUATION_CYCLES = 0.5  # simulated time stands still between SYNC and the offset
 
 
-class SidecarDrives:
+class SidecarDrives(Drives):
     """Drives of some axes on a bus whose master is another controller; see `friction_hil.drive.Drives`.
 
     Attributes
@@ -54,6 +54,7 @@ class SidecarDrives:
     """
 
     is_follower = True
+    phase_lock: PhaseLock
 
     def __init__(
         self,

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from friction_hil.drive import AxisFacts, Clock, Command, DriveState, FaultCode, Feedback, Request
+from friction_hil.drive import AxisFacts, Clock, Command, Driver, DriveState, FaultCode, Feedback, Request
 from friction_hil.drive.codes import Explanation, coded
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.drive.inventory import StopReport
@@ -48,7 +48,7 @@ _STOPS = Request.QUICK_STOP, Request.DISABLE
 _MAX_REFUSALS = 10  # successive refused commands that are a fault
 
 
-class SerialDrives:
+class SerialDrives(Driver):
     """Drives of some axes on serial lines; see `friction_hil.drive.Drives`. A protocol sets the class attributes."""
 
     Options: ClassVar[type[SerialOptions]]

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from friction_hil.drive.driver import OptionChecks
 from friction_hil_drivers.serial_line.units import AxisUnits
 from friction_hil_drivers.torque_sign import INVERTED_TORQUE, InvertedTorque
 
@@ -73,7 +74,7 @@ class LineOptions(BaseModel):
         return 9 + (self.parity != "none") + self.stop_bits
 
 
-class SerialOptions(BaseModel):
+class SerialOptions(BaseModel, OptionChecks):
     """Options of an axis on a serial line."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -106,7 +106,7 @@ def _driver_of(path: str, configuration: Configuration) -> tuple[Any, list[int]]
     others = []
     for name in sorted({axis.driver for axis in configuration.axes.values()}):
         driver = load_driver(name)
-        if hasattr(driver, "open_inventory"):
+        if driver.has_inventory:
             axes = [axis for axis in configuration.axes.values() if axis.driver == name]
             return driver, [driver.inventory_node(axis) for axis in axes]
         others.append(name)
@@ -119,7 +119,7 @@ def _driver_of(path: str, configuration: Configuration) -> tuple[Any, list[int]]
 def _driver_for_buses() -> Any:
     for name in driver_names():
         driver = load_driver(name)
-        if hasattr(driver, "open_inventory"):
+        if driver.has_inventory:
             return driver
     raise UsageError("no installed driver can list the drives of a bus")
 

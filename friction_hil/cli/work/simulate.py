@@ -12,6 +12,7 @@ import click
 from friction_hil.config import AxisConfig, Configuration, load
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
 from friction_hil.daemon.realtime import punctuality
+from friction_hil.drive import SimulatedDriver
 from friction_hil.errors import FrictionHilError, UsageError
 
 _PRIORITY_BELOW_LOOP = 10
@@ -24,8 +25,8 @@ def simulate(*, config: str, pace: str, master: bool, ready_fd: int | None, exit
     configuration = load(config, needs_models=False)
     axes = {name: axis for name, axis in configuration.axes.items() if axis.simulation is not None}
     driver = _only_driver(config, configuration, axes)
-    kind: Any = load_driver(driver, SIMULATED_DRIVES)
-    drives: Any = kind(configuration, axes, pace=pace)
+    kind = load_driver(driver, SIMULATED_DRIVES)
+    drives = kind(configuration, axes, pace=pace)
     conductor = _make_master(kind, driver, configuration, axes, pace) if master else None
     try:
         ready = f"ready: {drives.open()}"
@@ -43,7 +44,9 @@ def simulate(*, config: str, pace: str, master: bool, ready_fd: int | None, exit
         drives.close()
 
 
-def _make_master(kind: Any, driver: str, configuration: Configuration, axes: dict[str, AxisConfig], pace: str) -> Any:
+def _make_master(
+    kind: type[SimulatedDriver], driver: str, configuration: Configuration, axes: dict[str, AxisConfig], pace: str
+) -> Any:
     """Return the stand-in for the controller that moves the drives.
 
     Raises
@@ -51,13 +54,13 @@ def _make_master(kind: Any, driver: str, configuration: Configuration, axes: dic
     UsageError
         There is none for drives of this kind, or the configuration is not that of a sidecar.
     """
-    make = getattr(kind, "make_master", None)
-    if make is None:
+    master = kind.make_master(configuration, axes, pace=pace)
+    if master is None:
         raise UsageError(f"--master: there is no stand-in master for drives of the driver {driver}")
-    return make(configuration, axes, pace=pace)
+    return master
 
 
-def _run_with_master(drives: Any, master: Any, is_stopping: Callable[[], bool], priority: int) -> None:
+def _run_with_master(drives: SimulatedDriver, master: Any, is_stopping: Callable[[], bool], priority: int) -> None:
     """Serve the bus, with the master in a process of its own, until a signal comes or the master has ended."""
     read_end, write_end = os.pipe()
     child = os.fork()

@@ -55,15 +55,15 @@ def simulated_drives(
         The user stopped before they were ready.
     """
     driver = only_driver(configuration)
-    make_private = getattr(load_driver(driver, SIMULATED_DRIVES), "make_private", None)
-    if make_private is None:
-        raise UsageError(
-            f"--simulate: simulated drives of the driver {driver} cannot have a bus of their own; start them with "
-            "'friction-hil simulate' in another terminal"
-        )
     with tempfile.TemporaryDirectory(prefix="friction-hil-") as name:
         folder = Path(name)
-        private, former = make_private(configuration, folder)
+        made = load_driver(driver, SIMULATED_DRIVES).make_private(configuration, folder)
+        if made is None:
+            raise UsageError(
+                f"--simulate: simulated drives of the driver {driver} cannot have a bus of their own; start them with "
+                "'friction-hil simulate' in another terminal"
+            )
+        private, former = made
         file = folder / "simulated.yaml"
         file.write_text(dump(self_contained(private)), encoding="utf-8")
         words = ["simulate", str(file), "--exit-with-stdin", "--pace", pace]

@@ -8,7 +8,7 @@ from friction_hil.cli.work.control import act_on_daemon, is_daemon
 from friction_hil.cli.work.tables import say
 from friction_hil.config import AxisConfig, Configuration, load
 from friction_hil.config.drivers import load_driver
-from friction_hil.drive import DriveState
+from friction_hil.drive.driver import not_stopped
 from friction_hil.drive.inventory import Stop, StopReport
 from friction_hil.errors import FrictionHilError, UsageError, choices
 
@@ -18,7 +18,7 @@ def stop(*, config: str, axes: Sequence[str], as_json: bool) -> int:
     if is_daemon(config):
         _refuse_axes(axes)
         return act_on_daemon(config, "stop", as_json=as_json)
-    return _carry_out("stop_axes", config, axes, as_json=as_json)
+    return _carry_out(config, axes, is_reset=False, as_json=as_json)
 
 
 def reset(*, config: str, axes: Sequence[str], as_json: bool) -> int:
@@ -26,7 +26,7 @@ def reset(*, config: str, axes: Sequence[str], as_json: bool) -> int:
     if is_daemon(config):
         _refuse_axes(axes)
         return act_on_daemon(config, "reset", as_json=as_json)
-    return _carry_out("reset_axes", config, axes, as_json=as_json)
+    return _carry_out(config, axes, is_reset=True, as_json=as_json)
 
 
 def _refuse_axes(axes: Sequence[str]) -> None:
@@ -34,14 +34,14 @@ def _refuse_axes(axes: Sequence[str]) -> None:
         raise UsageError("--axis is for the drives of a configuration; a daemon stops and resets all of its axes")
 
 
-def _carry_out(method: str, config: str, names: Sequence[str], *, as_json: bool) -> int:
+def _carry_out(config: str, names: Sequence[str], *, is_reset: bool, as_json: bool) -> int:
     configuration = load(config, needs_models=False)
     chosen = _choose(config, configuration, names)
     found: dict[str, Stop] = {}
     notes: list[str] = []
     for driver in dict.fromkeys(axis.driver for axis in chosen.values()):
         of_driver = {name: axis for name, axis in chosen.items() if axis.driver == driver}
-        report = _serve(method, driver, configuration, of_driver)
+        report = _serve(driver, configuration, of_driver, is_reset=is_reset)
         found |= {each.axis: each for each in report.stops}
         notes += report.notes
     stops = [found[name] for name in chosen]
@@ -49,7 +49,7 @@ def _carry_out(method: str, config: str, names: Sequence[str], *, as_json: bool)
         print_json({"axes": [_json(each) for each in stops], "notes": notes})
     else:
         for each in stops:
-            say(_line(each, config, is_reset=method == "reset_axes"), stderr=False)
+            say(_line(each, config, is_reset=is_reset), stderr=False)
         for note in notes:
             say(f"note: {note}", stderr=False)
     return 0 if all(each.is_proved for each in stops) else 1
@@ -69,18 +69,13 @@ def _choose(path: str, configuration: Configuration, names: Sequence[str]) -> di
     return {name: axis for name, axis in configuration.axes.items() if not names or name in names}
 
 
-def _serve(method: str, driver: str, configuration: Configuration, axes: Mapping[str, AxisConfig]) -> StopReport:
+def _serve(driver: str, configuration: Configuration, axes: Mapping[str, AxisConfig], *, is_reset: bool) -> StopReport:
     """Stop or reset the drives of one driver; its failure must not keep the others from being stopped."""
     try:
-        act: Any = getattr(load_driver(driver), method, None)
-        if act is not None:
-            report: StopReport = act(configuration, axes)
-            return report
-        reason = f"the driver {driver} can only stop drives within a run: switch the drive off"
+        kind = load_driver(driver)
+        return kind.reset_axes(configuration, axes) if is_reset else kind.stop_axes(configuration, axes)
     except FrictionHilError as error:
-        reason = str(error)
-    unknown = DriveState.UNKNOWN
-    return StopReport(tuple(Stop(None, unknown, unknown, "unknown", reason, name) for name in axes))
+        return not_stopped(axes, str(error))
 
 
 def _json(stop: Stop) -> dict[str, Any]:

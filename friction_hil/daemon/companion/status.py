@@ -84,7 +84,12 @@ class StatusLine:
     def _loop_parts(self, rows: Array, lost: int) -> list[str]:
         """Return the parts of the first line, the most important first."""
         title = (self._job.status_title,) if self._job.status_title else ()
-        parts = [*title, f"{self._of(rows, 0, TIME)[-1]:.1f} s", self._state(rows), f"missed {self._missed(rows, lost)}"]
+        parts = [
+            *title,
+            f"{self._of(rows, 0, TIME)[-1]:.1f} s",
+            self._state(rows),
+            f"missed {self._missed(rows, lost)}",
+        ]
         late = self._of(rows, 0, "late_us")
         if np.isfinite(late).any():
             parts.append(f"late p99 {np.nanpercentile(late, 99):.0f} µs")

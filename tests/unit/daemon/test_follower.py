@@ -16,7 +16,7 @@ from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.stop import StopRequest
-from friction_hil.drive import AxisFacts, DriveState, Mode
+from friction_hil.drive import AxisFacts, Drives, DriveState, Mode
 from friction_hil.errors import ConfigurationError
 from friction_hil.motion.trajectory import PathTime
 from friction_hil.servo.config import ServoConfig
@@ -50,7 +50,7 @@ def configuration(role="sidecar", **changes):
     return from_dict({"version": 1, "period_s": PERIOD_S, "bus": bus, "axes": {"x": sidecar_dict(**changes)}}, "test")
 
 
-class Machine:
+class Machine(Drives):
     """A servo that its own controller moves to and fro, and the daemon beside it, as `friction_hil.drive.Drives`.
 
     ``disturb(cycle, feedback)`` changes what is heard; ``state(cycle)`` is the drive's state.

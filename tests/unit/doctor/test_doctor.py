@@ -16,6 +16,7 @@ from friction_hil_drivers.serial_line import ports
 from friction_hil.cli import main
 from friction_hil.config import load
 from friction_hil.doctor import checks as doctor
+from friction_hil.drive import Driver
 from friction_hil.errors import BusError, ConfigurationError, ParameterError, UsageError
 from tests.servo_drives import axis_dict
 from tests.system_files import lay
@@ -360,7 +361,7 @@ def test_an_axis_that_another_daemon_drives(look, write):
 
 
 def test_a_driver_without_checks_is_reported(look, terminal, monkeypatch):
-    monkeypatch.setattr(doctor, "load_driver", lambda name: object())
+    monkeypatch.setattr(doctor, "load_driver", lambda name: Driver)
     found, status = look(serial(terminal[1]))
     assert status == 0
     assert found["driver modbus"]["result"] == "warn"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from friction_hil.drive import AxisFacts, Mode
+from friction_hil.drive import AxisFacts, Mode, SimulatedDriver
 from friction_hil.errors import BusError
 from friction_hil_drivers.canopen.delays import ACTUATION_CYCLES, SETPOINT_CYCLES
 from friction_hil_drivers.canopen.interfaces import bus_name
@@ -25,7 +25,7 @@ _SYNC_TIMEOUT_S = 0.1
 _AHEAD_NS = 400_000  # before a SYNC: then the state that it will sample is computed
 
 
-class SimulatedCanopenDrives:
+class SimulatedCanopenDrives(SimulatedDriver):
     """One CANopen node for each axis.
 
     Parameters

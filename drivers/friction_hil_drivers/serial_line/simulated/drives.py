@@ -1,10 +1,10 @@
 """Simulated drives of some axes on serial lines, in one thread."""
 
-from abc import ABC
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
+from friction_hil.drive import SimulatedDriver
 from friction_hil.errors import BusError, UsageError
 from friction_hil_drivers.serial_line.description import Description, load_description
 from friction_hil_drivers.serial_line.options import LineOptions, SerialOptions
@@ -28,7 +28,7 @@ class ResponderFactory(Protocol):
         ...
 
 
-class SimulatedSerialDrives(ABC):
+class SimulatedSerialDrives(SimulatedDriver):
     """Simulated drives of one protocol, on the lines of their axes. A protocol sets the class attributes.
 
     Parameters
