@@ -222,6 +222,7 @@ class RecordingFormatContract:
             at = int(position * len(data))
             data[at : at + len(patch)] = patch
         path.write_bytes(data)
+        read_or_reason(path)  # what it imports for the first time is not counted
         tracemalloc.start()
         read = read_or_reason(path)
         _, peak = tracemalloc.get_traced_memory()
