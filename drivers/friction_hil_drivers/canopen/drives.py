@@ -206,13 +206,12 @@ class CanopenDrives(CanopenService):
         heard_by(self._bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)
         self._refuse_other_masters()
         self._network = SdoNetwork(self._bus, self._others.take, self._before_request)
-        with self._network.reading():
-            for name, axis in self._configs.items():
-                self._clients[name] = self._client(self._network, name, canopen_options(axis).node)
-            self._meet(self._bus)
-            self._look()
-            for name, axis in self._configs.items():
-                self._axes.append(self._connect_axis(name, axis))
+        for name, axis in self._configs.items():
+            self._clients[name] = self._client(self._network, name, canopen_options(axis).node)
+        self._meet(self._bus)
+        self._look()
+        for name, axis in self._configs.items():
+            self._axes.append(self._connect_axis(name, axis))
         if config.bitrate is not None:
             pdos = [pdo for axis in self._axes for pdo in axis.pdos]
             pdos += watchdog_pdos(axis.watch.feed_cycles for axis in self._axes if axis.watch.rpdo_id)
@@ -392,12 +391,10 @@ class CanopenDrives(CanopenService):
 
     def _keep_setpoints(self) -> None:
         """Keep on disk that the set-points which are written from now on are to be zero in the end."""
-        assert self._network is not None
-        with self._network.reading():
-            for client in self._clients.values():
-                for entry in objects.ACTING_SETPOINTS:
-                    if (bits := client.width(entry) or client.hidden_width(entry)) and client.journal is not None:
-                        client.journal.leave_at_zero(entry.of_axis(client.axis_number), bits // 8)
+        for client in self._clients.values():
+            for entry in objects.ACTING_SETPOINTS:
+                if (bits := client.width(entry) or client.hidden_width(entry)) and client.journal is not None:
+                    client.journal.leave_at_zero(entry.of_axis(client.axis_number), bits // 8)
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
         """Send SYNC and collect the feedback of every drive; see `exchange.CyclicExchange.receive`."""
@@ -441,27 +438,26 @@ class CanopenDrives(CanopenService):
         if frames is not None and self._bus is not None:
             network.meanwhile = watchdog_frames(self._bus, frames, self._clock)
         failure: BusError | None = None
-        with network.reading():
-            if self._dry_run:
-                self._stop_listening()
-            elif self._is_started:
-                assert self._bus is not None
-                axes = [(name, self._node_of(name), client.axis_number) for name, client in self._clients.items()]
-                told = {axis.facts.name: state for axis in self._axes if (state := axis.fresh_state)}
-                self._states, failure = switch_off(self._bus, axes, network.meanwhile, frames, told)
-            for name, client in self._clients.items():
-                obstacle = self._obstacle(self._node_of(name))
-                self.leftovers += restore(client, self._states.get(name) if obstacle is None else obstacle)
-                if frames is not None:
-                    frames.left(self._node_of(name))
-            for node, found in self._nmt_states.items():
-                if found == objects.NmtState.OPERATIONAL:
-                    if self._is_unpowered(node):
-                        self._write_nmt(objects.NmtCommand.START, node)
-                    else:
-                        self.leftovers.append(kept_out_of_operational(node))
-                elif found is None and self._clock.is_real:
-                    self.remarks.append(unknown_nmt_state(node))
+        if self._dry_run:
+            self._stop_listening()
+        elif self._is_started:
+            assert self._bus is not None
+            axes = [(name, self._node_of(name), client.axis_number) for name, client in self._clients.items()]
+            told = {axis.facts.name: state for axis in self._axes if (state := axis.fresh_state)}
+            self._states, failure = switch_off(self._bus, axes, network.meanwhile, frames, told)
+        for name, client in self._clients.items():
+            obstacle = self._obstacle(self._node_of(name))
+            self.leftovers += restore(client, self._states.get(name) if obstacle is None else obstacle)
+            if frames is not None:
+                frames.left(self._node_of(name))
+        for node, found in self._nmt_states.items():
+            if found == objects.NmtState.OPERATIONAL:
+                if self._is_unpowered(node):
+                    self._write_nmt(objects.NmtCommand.START, node)
+                else:
+                    self.leftovers.append(kept_out_of_operational(node))
+            elif found is None and self._clock.is_real:
+                self.remarks.append(unknown_nmt_state(node))
         if failure is not None:
             raise failure
 

@@ -3,10 +3,9 @@
 No thread reads the bus: a request reads it until its answer came.
 """
 
-import contextlib
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 
 import can
@@ -49,7 +48,6 @@ class SdoChannel:
         self._send, self._pump, self._now = send, pump, now
         self.arrived: deque[bytes] = deque()
         self.owed = OwedAnswers()
-        self.patience_s = PATIENCE_S  # for the answer to a request
 
     def carry_out(self, transfer: Transfer, attempts: int) -> None:
         """Carry out a transfer; the request that begins it is sent so many times at most."""
@@ -67,7 +65,7 @@ class SdoChannel:
         address = transfer.awaited
         if address == SEGMENT:
             attempts = 1  # a server that had it already would abort
-        wait_s = self.patience_s / attempts
+        wait_s = PATIENCE_S / attempts
         self._pump(0.0)
         while self.arrived:
             self.owed.drop(self.arrived.popleft())
@@ -133,20 +131,6 @@ class SdoClient(ObjectReader):
         self.is_read_only = False
         self._has_answered = False
         self._late = 0
-
-    @property
-    def patience_s(self) -> float:
-        """Time within which the drive must answer a request, s."""
-        return self._channel.patience_s
-
-    @contextlib.contextmanager
-    def patience(self, seconds: float) -> Iterator[None]:
-        """Wait no longer than so many seconds for an answer meanwhile."""
-        before, self._channel.patience_s = self._channel.patience_s, seconds
-        try:
-            yield
-        finally:
-            self._channel.patience_s = before
 
     def bytes_of(self, entry: Object) -> bytes | None:
         """See `ObjectReader.bytes_of`; an object that the drive refuses to show counts as absent, with a note."""
@@ -289,7 +273,7 @@ class SdoClient(ObjectReader):
             self.notes.append(text)
 
     def _answer_lost(self, verb: str, entry: Object) -> DriveError:
-        text = f"{self.axis}: {self.where} stopped answering ({verb} {entry}; waited {self.patience_s:g} s)"
+        text = f"{self.axis}: {self.where} stopped answering ({verb} {entry}; waited {PATIENCE_S:g} s)"
         return DriveError(text, code=codes.ANSWER_LOST)
 
 
@@ -337,11 +321,6 @@ class SdoNetwork:
         channel = SdoChannel(partial(self._send, objects.SDO_REQUEST_BASE + node), self._pump, self._now)
         channel = self._channels.setdefault(objects.SDO_RESPONSE_BASE + node, channel)
         return SdoClient(channel, axis, where)
-
-    @contextlib.contextmanager
-    def reading(self) -> Iterator[None]:
-        """Allow the clients to read the bus; nothing else may read it meanwhile."""
-        yield
 
     def _send(self, can_id: int, data: bytes) -> None:
         if self._asking is not None:

@@ -126,17 +126,16 @@ class WatchdogTrial:
             It does not go there.
         """
         self._nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL)
-        with self._network.reading():
-            self._leave_fault()
-            if not self._axis.watch.rpdo_id:
-                self._hold_position()
-            self._nmt(objects.NmtCommand.START)
-            for word, state in (
-                (profile.SHUTDOWN, DriveState.READY_TO_SWITCH_ON),
-                (profile.SWITCH_ON, DriveState.SWITCHED_ON),
-            ):
-                self._client.write(objects.CONTROLWORD, word)
-                self._await(state)
+        self._leave_fault()
+        if not self._axis.watch.rpdo_id:
+            self._hold_position()
+        self._nmt(objects.NmtCommand.START)
+        for word, state in (
+            (profile.SHUTDOWN, DriveState.READY_TO_SWITCH_ON),
+            (profile.SWITCH_ON, DriveState.SWITCHED_ON),
+        ):
+            self._client.write(objects.CONTROLWORD, word)
+            self._await(state)
         self._sent_s |= dict.fromkeys(("rpdo", _POLL), time.monotonic())
 
     def _feed(self) -> float:
@@ -165,8 +164,7 @@ class WatchdogTrial:
 
     def _switch_off(self) -> None:
         self._nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL)
-        with self._network.reading():
-            self._leave_fault()
+        self._leave_fault()
 
     def _state(self) -> DriveState:
         return profile.drive_state(self._client.read(objects.STATUSWORD))

@@ -180,9 +180,9 @@ def test_an_answer_to_another_client_is_not_taken(make):
 def test_the_abort_after_a_time_out_names_the_object(make):
     bus, client = make()
     bus.delay = lambda request: None
-    with client.patience(0.2), pytest.raises(DriveError, match="no drive answers"):
+    with pytest.raises(DriveError, match="no drive answers"):
         client.read(objects.VELOCITY_UNIT)
-    assert bus.time_s == pytest.approx(0.2)
+    assert bus.time_s == pytest.approx(PATIENCE_S)
     assert bus.aborts == [abort(0x60A9, 0, 0x05040000)]
 
 
@@ -243,11 +243,9 @@ def test_a_slow_server_on_a_bus():
     server = threading.Thread(target=serve_late, args=(peer, is_stopping))
     server.start()
     try:
-        network = SdoNetwork(bus)
-        client = network.client(NODE, "x", "node 5")
-        with network.reading():
-            assert client.find(objects.INTERPOLATION_PERIOD) is None
-            assert client.find(objects.VELOCITY_UNIT) == objects.REVOLUTIONS_PER_MINUTE
+        client = SdoNetwork(bus).client(NODE, "x", "node 5")
+        assert client.find(objects.INTERPOLATION_PERIOD) is None
+        assert client.find(objects.VELOCITY_UNIT) == objects.REVOLUTIONS_PER_MINUTE
     finally:
         is_stopping.set()
         server.join()
