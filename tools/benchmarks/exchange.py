@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from friction_hil_drivers.canopen import CanopenDrives, objects
-from friction_hil_drivers.canopen.codec import Frame
 from friction_hil_drivers.canopen.frames import FrameBus
+from friction_hil_drivers.canopen.objects import Frame
 from friction_hil_drivers.canopen.simulated import SimulatedCanopenDrives
 
 from friction_hil import config

@@ -9,7 +9,7 @@ from friction_hil.drive import Command, DriveState, Mode, Request
 from friction_hil.drive.encoder import derived_velocity
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.mapping import TARGETS, MappedPdo
-from friction_hil_drivers.canopen.objects import Object
+from friction_hil_drivers.canopen.objects import Frame, Object
 from friction_hil_drivers.canopen.units import COUNTER_BITS, PER_MILLE, CanopenUnits
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.cia402.profile import drive_state
@@ -17,8 +17,6 @@ from friction_hil_drivers.cia402.profile import drive_state
 _HALF, _MASK = 1 << (COUNTER_BITS - 1), (1 << COUNTER_BITS) - 1
 _make = tuple.__new__  # what the constructor of a named tuple calls
 _COMMANDED = 3  # values of a command: controlword, target, torque
-
-Frame = tuple[int, bytes]  # identifier and data
 
 _EMERGENCY_CODE = struct.Struct("<H")  # then the error register and 5 bytes of the manufacturer; some drives send less
 _NMT_STATE = 0x7F  # bits of a heartbeat's byte; the upper one is the toggle bit of node guarding

@@ -15,8 +15,8 @@ from friction_hil_drivers.canopen.dialogue import Transfer, Upload
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 
 if TYPE_CHECKING:
-    from friction_hil_drivers.canopen.codec import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
+    from friction_hil_drivers.canopen.objects import Frame
 
 PATIENCE_S = 3.0  # storing parameters and a change of mapping take some drives more than a second
 _SILENT_S = 0.25  # for an answer of a node that has kept silent for its whole time before

@@ -14,8 +14,8 @@ from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.watchdogs import Guard, feeders
 
 if TYPE_CHECKING:
-    from friction_hil_drivers.canopen.codec import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
+    from friction_hil_drivers.canopen.objects import Frame
 
 _COMMAND_FRACTION = 0.25  # of the period, kept for computing and sending what acts from the next SYNC on
 _OPERATIONAL = bytes([objects.NmtState.OPERATIONAL])

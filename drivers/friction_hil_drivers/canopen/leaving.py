@@ -15,9 +15,9 @@ from friction_hil_drivers.canopen.stopping import disable_axes, has_no_power
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
-    from friction_hil_drivers.canopen.codec import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
     from friction_hil_drivers.canopen.last_frames import LastFrames
+    from friction_hil_drivers.canopen.objects import Frame
     from friction_hil_drivers.canopen.sdo import SdoClient
 
 _ATTEMPTS = 2  # within the patience: the same controlword again is harmless, and a frame may have been lost

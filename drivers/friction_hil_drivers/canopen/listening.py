@@ -22,8 +22,8 @@ from friction_hil_drivers.canopen.twins import IDENTITY, SETTLE_S, SURE_REQUESTS
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
-    from friction_hil_drivers.canopen.codec import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
+    from friction_hil_drivers.canopen.objects import Frame
     from friction_hil_drivers.canopen.sdo import SdoClient
 
 # Two periods of a master that sends at least every 150 ms, as SYNC, PDOs and heartbeats usually are

@@ -7,6 +7,8 @@ Every index, name and type is defined here and nowhere else. Types are those of 
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
+Frame = tuple[int, bytes]  # identifier and data
+
 
 class DataType(IntEnum):
     """Data types by their index in the object dictionary (CiA 301)."""

@@ -13,7 +13,6 @@ import canopen
 
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
-from friction_hil_drivers.canopen.codec import Frame
 from friction_hil_drivers.canopen.conversation import PATIENCE_S
 from friction_hil_drivers.canopen.dialogue import (
     ABSENT,
@@ -31,7 +30,7 @@ from friction_hil_drivers.canopen.dialogue import (
 from friction_hil_drivers.canopen.frames import FrameBus
 from friction_hil_drivers.canopen.journal import Journal, hexadecimal
 from friction_hil_drivers.canopen.object_reader import ObjectReader
-from friction_hil_drivers.canopen.objects import Object
+from friction_hil_drivers.canopen.objects import Frame, Object
 
 _READ_ATTEMPTS = 3  # within the patience: reading again is harmless, and a frame may have been lost
 _MOST_NOTES = 5

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from friction_hil.drive import DriveState
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.codec import Frame
 from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
+from friction_hil_drivers.canopen.objects import Frame
 from friction_hil_drivers.canopen.temperature import TemperatureRead
 from friction_hil_drivers.canopen.units import wrap
 from friction_hil_drivers.cia402 import profile

@@ -10,9 +10,9 @@ from friction_hil.drive.codes import coded
 from friction_hil.drive.encoder import derived_velocity, unwrap
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.axis import Handler
-from friction_hil_drivers.canopen.codec import Frame, decode_heartbeat, emergency_code, emergency_text
+from friction_hil_drivers.canopen.codec import decode_heartbeat, emergency_code, emergency_text
 from friction_hil_drivers.canopen.mapping import MappedPdo
-from friction_hil_drivers.canopen.objects import NmtState, Object
+from friction_hil_drivers.canopen.objects import Frame, NmtState, Object
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions, mapped
 from friction_hil_drivers.canopen.twins import TwinWatch
 from friction_hil_drivers.canopen.units import COUNTER_BITS, CanopenUnits

@@ -14,8 +14,9 @@ from friction_hil.drive import DriveState
 from friction_hil.drive.finding import Finding
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.codec import Frame, decode_heartbeat, emergency_code
+from friction_hil_drivers.canopen.codec import decode_heartbeat, emergency_code
 from friction_hil_drivers.canopen.dialogue import Upload
+from friction_hil_drivers.canopen.objects import Frame
 from friction_hil_drivers.canopen.watchdogs import Means
 from friction_hil_drivers.cia402 import profile
 
