@@ -13,6 +13,7 @@ from friction_hil_drivers.canopen.objects import Object
 HEAD = struct.Struct("<BHB")  # command, index, sub-index
 LAST_FOUR = struct.Struct("<I")  # abort code, or number of bytes of a segmented transfer
 FRAME_BYTES = 8
+_LONGEST_UPLOAD = 1 << 16  # bytes; a server may send segments without end
 
 # Command specifiers of requests, and of the answer to each
 SPECIFIER = 0xE0
@@ -219,6 +220,9 @@ class Upload(Transfer):
             self._segments += answer[1 : FRAME_BYTES - (answer[0] >> 1 & 0x07)]
             if answer[0] & LAST:
                 self._end(self._segments)
+                return None
+            if len(self._segments) > _LONGEST_UPLOAD:
+                self.abort_code, self.is_done = Abort.OUT_OF_MEMORY, True
                 return None
         elif answer[0] & EXPEDITED:
             content = expedited(answer, UPLOAD)

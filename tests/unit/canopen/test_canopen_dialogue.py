@@ -101,3 +101,17 @@ def test_a_server_that_lost_a_transfer_ends_it_without_its_object() -> None:
 )
 def test_an_answer_in_words(answer: str, words: str) -> None:
     assert describe(bytes.fromhex(answer)) == words
+
+
+def test_a_server_that_sends_segments_without_end_is_given_up() -> None:
+    upload = Upload(objects.DEVICE_NAME)
+    upload.first()
+    request = upload.take(bytes.fromhex("4008100000000000"))  # no size announced
+    count = 0
+    while request is not None:
+        request = upload.take(bytes([request[0] & 0x10]) + b"abcdefg")
+        count += 1
+        assert count < 20_000
+    assert upload.is_done
+    assert not upload.is_accepted
+    assert upload.abort_code == Abort.OUT_OF_MEMORY
