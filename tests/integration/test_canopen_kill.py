@@ -96,6 +96,7 @@ def state_by_sdo(bus):
     return found
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("means", MEANS)
 def test_a_killed_daemon_leaves_no_torque(tmp_path, means):
     manners, words, error = MEANS[means]

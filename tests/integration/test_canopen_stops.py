@@ -150,6 +150,7 @@ def test_an_axis_whose_node_is_taken_out_of_operational_is_stopped_for_certain(
         assert 0x0F not in words
 
 
+@pytest.mark.deep
 def test_a_restarted_node_gets_no_rpdo_and_the_other_axis_is_disabled_in_its_own_time(tmp_path: Path) -> None:
     with contextlib.ExitStack() as stack:
         rig = Rig(tmp_path, stack, x=axis("csv", 1), y=axis("csv", 2))
@@ -173,6 +174,7 @@ def test_a_restarted_node_gets_no_rpdo_and_the_other_axis_is_disabled_in_its_own
         assert off.timestamp - boot.timestamp < 1.0, "the healthy one does not wait for the other"
 
 
+@pytest.mark.deep
 def test_a_drive_that_cannot_be_asked_any_more_is_unknown_and_trips_when_the_heartbeat_ends(tmp_path: Path) -> None:
     with contextlib.ExitStack() as stack:
         events = [{"at_s": 2.0, "do": "mute", "for_s": 1000.0}]

@@ -46,6 +46,7 @@ def days(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.deep
 def test_months_of_recordings_show_what_has_changed_and_nothing_else(
     days: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -117,6 +117,7 @@ def test_emps_lugre_explains_and_moves_the_axis(tmp_path: Path, capsys: pytest.C
     assert sides["positive"]["static"] < sides["positive"]["coulomb"]  # this axis has no Stribeck hump
 
 
+@pytest.mark.deep
 def test_one_model_has_one_error_for_identify_replay_and_train(swing: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """On noise, which a filter removes in part: who compares other rows finds another error."""
     recording = fh.recordings.read("swing.csv")

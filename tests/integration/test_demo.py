@@ -180,6 +180,7 @@ def test_interruption_ends_everything(tmp_path, number):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.deep
 def test_a_killed_demo_leaves_no_process(tmp_path):
     mark = str(uuid.uuid4())
     process = subprocess.Popen(
@@ -280,6 +281,7 @@ def busy_computer(outcome, monkeypatch):
 LATE, ON_TIME = LateClock(dict.fromkeys(range(1000), 1_500_000)), LateClock({})
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("clock", "paces", "reason"), [(ON_TIME, ["real", "sync"], "the loop was late"), (LATE, ["sync"], "misses 50 %")]
 )

@@ -92,6 +92,7 @@ def test_a_killed_daemon_leaves_no_torque(tmp_path: Path, mode: str, manner: lis
         assert drives.is_free, drives.told()
 
 
+@pytest.mark.deep
 def test_pre_operational_in_mid_run_stops_the_drive_at_once(tmp_path: Path) -> None:
     configuration = durand_configuration(tmp_path, mode="csv", **IN_REAL_TIME)
     with durand_drives(configuration) as drives, listening(configuration) as bus:
@@ -107,6 +108,7 @@ def test_pre_operational_in_mid_run_stops_the_drive_at_once(tmp_path: Path) -> N
     assert "Operational" in output
 
 
+@pytest.mark.deep
 def test_a_dry_run_writes_no_command_and_moves_nothing(tmp_path: Path) -> None:
     configuration = durand_configuration(tmp_path)
     with durand_drives(configuration, is_paced_by_sync=True) as drives, listening(configuration) as bus:

@@ -272,6 +272,7 @@ def test_doctor_tries_the_watchdogs_of_simulated_drives(folder):
     assert "fail" not in tried.values(), tried
 
 
+@pytest.mark.deep
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash here")
 @pytest.mark.parametrize("tool", ["demo", "bench"])
 def test_the_tools_show_their_help(tool):

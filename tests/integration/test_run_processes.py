@@ -28,6 +28,7 @@ def _command(pid: int) -> bytes:
     return Path(f"/proc/{pid}/cmdline").read_bytes()
 
 
+@pytest.mark.deep
 def test_a_run_whose_companion_is_killed_goes_on_and_names_all_its_files(tmp_path: Path) -> None:
     configuration = write_configuration(tmp_path)
     with simulated_drives(configuration), listening(configuration) as bus:

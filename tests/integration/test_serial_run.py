@@ -192,6 +192,7 @@ def test_drives_that_are_gone_end_the_run(tmp_path, kind):
     assert recording["is_fresh"][-1] == 0.0
 
 
+@pytest.mark.deep
 def test_drives_that_are_gone_end_a_run_in_real_time(tmp_path):
     configuration = write_serial_configuration(tmp_path, "modbus rtu", **SLOW)
     with (
@@ -203,6 +204,7 @@ def test_drives_that_are_gone_end_a_run_in_real_time(tmp_path):
     assert re.search(r"fault: x: no usable feedback for more than 200 cycles: \S*line is gone: ", errors)
 
 
+@pytest.mark.deep
 def test_torque_goes_on_when_the_adapter_is_back(tmp_path):
     """The adapter is a pair of pseudo-terminals by socat, between the daemon and the simulated drive."""
     socat = program("socat")
@@ -371,6 +373,7 @@ def test_a_description_that_nobody_knows(tmp_path):
     assert "no drive is described as 'generic_cia404'; did you mean 'generic_cia402'?" in text
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", ["modbus rtu", "modbus tcp"])
 def test_a_unit_that_nobody_has(tmp_path, kind):
     there = write_serial_configuration(tmp_path, kind, name="there")

@@ -148,6 +148,7 @@ def test_when_the_daemon_is_killed_the_machine_runs_on_and_its_master_clears_the
     assert max(positions) - min(positions) > 1000
 
 
+@pytest.mark.deep
 def test_when_the_machine_ends_the_daemon_fades_out_and_says_why(configuration):
     slow_down(configuration, max_missed=100)
     with frame_log(configuration) as frames:

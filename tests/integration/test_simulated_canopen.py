@@ -292,6 +292,7 @@ def test_in_real_time_heartbeats_need_no_sync(tmp_path: Path) -> None:
         assert drives.close() == 0
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_it_cleanly(tmp_path: Path, number: signal.Signals) -> None:
     path = tmp_path / "axes.yaml"

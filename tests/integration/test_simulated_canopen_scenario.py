@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.processes import run_daemon, simulated_drives, write_configuration
 from tests.unit.canopen.test_simulated_canopen_vendor_eds import SERVO, pdo, record, variable
 
@@ -52,6 +54,7 @@ def test_a_drive_with_a_vendors_eds_and_slow_manners_runs(tmp_path: Path) -> Non
     assert "rpm" in done.stderr + done.stdout
 
 
+@pytest.mark.deep
 def test_an_event_comes_in_the_same_cycle_of_every_run(tmp_path: Path) -> None:
     path = scene(tmp_path, events=[{"at_s": 0.6, "do": "pre_operational"}], sdo_delay_s=0.001)
     runs = []

@@ -11,9 +11,9 @@ from tests.processes import run, simulated_drives, write_configuration
 
 pytestmark = pytest.mark.deep
 
-SHORT_S, LONG_S, PERIOD_S = 20.0, 300.0, 4e-3
+SHORT_S, LONG_S, PERIOD_S = 20.0, 200.0, 4e-3
 BUDGET_MB, MB = 10.0, 1e6
-EMERGENCIES = [{"at_s": 12.0 + 2.0 * k, "do": "emergency", "code": 0x2310, "for_s": 0.5} for k in range(140)]
+EMERGENCIES = [{"at_s": 12.0 + 2.0 * k, "do": "emergency", "code": 0x2310, "for_s": 0.5} for k in range(90)]
 
 
 def ended(folder, duration_s):
@@ -34,7 +34,7 @@ def ended(folder, duration_s):
     return json.loads(output.read_text()), usage.ru_maxrss * 1024
 
 
-def test_five_minutes_are_as_good_as_twenty_seconds(tmp_path):
+def test_a_long_run_is_as_good_as_a_short_one(tmp_path):
     short, short_bytes = ended(tmp_path / "short", SHORT_S)
     long, long_bytes = ended(tmp_path / "long", LONG_S)
     assert long["cycles"] > LONG_S / PERIOD_S

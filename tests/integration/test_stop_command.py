@@ -37,6 +37,7 @@ def kill_in_motion(configuration: Path) -> None:
     daemon.wait(10.0)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", ["canopen", "modbus rtu"])
 def test_stop_takes_the_power_that_a_killed_daemon_left_on(tmp_path: Path, kind: str) -> None:
     configuration = configured(tmp_path, kind)
@@ -54,6 +55,7 @@ def test_stop_takes_the_power_that_a_killed_daemon_left_on(tmp_path: Path, kind:
         assert axis["address"].startswith({"canopen": "node 1 on", "modbus rtu": "unit 3 on"}[kind])
 
 
+@pytest.mark.deep
 def test_reset_says_what_the_fault_was_and_no_run_needs_more(tmp_path: Path) -> None:
     configuration = write_serial_configuration(tmp_path, "odrive")
     with simulated_drives(configuration):

@@ -70,7 +70,7 @@ def tuned(configuration, *options, check=True):
     return (json.loads(done.stdout) if done.stdout else None), done
 
 
-@pytest.mark.parametrize("kind", ["canopen", "odrive", "dynamixel"])
+@pytest.mark.parametrize("kind", ["canopen", "dynamixel"])
 def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
     if kind == "dynamixel":
         pytest.importorskip("dynamixel_sdk", reason="the extra 'dynamixel' is not installed")

@@ -45,6 +45,7 @@ _RELEASE_NS = 300_000_000
 _REOPEN_S, _REOPEN_POLL_S = 0.3, 5e-3
 _POWER_OFF_S = 0.5  # for a drive to brake and take its power away
 _STOPS = Request.QUICK_STOP, Request.DISABLE
+_ATTEMPTS = 3  # to set commands to zero at the end
 _MAX_REFUSALS = 10  # successive refused commands that are a fault
 
 
@@ -291,6 +292,8 @@ class SerialDrives(Driver):
         is_taken = all([self._try(bus, bus.axes[0].name, exchange) for exchange in zeroing])  # noqa: C419 - all of them
         for axis in bus.axes:
             state = self._states[axis.name] = self._read_back(bus, axis)
+            if not is_taken and state is not DriveState.UNKNOWN:  # it answers, so a telegram may have been lost
+                is_taken = all([self._try(bus, axis.name, exchange, _ATTEMPTS) for exchange in zeroing])  # noqa: C419
             left = axis.not_zero(partial(self._read, bus, axis), partial(self._write_zero, bus, axis))
             if axis.acting_commands and not left and not (is_taken and state is not DriveState.UNKNOWN):
                 left = [f"the drive may still hold its last {' and '.join(axis.acting_commands)}"]
@@ -316,11 +319,11 @@ class SerialDrives(Driver):
                 return state if is_read else DriveState.UNKNOWN
         return DriveState.UNKNOWN
 
-    def _try(self, bus: SerialBus, axis: str, exchange: Exchange) -> bool:
+    def _try(self, bus: SerialBus, axis: str, exchange: Exchange, attempts: int = 1) -> bool:
         """Perform an exchange if the line still works; return True if it was answered."""
         with contextlib.suppress(BusError, DriveError):
             if bus.scheduler.line.is_open:
-                bus.transact(axis, exchange, attempts=1)
+                bus.transact(axis, exchange, attempts=attempts)
                 return True
         return False
 

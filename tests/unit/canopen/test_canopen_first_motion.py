@@ -88,6 +88,7 @@ def test_a_drive_in_another_unit_is_found_out_by_a_small_motion(unit, guess):
     assert not run.bench.statusword & 0x04  # disabled
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("unit", ["counts/s", "rpm", "0.1 rpm", "deg/s", "0.01 rad/s"])
 def test_with_the_right_unit_the_run_goes_on_as_before(unit):
     run = Run({"velocity_unit": unit}, NO_UNIT, velocity_unit=unit)

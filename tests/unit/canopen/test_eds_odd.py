@@ -103,6 +103,7 @@ edits = st.tuples(
 )
 
 
+@pytest.mark.deep
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(edits)
 @example(("1A00sub0", "DefaultValue", "4000000000"))

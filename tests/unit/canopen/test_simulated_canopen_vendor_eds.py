@@ -97,6 +97,7 @@ def upload(bench: Bench, index: int, subindex: int = 0) -> bytes:
 WIDTHS = {0x10: 3, 0x12: 5, 0x13: 6, 0x14: 7, 0x15: 8, 0x16: 3, 0x18: 5, 0x19: 6, 0x1A: 7, 0x1B: 8, 0x0C: 6, 0x0D: 6}
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", [*range(1, 0x1E), 0x20, 0x23, 0x40, 0xFFFF])
 @pytest.mark.parametrize("default", [None, "0", "0x12", "0x7FFFFFFF", "text", ""])
 def test_every_type_with_every_default(drive: Any, kind: int, default: str | None) -> None:

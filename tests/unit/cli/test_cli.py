@@ -78,6 +78,7 @@ def test_the_overview_imports_nothing_heavy():
     assert not loaded & heavy
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("redirections", [">&-", "<&- >&-", "2>&-", "<&- >&- 2>&-"])
 def test_closed_standard_streams_are_no_mistake(redirections, tmp_path):
     """A file that is opened then must not take the number of one of them either."""

@@ -54,6 +54,7 @@ def test_the_stiffness_is_the_slope_of_a_creeping_motion(name):
     assert model.presliding_stiffness == pytest.approx(slope, rel=1e-5)
 
 
+@pytest.mark.deep
 def test_compilation_is_said_on_a_terminal(tmp_path):
     main, terminal = os.openpty()
     environment = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}
@@ -68,7 +69,7 @@ def test_compilation_is_said_on_a_terminal(tmp_path):
 
 
 @pytest.mark.deep
-def test_doctor_compiles_what_a_run_needs_once(tmp_path):
+def test_doctor_compiles_what_a_run_needs(tmp_path):
     """It compiles what this machine's cache lacks; a second time nothing is left to compile."""
     folder = Path(cache_folder())
     shutil.copytree(folder, tmp_path / "friction_hil" / folder.name, ignore=shutil.ignore_patterns("*.tmp.*"))

@@ -108,6 +108,7 @@ def test_xml_with_entities_is_refused(declared):
         parse(f"<!DOCTYPE robot [{declared}]><robot>&x;</robot>".encode(), "a.urdf", "robot")
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("line", "count"),
     [("k{}: 1", 20_000), ("a: 1", 20_000), ("- 1", 5_000)],

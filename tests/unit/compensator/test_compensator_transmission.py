@@ -153,6 +153,7 @@ def test_settings_that_make_no_sense_are_refused(wrong, named):
         one(**({"gap": wrong["backlash"]} if "backlash" in wrong else wrong))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("friction", [(0.04, 0.04), (0.0, 0.08)])
 @pytest.mark.parametrize("motion", [(0.02, 0.5), (0.2, 0.5), (0.2, 2.0)])
 @pytest.mark.parametrize("gap", [0.0, GAP])

@@ -414,6 +414,7 @@ def every_path(value, steps=()):
         yield from every_path(item, (*steps, key))
 
 
+@pytest.mark.deep
 @given(st.data())
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150)
 def test_a_mutated_configuration_loads_or_has_mistakes_with_lines(tmp_path, data):

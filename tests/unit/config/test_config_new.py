@@ -92,6 +92,7 @@ def test_a_simulated_drive_needs_nothing_else(driver, folder):
     assert axis.model.source_path is None
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("driver", ["modbus", "ascii", "dynamixel"])
 def test_a_simulated_drive_of_any_description_needs_nothing_else(driver, folder):
     folders = Path(friction_hil_drivers.__file__).parent / driver / "descriptions"

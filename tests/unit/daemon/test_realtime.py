@@ -66,6 +66,7 @@ def test_nothing_is_asked_for_at_ordinary_priority():
         assert status_of() == before
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("error", [None, RuntimeError])
 def test_everything_is_granted_or_reported_and_given_back(error):
     gc.unfreeze()  # what is frozen before cannot be told from what the context freezes
@@ -101,6 +102,7 @@ class _Memory:
         return -1 if self._refusal else 0
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(
     ("refusal", "limit", "is_capable", "result", "detail"),
     [

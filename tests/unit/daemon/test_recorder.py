@@ -265,6 +265,7 @@ def test_a_folder_of_several_recordings_is_refused_by_name_or_read_one_by_one(be
         assert (status, "has 2 recordings; name one of them: a.mcap, b.mcap" in error) == (2, True)
 
 
+@pytest.mark.deep
 def test_after_a_power_cut_all_that_was_forced_to_the_disk_is_read(bench, tmp_path, monkeypatch):
     """The file is cut at every byte: it holds at least the rows that were released before it had that size."""
     sizes, force = [], os.fsync

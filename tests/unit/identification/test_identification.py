@@ -118,6 +118,7 @@ def test_rough_families_come_close_to_their_truth(family: str) -> None:
     assert fit.values[stiffness] == pytest.approx(TRUTH[family][stiffness], rel=0.1)
 
 
+@pytest.mark.deep
 def test_noise_leaves_parameters_within_their_stated_errors() -> None:
     """25 recordings of LuGre: 95 % intervals hold the truth about as often, and are no wider than they must be."""
     truth = {**TRUTH["lugre"], **MECHANICS}

@@ -168,6 +168,7 @@ def test_a_rigid_axis_has_no_resonance() -> None:
     assert "no resonance from 2 to 150 Hz" in why
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("moved", ["shoulder", "elbow"])
 def test_the_loops_of_an_axis_that_is_held_are_no_coupling(moved: str) -> None:
     """The links are rigid; the other joint gives way under the inertial forces, as far as its loops let it."""
@@ -194,6 +195,7 @@ def test_slow_strokes_excite_no_response() -> None:
 # ------------------------------------------------------------------------------------------------ torque over the time
 
 
+@pytest.mark.deep
 def test_the_spring_of_a_coupling_is_not_put_into_the_bristle_unsaid() -> None:
     result, mechanics = found(COULOMB_LOAD)
     assert result.best.values["sigma0"] == pytest.approx(COULOMB_LOAD.stiffness, rel=0.5)  # what LuGre makes of it
@@ -232,6 +234,7 @@ def test_backlash_is_found_from_the_motor_alone() -> None:
         assert error < 0.1 * expected[name], name
 
 
+@pytest.mark.deep
 def test_a_weight_that_holds_a_gap_closed_is_named() -> None:
     plain = excited(RIGID_LUGRE)
     settings = IdentificationSettings(families=("coulomb",), has_modifiers=False, refine=False)
@@ -259,6 +262,7 @@ def test_with_the_position_of_the_load_each_side_is_known() -> None:
 # ------------------------------------------------------------------------------------------------------ encoder error
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("is_encoder", [True, False])
 def test_an_error_of_the_encoder_is_told_from_cogging_by_the_speed(is_encoder: bool) -> None:
     slow, fast = (there_and_back(speed, 5.0, 8.0) for speed in (1.5, 5.0))

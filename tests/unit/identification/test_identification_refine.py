@@ -297,6 +297,7 @@ plans = st.tuples(
 )
 
 
+@pytest.mark.deep
 @settings(max_examples=40, deadline=None)
 @given(plans)
 def test_the_experiment_stays_within_its_bounds_and_ends_at_rest(wanted: tuple[float, ...]) -> None:

@@ -34,6 +34,7 @@ def fitter_of(recording: Recording) -> CandidateFitter:
     return CandidateFitter([recording], [], settings, lambda _: None)
 
 
+@pytest.mark.deep
 def test_weight_and_inertia_of_a_joint_are_found_behind_its_soft_gear() -> None:
     mechanics = axis_of("harmonic_drive").simulation.mechanics
     assert mechanics.load is not None

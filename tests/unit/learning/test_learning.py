@@ -77,6 +77,7 @@ def test_rows_from_before_a_change_say_nothing_about_it(first):
     assert [proposal.step for _, proposal in first.proposals] == 2 * [Step.PARAMETERS]
 
 
+@pytest.mark.deep
 def test_a_computer_that_is_too_busy_for_an_estimate_judges_what_is_tried_all_the_same(tried):
     tried.take(WINDOW_TICKS + 6, may_estimate=False, error=3e-4)
     figures = tried.learner.figures
@@ -157,6 +158,7 @@ def test_where_friction_falls_the_gain_leaves_room_until_the_next_change(tried):
     assert 0.9 <= whole.gain < gain - 0.02
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("error", "windows"), [(1e-3, 2), (1.3e-3, 1)])
 def test_the_next_trial_waits_unless_the_error_grows_meanwhile(first, error, windows):
     first.take(8, until=Step.BACK, error=1.02e-3)

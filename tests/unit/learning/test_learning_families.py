@@ -64,6 +64,7 @@ def asked(handed_over):
     return deepcopy(handed_over)
 
 
+@pytest.mark.deep
 def test_a_family_is_tried_after_eight_windows_that_it_explained_better(asked):
     when, proposal = asked.proposals[-1]
     assert proposal.step is Step.FAMILY

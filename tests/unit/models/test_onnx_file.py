@@ -30,6 +30,7 @@ def run(path, velocity, dt, **inputs):
     return np.array(torque)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("name", list(STRUCTURES))
 @pytest.mark.parametrize(("size", "periods"), [(0.3, 1.0), (3.0, 1.0), (1.0, 0.3), (1.0, 2.6), (1.0, 40.0)])
 def test_onnxruntime_gives_our_torque(name, size, periods, tmp_path):

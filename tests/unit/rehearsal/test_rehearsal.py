@@ -106,6 +106,7 @@ def excited(mode, servo):
     return Recording("memory", "x", columns)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("bits", [20, 18])
 def test_the_loops_of_a_drive_are_found_from_its_torque(bits) -> None:
     true = Loops(position_gain=90.0, velocity_gain=0.12, integral_hz=6.0)

@@ -144,6 +144,7 @@ def test_a_recording_with_missed_periods_comes_out_bit_for_bit(tmp_path):
         assert np.nanmax(recording["path_lag_s"]) == pytest.approx(14e-3, abs=1e-3)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("bit", "row"), [(0, 0), (51, 777), (63, 1200)])
 @pytest.mark.parametrize("name", INPUTS)
 def test_one_flipped_bit_of_one_input_names_its_cycle(made, tmp_path, name, bit, row):

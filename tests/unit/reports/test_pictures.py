@@ -69,6 +69,7 @@ def styles(monkeypatch, tmp_path):
     return kept
 
 
+@pytest.mark.deep
 def test_all_pictures_have_one_style(styles, tmp_path):
     circle = make_circle()
     configuration = analyse(circle).configuration

@@ -116,6 +116,7 @@ def test_the_table_of_the_picture_holds_the_recomputed_numbers(csp, runs):
         ), line
 
 
+@pytest.mark.deep
 def test_the_same_recording_gives_the_same_bytes(csp, tmp_path, capsys):
     for suffix in ("svg", "html"):
         names = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
@@ -159,6 +160,7 @@ def test_columns_of_nothing_but_nan_cost_their_panels_and_are_named(runs, tmp_pa
     assert any("no column position_demand" in note for note in facts["notes"])
 
 
+@pytest.mark.deep
 def test_a_recording_without_model_says_how_to_name_one(runs, csp, tmp_path, capsys):
     path = write(tmp_path / "bare.mcap", runs["csp"], metadata=False)
     facts = plotted(capsys, path)["axes"]["x"]
@@ -197,6 +199,7 @@ def test_a_table_of_foreign_columns_has_what_they_allow(tmp_path, capsys):
     assert "angle, effort" in said
 
 
+@pytest.mark.deep
 def test_axes_get_a_picture_each_and_share_a_page(runs, tmp_path, capsys):
     run = Run(AXES["csp"], AXES["csp"] | {"node": 2}, duration_s=0.4)
     path = write(tmp_path / "run.mcap", run)

@@ -5,10 +5,13 @@ from pathlib import Path
 import pytest
 import yaml
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS
+from friction_hil_drivers.serial_line.bus import SerialBus
+from friction_hil_drivers.serial_line.protocol import Exchange
 from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
 
 from friction_hil.drive import DriveState, Request
 from friction_hil.drive.inventory import Stop
+from friction_hil.errors import DriveError
 from tests.serial_rig import KINDS, Bench
 
 
@@ -121,3 +124,23 @@ def test_a_line_that_is_gone_at_the_end_leaves_the_torque_in_doubt(kind: str, tm
         bench.drives.close()
         (text,) = bench.drives.leftovers
         assert text == "x: the drive may still hold its last torque_command [FH-128]"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_zero_torque_is_written_again_when_its_reply_is_lost(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    transact, lost = SerialBus.transact, []
+
+    def lossy(bus: SerialBus, axis: str, *exchanges: Exchange, attempts: int) -> None:
+        if not lost and any("torque_command" in each.writes for each in exchanges):
+            lost.append(exchanges)
+            raise DriveError("no reply")
+        transact(bus, axis, *exchanges, attempts=attempts)
+
+    with Bench(kind, tmp_path) as bench:
+        pushed(bench) if kind in READABLE else bench.begin().enable()
+        monkeypatch.setattr(SerialBus, "transact", lossy)
+        bench.drives.close()
+        assert lost
+        assert list(bench.drives.leftovers) == []

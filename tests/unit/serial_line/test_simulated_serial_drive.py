@@ -151,6 +151,7 @@ NUMBERS = {
 EVENTS = st.lists(st.integers(0, 12), max_size=40)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("kind", ["cia402", "own"])
 @settings(max_examples=60, deadline=None)
 @given(events=EVENTS)

@@ -430,6 +430,7 @@ def bench(*arguments):
     return subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
 
 
+@pytest.mark.deep
 def test_command_prints_one_json_object(tmp_path):
     path = tmp_path / "grid.yaml"
     path.write_text(TINY)

@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 from click.testing import CliRunner
 
 from friction_hil.checked_yaml.text import dump
@@ -10,6 +11,7 @@ from tools.benchmarks.tune import OWN
 from tools.benchmarks.tune.axes import read_axes
 
 
+@pytest.mark.deep
 def test_the_benchmark_of_experiments_compares_whole_ones_with_parts(tmp_path) -> None:
     """On an axis whose gain asks for little: two parts are enough, and their model is as good."""
     [content] = read_axes((OWN,), ("dahl_csv",)).values()

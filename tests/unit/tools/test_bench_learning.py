@@ -49,6 +49,7 @@ def test_the_benchmark_of_learning_prints_one_json_object(short):
     assert found["summary"]["learned_rms worst"] == values["learned_rms"]
 
 
+@pytest.mark.deep
 def test_learning_is_deterministic(short):
     of = setup(grid_of(short.parent, TINY), "servo", "stiff", 0, "off", 8.0)
     runs = [follow(of, 8.0, is_learning=True) for _ in range(2)]

@@ -455,6 +455,7 @@ def test_the_benchmark_of_latency_compares_sleeping_and_spinning(monkeypatch: py
     assert all(row.unit == "us" and row.value > 0.0 for row in rows)
 
 
+@pytest.mark.deep
 def test_the_benchmark_of_the_exchange_times_each_part(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exchange, "DURATION_S", 0.5)
     names = [row.name for row in exchange.run()]

@@ -66,6 +66,7 @@ def nrmse(result, velocity, dt=DT):
     return float(np.sqrt(np.mean(error**2)) / np.std(truth))
 
 
+@pytest.mark.deep
 def test_several_states_learn_sliding_elements_that_lag():
     """Maxwell-slip elements, 27 to 42 ms behind their level, in a short search; without that lag they leave 0.09."""
     levels = {"coulomb": 0.11, "static": 0.17, "stribeck_velocity": 0.12, "viscous": 4e-3}
@@ -99,6 +100,7 @@ def test_a_gated_network_is_good_where_it_runs(seed):
     assert result.flags == ()
 
 
+@pytest.mark.deep
 def test_a_narx_learns_in_free_run():
     training, validation = samples(excitation(1.2, DT, 8000)), samples(excitation(1.2, DT, 4000, seed=100))
     result = train(NetworkStructure("narx", (7,), 1, 1), training, validation, options=Options(starts=4, iterations=80))

@@ -73,6 +73,7 @@ def learned():
     return select([recorded(ripple=0.03)[0]], settings=SMALL)
 
 
+@pytest.mark.deep
 def test_a_network_learns_what_depends_on_the_position(learned):
     assert learned.network is not None
     assert learned.chosen.inputs == ("position",)
@@ -104,6 +105,7 @@ def test_where_nothing_was_learned_the_physical_model_remains(learned):
     assert np.ptp(model.simulate(np.full(50, slowest), DT, position=position)) > 0.01
 
 
+@pytest.mark.deep
 def test_friction_that_the_physical_model_describes_needs_no_network():
     found = select([recorded()[0]], settings=SMALL)
     assert found.network is None
@@ -146,6 +148,7 @@ def test_other_recordings_decide_if_there_are_any():
     assert opposite.network is None
 
 
+@pytest.mark.deep
 def test_an_input_that_was_not_recorded_is_refused_and_a_given_one_is_used():
     recording = recorded(ripple=0.03)[0]
     with pytest.raises(RecordingError, match="no temperature that varies"):
@@ -260,6 +263,7 @@ def test_a_least_speed_is_checked_and_survives_the_model_file():
     np.testing.assert_allclose(added, full * [0.0, 0.5, 1.0], atol=1e-12)
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("ripple", [0.0, 0.03])
 def test_a_network_of_a_given_structure_is_flagged_if_a_physical_model_is_as_good(ripple):
     task = task_of_recordings([recorded(ripple=ripple)[0]], [], physical(), is_static=True, is_residual=True)

@@ -33,6 +33,7 @@ def runs() -> list[Recording]:
     return [recorded("csp", servo, is_compensated=is_compensated) for is_compensated in (False, True)]
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("gain", [0.7, 0.95, 1.0, 1.3])
 @pytest.mark.parametrize("noise", [0.0, 5.0 * RESOLUTION])
 def test_the_ratio_is_told_from_the_loops_of_the_drive(runs, gain, noise) -> None:
