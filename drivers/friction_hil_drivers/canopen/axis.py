@@ -12,7 +12,6 @@ from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.codec import (
     CommandEncoder,
     FeedbackDecoder,
-    Frame,
     Measurement,
     decode_heartbeat,
     emergency_code,
@@ -23,6 +22,7 @@ from friction_hil_drivers.canopen.load_encoder import LoadEncoder
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.monitor import NodeCondition, NodeMonitor
 from friction_hil_drivers.canopen.notices import Notices
+from friction_hil_drivers.canopen.objects import Frame
 from friction_hil_drivers.canopen.sdo_stop import STANDSTILL_NS, CyclicSdo
 from friction_hil_drivers.canopen.sync_answers import SyncAnswers
 from friction_hil_drivers.canopen.temperature import MappedTemperature, TemperatureRead
