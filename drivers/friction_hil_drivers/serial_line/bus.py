@@ -116,7 +116,7 @@ class SerialBus:
         end_ns: int | None,
         *,
         is_commanding: bool,
-        stopping: Collection[str] = (),
+        stopping: Collection[str],
     ) -> None:
         """Send the push, and in every second cycle a step of one axis (its effect has to be read in between).
 
