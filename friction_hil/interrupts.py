@@ -42,8 +42,12 @@ def interrupt(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def interruptible() -> Iterator[None]:
-    """Let Ctrl-C raise `Interrupted`, and deliver again what was raised where it is lost; main thread only."""
+def interruptible(*, is_last: bool = False) -> Iterator[None]:
+    """Let Ctrl-C raise `Interrupted`, and deliver again what was raised where it is lost; main thread only.
+
+    After the last work of a process Ctrl-C is ignored: the result is there, and what the interpreter does at its end
+    would only print a traceback.
+    """
     handler, hook = signal.getsignal(signal.SIGINT), sys.unraisablehook
     if handler is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
@@ -53,7 +57,7 @@ def interruptible() -> Iterator[None]:
     finally:
         sys.unraisablehook = hook
         if handler is signal.default_int_handler:
-            signal.signal(signal.SIGINT, handler)
+            signal.signal(signal.SIGINT, signal.SIG_IGN if is_last else handler)
 
 
 def _redelivering(hook: Callable[[Any], Any]) -> Callable[[Any], Any]:

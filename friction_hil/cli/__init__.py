@@ -164,7 +164,7 @@ def _exit_status(command: click.Command, arguments: Sequence[str] | None, progra
     as_json = "--json" in (sys.argv[1:] if arguments is None else arguments)
     forget_printed()
     try:
-        with interruptible():
+        with interruptible(is_last=arguments is None):
             result = command.main(arguments, prog_name=program, standalone_mode=False)
         sys.stdout.flush()
     except ConfigurationError as error:

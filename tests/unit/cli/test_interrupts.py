@@ -65,3 +65,18 @@ def test_an_interrupt_where_exceptions_are_lost_comes_a_little_later(code: str) 
         [sys.executable, "-c", code + COMMAND], capture_output=True, text=True, check=False, timeout=60
     )
     assert (done.returncode, done.stdout, done.stderr.strip()) == (130, "", "")
+
+
+@pytest.mark.parametrize("failing", ["return", "raise FrictionHilError('a fault')"])
+def test_an_interrupt_after_the_work_leaves_the_result_as_it_is(failing: str) -> None:
+    code = f"""
+import atexit, signal
+from friction_hil.errors import FrictionHilError
+
+def work():
+    atexit.register(signal.raise_signal, signal.SIGINT)
+    {failing}
+{COMMAND.replace("[]", "None")}"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    expected = (0, "") if failing == "return" else (1, "Error: a fault")
+    assert (done.returncode, done.stderr.strip()) == expected
