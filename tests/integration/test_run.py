@@ -5,8 +5,8 @@ import struct
 
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.canopen import cia301
+from friction_hil_drivers.cia402 import objects, profile
 
 import friction_hil as fh
 from friction_hil.daemon.safety import LoopState
@@ -24,7 +24,7 @@ from tests.processes import (
 )
 from tests.servo_drives import TRUE_FRICTION
 
-SYNC, TPDO1, RPDO1 = objects.SYNC_ID, objects.TPDO_BASES[0], objects.RPDO_BASES[0]
+SYNC, TPDO1, RPDO1 = cia301.SYNC_ID, cia301.TPDO_BASES[0], cia301.RPDO_BASES[0]
 MISMATCH = {"coulomb": 0.068, "static": 0.135, "sigma0": 2400.0, "sigma2": 1.7e-3, "stribeck_velocity": 0.23}
 TWO_AXES = {
     "x": {"trajectory": {"kind": "circle", "radius": 0.5, "frequency": 1.0, "phase": 0.0, "ramp_s": 0.5}},
@@ -131,10 +131,10 @@ def test_a_dry_run_writes_no_command(tmp_path):
     assert daemon.returncode == 0, errors
     ids = {message.arbitration_id for message in frames}
     assert TPDO1 + 1 in ids
-    assert not ids & {base + 1 for base in objects.RPDO_BASES}
+    assert not ids & {base + 1 for base in cia301.RPDO_BASES}
     written = set()
     for message in frames:
-        if message.arbitration_id == objects.SDO_REQUEST_BASE + 1 and message.data[0] >> 5 == 1:
+        if message.arbitration_id == cia301.SDO_REQUEST_BASE + 1 and message.data[0] >> 5 == 1:
             written.add(struct.unpack_from("<H", message.data, 1)[0])
     assert written
     assert all(0x1800 <= index <= 0x1BFF for index in written), [f"{index:04X}h" for index in written]
@@ -292,13 +292,13 @@ def fh_message(can_id, data=b""):
 def read_object(bus, node, entry, emergencies=None):
     """Expedited SDO upload, by its bytes; error codes of emergencies that pass by are added to ``emergencies``."""
     request = struct.pack("<BHBI", 0x40, entry.index, entry.subindex, 0)
-    bus.send(fh_message(objects.SDO_REQUEST_BASE + node, request))
+    bus.send(fh_message(cia301.SDO_REQUEST_BASE + node, request))
     while True:
         message = bus.recv(10.0)
         assert message is not None, f"{entry} was not answered"
-        if message.arbitration_id == objects.EMERGENCY_BASE + node and emergencies is not None:
+        if message.arbitration_id == cia301.EMERGENCY_BASE + node and emergencies is not None:
             emergencies.append(struct.unpack_from("<H", message.data)[0])
-        is_answer = message.arbitration_id == objects.SDO_RESPONSE_BASE + node
+        is_answer = message.arbitration_id == cia301.SDO_RESPONSE_BASE + node
         if is_answer and struct.unpack_from("<HB", message.data, 1) == entry.address:
             assert message.data[0] & 0xE0 == 0x40, bytes(message.data).hex()
             size = 4 - (message.data[0] >> 2 & 3)

@@ -11,7 +11,7 @@ import can
 import numpy as np
 import pytest
 import yaml
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 
 import friction_hil as fh
 from friction_hil.config import load
@@ -272,13 +272,13 @@ def test_a_drive_in_fault_is_tuned_only_if_its_fault_may_be_reset(tmp_path) -> N
     tuning = ("tune", configuration, *ONE, *UNASKED, "--models", "coulomb", "--json", "--output")
     with simulated_drives(configuration), listening(configuration) as bus:
         daemon = start_daemon(configuration)
-        wait_for_frames(bus, objects.SYNC_ID, 400)
+        wait_for_frames(bus, cia301.SYNC_ID, 400)
         daemon.kill()
         daemon.communicate(timeout=60)
         while bus.recv(0.1) is not None:  # unread frames would fill the socket and push answers out
             pass
         for _ in range(400):  # the drive's time passes by them, until it misses the daemon
-            bus.send(can.Message(arbitration_id=objects.SYNC_ID, is_extended_id=False))
+            bus.send(can.Message(arbitration_id=cia301.SYNC_ID, is_extended_id=False))
             while bus.recv(0.001) is not None:
                 pass
         refused = run(*tuning, tmp_path / "refused", check=False)

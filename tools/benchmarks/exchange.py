@@ -12,9 +12,9 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from friction_hil_drivers.canopen import CanopenDrives, objects
+from friction_hil_drivers.canopen import CanopenDrives, cia301
+from friction_hil_drivers.canopen.cia301 import Frame
 from friction_hil_drivers.canopen.frames import FrameBus
-from friction_hil_drivers.canopen.objects import Frame
 from friction_hil_drivers.canopen.simulated import SimulatedCanopenDrives
 
 from friction_hil import config
@@ -107,7 +107,7 @@ class ReadyFrames(FrameBus):
     def send(self, can_id: int, data: bytes | bytearray) -> None:
         """Keep a frame for the drives."""
         self._sent.append((can_id, data))  # type: ignore[arg-type]    # it is not changed before it is used
-        if can_id == objects.SYNC_ID:
+        if can_id == cia301.SYNC_ID:
             self._received.extend(self._replies)
             self._replies.clear()
 

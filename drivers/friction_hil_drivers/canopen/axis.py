@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
+from friction_hil_drivers.canopen.cia301 import Frame
 from friction_hil_drivers.canopen.codec import (
     CommandEncoder,
     FeedbackDecoder,
@@ -22,7 +23,6 @@ from friction_hil_drivers.canopen.load_encoder import LoadEncoder
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.monitor import NodeCondition, NodeMonitor
 from friction_hil_drivers.canopen.notices import Notices
-from friction_hil_drivers.canopen.objects import Frame
 from friction_hil_drivers.canopen.sdo_stop import STANDSTILL_NS, CyclicSdo
 from friction_hil_drivers.canopen.sync_answers import SyncAnswers
 from friction_hil_drivers.canopen.temperature import MappedTemperature, TemperatureRead
@@ -167,9 +167,9 @@ class CanopenAxis:
 
     def _make_handlers(self) -> Mapping[int, Handler]:
         handlers = {pdo.cob_id: self._tpdo_handler(number, pdo.layout.size) for number, pdo in enumerate(self.tpdos)}
-        handlers[objects.EMERGENCY_BASE + self.node] = self._on_emergency
-        handlers[objects.HEARTBEAT_BASE + self.node] = self._on_heartbeat
-        handlers[objects.SDO_RESPONSE_BASE + self.node] = self._on_sdo
+        handlers[cia301.EMERGENCY_BASE + self.node] = self._on_emergency
+        handlers[cia301.HEARTBEAT_BASE + self.node] = self._on_heartbeat
+        handlers[cia301.SDO_RESPONSE_BASE + self.node] = self._on_sdo
         return handlers
 
     @property
@@ -454,7 +454,7 @@ class CanopenAxis:
         if is_out_of_reach and self._needs_nmt_start and now_ns >= self._nmt_start_ns:
             self._nmt_start_ns = now_ns + _NMT_START_NS
             # its configuration is in force: RPDOs reach it again, and a stopped node has no SDO
-            frames.append((objects.NMT_ID, bytes((objects.NmtCommand.START, self.node))))
+            frames.append((cia301.NMT_ID, bytes((cia301.NmtCommand.START, self.node))))
         if frame is not None:
             frames.append(frame)
         return frames

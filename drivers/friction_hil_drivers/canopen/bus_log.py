@@ -11,18 +11,18 @@ from friction_hil.drive import Mode
 from friction_hil.errors import DriveError, RecordingError
 from friction_hil.recordings import Recording
 from friction_hil.recordings.contradictions import contradictions
-from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.dialogue import UPLOAD, Address, answered, expedited
+from friction_hil_drivers.canopen import cia301
+from friction_hil_drivers.canopen.dialogue import UPLOAD, answered, expedited
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.frame_log import FrameLog
 from friction_hil_drivers.canopen.log_mapping import OWN, LoggedPdo, LogMapping, mappings
 from friction_hil_drivers.canopen.mapping import PdoRecord
-from friction_hil_drivers.canopen.object_reader import ObjectReader
-from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.scales import read_units
 from friction_hil_drivers.canopen.units import COUNTER_BITS, PER_MILLE, CanopenUnits
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.access import ObjectReader
+from friction_hil_drivers.cia402.objects import Address, Object
 
 if TYPE_CHECKING:
     from canopen import ObjectDictionary
@@ -43,7 +43,7 @@ class LoggedObjects(ObjectReader):
         self._number = options.axis_number
         self._dictionary = None if options.eds is None else load_eds(options.eds, options.node)
         self._answers: dict[Address, bytes] = {}
-        for row in log.rows_of(objects.SDO_RESPONSE_BASE + options.node):
+        for row in log.rows_of(cia301.SDO_RESPONSE_BASE + options.node):
             answer = log.data[row].tobytes()
             address, content = answered(answer), expedited(answer, UPLOAD)
             if address is not None and content is not None:
@@ -155,7 +155,7 @@ def _mapping_of(log: FrameLog, name: str, axis: "AxisConfig", path: Path) -> "tu
     node = options.node
     there = ", ".join(
         f"{base + node:03X}h ({'/'.join(map(str, np.unique(log.lengths[rows])))} bytes)"
-        for base in objects.TPDO_BASES
+        for base in cia301.TPDO_BASES
         if (rows := log.rows_of(base + node)).size
     )
     raise RecordingError(
@@ -178,7 +178,7 @@ def _read_axis(
         recording.problems.append(f"the PDOs are decoded by the mapping {mapping.origin}")
     mapping = mapping.without_other_commands(log, recording.problems)
     base = _base(log, mapping)
-    syncs = log.rows_of(objects.SYNC_ID)
+    syncs = log.rows_of(cia301.SYNC_ID)
     starts = np.sort(syncs) if syncs.size else np.sort(base.frames(log))
     values: dict[Object, Array] = {}
     arrived: dict[str, NDArray[np.bool_]] = {}

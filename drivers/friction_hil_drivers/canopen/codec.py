@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 from friction_hil.drive import Command, DriveState, Mode, Request
 from friction_hil.drive.encoder import derived_velocity
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.cia301 import Frame
 from friction_hil_drivers.canopen.mapping import TARGETS, MappedPdo
-from friction_hil_drivers.canopen.objects import Frame, Object
 from friction_hil_drivers.canopen.units import COUNTER_BITS, PER_MILLE, CanopenUnits
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.objects import Object
 from friction_hil_drivers.cia402.profile import drive_state
 
 _HALF, _MASK = 1 << (COUNTER_BITS - 1), (1 << COUNTER_BITS) - 1

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, DriveState, Mode
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, delays, objects
+from friction_hil_drivers.canopen import cia301, codes, delays
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.load_encoder import LoadEncoderOptions, require_object
 from friction_hil_drivers.canopen.load_scale import with_scale
 from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, PdoRecord, switch_off
 from friction_hil_drivers.canopen.negotiation import FoundPdo, Negotiated, PdoNegotiator, grouped
-from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.scales import read_scales, require_agreement, require_velocity_unit
 from friction_hil_drivers.canopen.temperature import TemperatureOptions, read_first
@@ -21,7 +20,8 @@ from friction_hil_drivers.canopen.unit_table import polarity_notes, resolution_n
 from friction_hil_drivers.canopen.units import PER_MILLE, CanopenUnits
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import NOT_WATCHED, Watch, arm
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.objects import Object
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
@@ -65,7 +65,7 @@ def configure(
     dry_run: bool,
     taken: set[int] | None = None,
     before_writing: Callable[[], None] = lambda: None,
-    sync_id: int = objects.SYNC_ID,
+    sync_id: int = cia301.SYNC_ID,
 ) -> ConfiguredDrive:
     """Check a drive's identity and modes, read its units, map its PDOs and set its watchdogs.
 
@@ -291,19 +291,19 @@ def _set_sync_id(access: "SdoClient", sync_id: int) -> list[str]:
     DriveError
         It takes another one, and refuses this one.
     """
-    found = access.find(objects.SYNC_COB_ID)
+    found = access.find(cia301.SYNC_COB_ID)
     if found is None:
-        own = sync_id == objects.SYNC_ID
+        own = sync_id == cia301.SYNC_ID
         return (
             []
             if own
-            else [f"the drive {access.why_absent(objects.SYNC_COB_ID)} {objects.SYNC_COB_ID}: is it {sync_id:03X}h?"]
+            else [f"the drive {access.why_absent(cia301.SYNC_COB_ID)} {cia301.SYNC_COB_ID}: is it {sync_id:03X}h?"]
         )
-    if found & _SYNC_BITS == sync_id or access.try_write(objects.SYNC_COB_ID, sync_id):
+    if found & _SYNC_BITS == sync_id or access.try_write(cia301.SYNC_COB_ID, sync_id):
         return []
     text = (
-        f"{access.axis}: {access.where} takes SYNC as {found & 0x7FF:03X}h ({objects.SYNC_COB_ID} = {found:08X}h, "
-        f"{access.why_not_written(objects.SYNC_COB_ID)}), and the daemon sends it as {sync_id:03X}h"
+        f"{access.axis}: {access.where} takes SYNC as {found & 0x7FF:03X}h ({cia301.SYNC_COB_ID} = {found:08X}h, "
+        f"{access.why_not_written(cia301.SYNC_COB_ID)}), and the daemon sends it as {sync_id:03X}h"
     )
     raise DriveError(
         text, f"bus: {{sync_cob_id: {found & 0x7FF:#x}}}, for all drives of the bus", code=codes.SYNC_ID_FIXED

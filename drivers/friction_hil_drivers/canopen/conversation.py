@@ -10,13 +10,14 @@ from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.dialogue import Transfer, Upload
 from friction_hil_drivers.canopen.queue_full import QueueFullError
+from friction_hil_drivers.cia402 import objects
 
 if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.cia301 import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
-    from friction_hil_drivers.canopen.objects import Frame
 
 PATIENCE_S = 3.0  # storing parameters and a change of mapping take some drives more than a second
 _SILENT_S = 0.25  # for an answer of a node that has kept silent for its whole time before
@@ -105,8 +106,8 @@ class Conversation:
             frame = self._bus.receive(min(self._patience(), longest_s))
             if frame is not None and self._heard is not None:
                 self._heard(frame)
-            if frame is not None and frame[0] - objects.SDO_RESPONSE_BASE in self._turns:
-                self._take(frame[0] - objects.SDO_RESPONSE_BASE, frame[1])
+            if frame is not None and frame[0] - cia301.SDO_RESPONSE_BASE in self._turns:
+                self._take(frame[0] - cia301.SDO_RESPONSE_BASE, frame[1])
             now = time.monotonic()
             for node, turn in list(self._turns.items()):
                 if self._is_over(node, turn, now):
@@ -132,10 +133,10 @@ class Conversation:
         if self._waiting and now >= self._next_send:
             node, data = self._waiting.popleft()
             if self._asking is not None:
-                self._asking(objects.SDO_REQUEST_BASE + node, data)
+                self._asking(cia301.SDO_REQUEST_BASE + node, data)
             # a request that the queue does not take is repeated as one that was lost on the bus
             with contextlib.suppress(QueueFullError):
-                self._bus.send(objects.SDO_REQUEST_BASE + node, data)
+                self._bus.send(cia301.SDO_REQUEST_BASE + node, data)
             self._next_send = now + _SPACING_S
             turn = self._turns.get(node)
             if turn is not None and turn.transfer is not None:

@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.conversation import Script
 from friction_hil_drivers.canopen.dialogue import Upload
-from friction_hil_drivers.canopen.objects import DataType, Object
 from friction_hil_drivers.canopen.unit_table import polarity_text
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.objects import DataType, Object
 
 _MODES = {1: "pp", 2: "vl", 3: "pv", 4: "tq", 6: "hm", 7: "ip", 8: "csp", 9: "csv", 10: "cst", 11: "cstca"}
 _SYNCHRONOUS = 240  # largest synchronous transmission type
@@ -113,10 +113,10 @@ def _units() -> "Script[dict[str, Any]]":
 def _pdos() -> "Script[list[dict[str, Any]]]":
     found: list[dict[str, Any]] = []
     for kind, parameter, mapping in (
-        ("RPDO", objects.RPDO_PARAMETER, objects.RPDO_MAPPING),
-        ("TPDO", objects.TPDO_PARAMETER, objects.TPDO_MAPPING),
+        ("RPDO", cia301.RPDO_PARAMETER, cia301.RPDO_MAPPING),
+        ("TPDO", cia301.TPDO_PARAMETER, cia301.TPDO_MAPPING),
     ):
-        for number in range(objects.PDO_COUNT):
+        for number in range(cia301.PDO_COUNT):
             pdo = yield from _pdo(f"{kind} {number + 1}", parameter + number, mapping + number)
             if pdo is not None:
                 found.append(pdo)
@@ -124,11 +124,11 @@ def _pdos() -> "Script[list[dict[str, Any]]]":
 
 
 def _pdo(name: str, parameter: int, mapping: int) -> "Script[dict[str, Any] | None]":
-    cob_id = yield from _read(Object(parameter, "COB-ID", DataType.UNSIGNED32, objects.PDO_COB_ID))
+    cob_id = yield from _read(Object(parameter, "COB-ID", DataType.UNSIGNED32, cia301.PDO_COB_ID))
     if cob_id is None:
         return None
-    kind = yield from _read(Object(parameter, "type", DataType.UNSIGNED8, objects.PDO_TRANSMISSION_TYPE))
-    timer = yield from _read(Object(parameter, "event timer", DataType.UNSIGNED16, objects.PDO_EVENT_TIMER))
+    kind = yield from _read(Object(parameter, "type", DataType.UNSIGNED8, cia301.PDO_TRANSMISSION_TYPE))
+    timer = yield from _read(Object(parameter, "event timer", DataType.UNSIGNED16, cia301.PDO_EVENT_TIMER))
     count = (yield from _read(Object(mapping, "count", DataType.UNSIGNED8))) or 0
     entries = []
     for position in range(1, min(count, 8) + 1):
@@ -138,7 +138,7 @@ def _pdo(name: str, parameter: int, mapping: int) -> "Script[dict[str, Any] | No
     return {
         "pdo": name,
         "cob_id": cob_id & 0x7FF,
-        "is_valid": not cob_id & objects.PDO_INVALID,
+        "is_valid": not cob_id & cia301.PDO_INVALID,
         "transmission_type": kind,
         "event_timer_ms": timer,
         "entries": entries,
@@ -147,12 +147,12 @@ def _pdo(name: str, parameter: int, mapping: int) -> "Script[dict[str, Any] | No
 
 def _entry(word: int) -> dict[str, Any]:
     index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
-    known = objects.TABLE.get((index, subindex))
+    known = cia301.TABLE.get((index, subindex))
     return {"index": index, "subindex": subindex, "bits": bits, "name": known.name if known else None}
 
 
 def _watchdogs(pdos: list[dict[str, Any]]) -> "Script[dict[str, Any]]":
-    consumer = yield from _read(objects.CONSUMER_HEARTBEAT)
+    consumer = yield from _read(cia301.CONSUMER_HEARTBEAT)
     reaction = yield from _read(objects.ABORT_CONNECTION_OPTION)
     guard, factor = (yield from _read(_NODE_GUARDING[0])), (yield from _read(_NODE_GUARDING[1]))
     timers = [
@@ -162,11 +162,11 @@ def _watchdogs(pdos: list[dict[str, Any]]) -> "Script[dict[str, Any]]":
     ]
     return {
         "heartbeat_consumer": None if consumer is None else {"node": consumer >> 16 & 0x7F, "ms": consumer & 0xFFFF},
-        "heartbeat_producer_ms": (yield from _read(objects.PRODUCER_HEARTBEAT)),
+        "heartbeat_producer_ms": (yield from _read(cia301.PRODUCER_HEARTBEAT)),
         "node_guarding_ms": None if guard is None or factor is None else guard * factor,
         "rpdo_timers": timers,  # needs_sync: some drives look at it only when a SYNC comes
         "reaction": None if reaction is None else _REACTIONS.get(reaction, str(reaction)),
-        "communication_error_behaviour": (yield from _read(objects.COMMUNICATION_ERROR_BEHAVIOUR)),
+        "communication_error_behaviour": (yield from _read(cia301.COMMUNICATION_ERROR_BEHAVIOUR)),
         "quick_stop_option": (yield from _read(objects.QUICK_STOP_OPTION)),
     }
 

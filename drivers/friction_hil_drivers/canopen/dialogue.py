@@ -6,9 +6,9 @@ Source: CiA 301, 7.2.4.3 (expedited and segmented upload and download).
 
 import struct
 from collections import Counter
-from enum import IntEnum
 
-from friction_hil_drivers.canopen.objects import Object
+from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.objects import Address, Object
 
 HEAD = struct.Struct("<BHB")  # command, index, sub-index
 LAST_FOUR = struct.Struct("<I")  # abort code, or number of bytes of a segmented transfer
@@ -22,49 +22,7 @@ ANSWERS = {DOWNLOAD_SEGMENT: 0x20, DOWNLOAD: 0x60, UPLOAD: 0x40, UPLOAD_SEGMENT:
 # The other bits of a command, whose numbers of unused bytes are in bits 2 and 3, of a segment in bits 1 to 3
 TOGGLE, EXPEDITED, SIZE_INDICATED, LAST = 0x10, 0x02, 0x01, 0x01
 
-Address = tuple[int, int]  # index and sub-index
-
 SEGMENT: Address = (-1, -1)  # stands for the object of a segment, which names none
-
-
-class Abort(IntEnum):
-    """Abort codes (CiA 301, table 22)."""
-
-    TOGGLE = 0x05030000
-    TIME_OUT = 0x05040000
-    COMMAND = 0x05040001
-    OUT_OF_MEMORY = 0x05040005
-    UNSUPPORTED_ACCESS = 0x06010000
-    WRITE_ONLY = 0x06010001
-    READ_ONLY = 0x06010002
-    NO_OBJECT = 0x06020000
-    NOT_MAPPABLE = 0x06040041
-    PDO_TOO_LONG = 0x06040042
-    INCOMPATIBLE = 0x06040043
-    HARDWARE = 0x06060000
-    LENGTH = 0x06070010
-    NO_SUBINDEX = 0x06090011
-    VALUE = 0x06090030
-    TOO_HIGH = 0x06090031
-    TOO_LOW = 0x06090032
-    NOT_TRANSFERRED = 0x08000020
-    LOCAL_CONTROL = 0x08000021
-    DEVICE_STATE = 0x08000022
-    NO_DATA = 0x08000024
-
-
-# Why a server says that it has no such object ...
-ABSENT = (Abort.NO_OBJECT, Abort.NO_SUBINDEX)
-# ... and that it has one which cannot be read now
-HIDDEN = (
-    Abort.TIME_OUT,
-    Abort.OUT_OF_MEMORY,
-    Abort.WRITE_ONLY,
-    Abort.HARDWARE,
-    Abort.NOT_TRANSFERRED,
-    Abort.LOCAL_CONTROL,
-    Abort.DEVICE_STATE,
-)
 
 
 def abort(address: Address, code: int) -> bytes:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
-from friction_hil_drivers.canopen import codes, interfaces, objects
+from friction_hil_drivers.canopen import cia301, codes, interfaces
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.checks import check_bus, check_connection
 from friction_hil_drivers.canopen.configure import configure, with_notes
@@ -45,6 +45,7 @@ from friction_hil_drivers.canopen.sidecar import SidecarDrives
 from friction_hil_drivers.canopen.stopping import has_no_power
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
+from friction_hil_drivers.cia402 import objects
 
 if TYPE_CHECKING:
     import can
@@ -61,7 +62,7 @@ _OF_MAPPING = (
     codes.NO_MAPPING,
     codes.UNKNOWN_ENTRY,
 )
-_PRE_OPERATIONAL = (objects.NmtState.BOOT_UP, objects.NmtState.PRE_OPERATIONAL)  # a node boots into the latter
+_PRE_OPERATIONAL = (cia301.NmtState.BOOT_UP, cia301.NmtState.PRE_OPERATIONAL)  # a node boots into the latter
 
 
 class CanopenDrives(CanopenService):
@@ -91,7 +92,7 @@ class CanopenDrives(CanopenService):
         for name, axis in axes.items():
             options = canopen_options(axis)
             sync_id = 0 if configuration.bus is None else configuration.bus.sync_cob_id
-            if sync_id == objects.EMERGENCY_BASE + options.node:
+            if sync_id == cia301.EMERGENCY_BASE + options.node:
                 yield name, "node", UsageError(f"bus.sync_cob_id {sync_id:#x} is the emergency message of this node")
             try:
                 reasons = () if options.eds is None else compare_axis(options.eds, axis)
@@ -231,7 +232,7 @@ class CanopenDrives(CanopenService):
 
     def _before_request(self, can_id: int, data: bytes) -> None:
         """Let a node alone whose only SDO server another master uses, as long as nothing was written to any node."""
-        node = can_id - objects.SDO_REQUEST_BASE
+        node = can_id - cia301.SDO_REQUEST_BASE
         if self._is_reading and self._others.uses_sdo_of(node):
             self._refuse_other_masters()
             assert self._configuration.bus is not None
@@ -328,7 +329,7 @@ class CanopenDrives(CanopenService):
             assert self._bus is not None
             ask_nmt_state(client, self._bus, self._others, node)
         if not self._dry_run and self._others.state_of(node) not in _PRE_OPERATIONAL:
-            self._set_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, node)
+            self._set_nmt(cia301.NmtCommand.ENTER_PRE_OPERATIONAL, node)
 
     def _passive_notes(self) -> list[str]:
         if not self.is_passive:
@@ -386,7 +387,7 @@ class CanopenDrives(CanopenService):
         self._is_started = True
         for axis in self._axes:
             if not self.is_passive:
-                self._set_nmt(objects.NmtCommand.START, axis.node)
+                self._set_nmt(cia301.NmtCommand.START, axis.node)
         self._exchange.start()
 
     def _keep_setpoints(self) -> None:
@@ -451,9 +452,9 @@ class CanopenDrives(CanopenService):
             if frames is not None:
                 frames.left(self._node_of(name))
         for node, found in self._nmt_states.items():
-            if found == objects.NmtState.OPERATIONAL:
+            if found == cia301.NmtState.OPERATIONAL:
                 if self._is_unpowered(node):
-                    self._write_nmt(objects.NmtCommand.START, node)
+                    self._write_nmt(cia301.NmtCommand.START, node)
                 else:
                     self.leftovers.append(kept_out_of_operational(node))
             elif found is None and self._clock.is_real:
@@ -480,14 +481,14 @@ class CanopenDrives(CanopenService):
             if self._others.words or not self._is_unpowered(node):
                 del self._nmt_states[node]
             else:
-                self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, node)
+                self._write_nmt(cia301.NmtCommand.ENTER_PRE_OPERATIONAL, node)
 
-    def _set_nmt(self, command: objects.NmtCommand, node: int) -> None:
+    def _set_nmt(self, command: cia301.NmtCommand, node: int) -> None:
         """Change the NMT state of a node, and keep the one that it was found in."""
         self._nmt_states.setdefault(node, self._others.state_of(node))
         self._write_nmt(command, node)
 
-    def _write_nmt(self, command: objects.NmtCommand, node: int) -> None:
+    def _write_nmt(self, command: cia301.NmtCommand, node: int) -> None:
         if self._bus is None:
             raise BusError("the bus is not open: connect first")
         send_nmt(self._bus, command, node)

@@ -5,14 +5,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from friction_hil.drive import Mode
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.mapping import COMMANDS, PdoRecord
 from friction_hil_drivers.canopen.negotiation import FoundPdo, covering, grouped
-from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.si_units import Measure, decode_position_unit
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.objects import Object
 
 if TYPE_CHECKING:
     from canopen import ObjectDictionary
@@ -112,12 +112,12 @@ def _has_unit(dictionary: "ObjectDictionary", options: CanopenOptions, kind: Lit
 def _unwatched(dictionary: "ObjectDictionary", options: CanopenOptions, has: Callable[[Object], bool]) -> str:
     """Return why a drive with this EDS cannot watch the daemon, "" where it can."""
     has_reaction = has(objects.ABORT_CONNECTION_OPTION)
-    if not has_reaction and not has(objects.COMMUNICATION_ERROR_BEHAVIOUR):
+    if not has_reaction and not has(cia301.COMMUNICATION_ERROR_BEHAVIOUR):
         return "has neither 6007h nor 1029h, which would say what the loss of the daemon does"
-    consumer = _find(dictionary, objects.CONSUMER_HEARTBEAT)
+    consumer = _find(dictionary, cia301.CONSUMER_HEARTBEAT)
     has_consumer = consumer is not None and (not consumer.max or consumer.max >= options.master_node << 16)
-    has_guarding = has(objects.GUARD_TIME) and has(objects.LIFE_TIME_FACTOR)
-    rpdos = (PdoRecord(True, number, options.node, options.axis_number) for number in range(objects.PDOS_PER_AXIS))
+    has_guarding = has(cia301.GUARD_TIME) and has(cia301.LIFE_TIME_FACTOR)
+    rpdos = (PdoRecord(True, number, options.node, options.axis_number) for number in range(cia301.PDOS_PER_AXIS))
     has_timer = has_reaction and any(_find(dictionary, rpdo.event_timer) is not None for rpdo in rpdos)
     if has_consumer or has_guarding or has_timer:
         return ""
@@ -197,7 +197,7 @@ def _pdos(dictionary: "ObjectDictionary", options: CanopenOptions, *, is_receive
 
 def _records(options: CanopenOptions) -> Iterator[PdoRecord]:
     for is_receive in (True, False):
-        for number in range(objects.PDOS_PER_AXIS):
+        for number in range(cia301.PDOS_PER_AXIS):
             yield PdoRecord(is_receive, number, options.node, options.axis_number)
 
 

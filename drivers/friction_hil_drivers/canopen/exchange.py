@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from friction_hil.drive import Clock, Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
 from friction_hil_drivers.canopen.last_frames import LastFrames
 from friction_hil_drivers.canopen.listening import MasterAlarm
@@ -14,11 +14,11 @@ from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.watchdogs import Guard, feeders
 
 if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.cia301 import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
-    from friction_hil_drivers.canopen.objects import Frame
 
 _COMMAND_FRACTION = 0.25  # of the period, kept for computing and sending what acts from the next SYNC on
-_OPERATIONAL = bytes([objects.NmtState.OPERATIONAL])
+_OPERATIONAL = bytes([cia301.NmtState.OPERATIONAL])
 
 _PROBE_CYCLES = 50  # at least, between two cycles without SYNC
 _SDO_NS = 200_000_000  # for the stop by SDO to be answered, before the heartbeat ends
@@ -102,7 +102,7 @@ class CyclicExchange:
         dry_run: bool,
         max_missed: int = 10,
         alarm: MasterAlarm | None = None,
-        sync_id: int = objects.SYNC_ID,
+        sync_id: int = cia301.SYNC_ID,
     ) -> None:
         self._bus = bus
         self._sync_id = sync_id
@@ -113,7 +113,7 @@ class CyclicExchange:
         self._handlers = _join_handlers(axes)
         self._alarm = alarm or MasterAlarm()
         self._handlers |= self._alarm.handlers
-        self._heartbeat_id = objects.HEARTBEAT_BASE + master_node
+        self._heartbeat_id = cia301.HEARTBEAT_BASE + master_node
         half_ns = round(0.5e9 * period_s)  # a cycle that comes a little early sends it all the same
         self._heartbeat_ns = round(heartbeat_s * 1e9) - half_ns
         self._next_heartbeat_ns = self._sampled_ns = 0  # the second one: time of the last feedback

@@ -21,8 +21,8 @@ import msgpack
 
 from friction_hil.errors import BusError
 from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.cia301 import Frame
 from friction_hil_drivers.canopen.multicast import LocalSources, MulticastBus, deaf_sender
-from friction_hil_drivers.canopen.objects import Frame
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from friction_hil.drive import DriveState
 from friction_hil.drive.inventory import DriveEntry, Scan, Stop, StopReport
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.conversation import (
     FIRST_ANSWER_S,
     NODES,
@@ -38,7 +38,7 @@ from friction_hil_drivers.canopen.listening import (
 )
 from friction_hil_drivers.canopen.stopping import reset_axes, stop_axes, stop_drive
 from friction_hil_drivers.canopen.twins import SETTLE_S, ask_identity, ask_often
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
 
 if TYPE_CHECKING:
     from friction_hil.config import BusConfig
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 _ANSWER_S = 0.5
 _ATTEMPTS = 2
 _NO_MASTER = 0  # no heartbeat is ours
-_NMT_WORDS = {state.value: state.name.lower().replace("_", "-") for state in objects.NmtState}
+_NMT_WORDS = {state.value: state.name.lower().replace("_", "-") for state in cia301.NmtState}
 
 
 class CanopenInventory:
@@ -219,7 +219,7 @@ class CanopenInventory:
 
     def _before_reading(self, can_id: int, data: bytes) -> None:
         """Note a request; stop reading a node as soon as another master is heard to ask it."""
-        self._require_free_sdo([can_id - objects.SDO_REQUEST_BASE])
+        self._require_free_sdo([can_id - cia301.SDO_REQUEST_BASE])
         self._others.requested(can_id, data)
 
     def _twins(self, nodes: Sequence[int]) -> dict[int, DriveError]:

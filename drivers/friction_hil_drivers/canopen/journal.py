@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
-from friction_hil_drivers.canopen.objects import DataType, Object
+from friction_hil_drivers.canopen import cia301, codes
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.objects import DataType, Object
 
 _VERSION = 1
 _MOST_ENTRIES = 64  # of a mapping; larger counts stand for multiplexed PDOs
@@ -98,7 +99,7 @@ def pdo_record(index: int) -> int | None:
 
 def cob_id_entry(record: int) -> Object:
     """Return the entry that switches a PDO on and off."""
-    return Object(record, "COB-ID of a PDO", DataType.UNSIGNED32, objects.PDO_COB_ID)
+    return Object(record, "COB-ID of a PDO", DataType.UNSIGNED32, cia301.PDO_COB_ID)
 
 
 def mapping_entry(record: int, position: int) -> Object:
@@ -135,7 +136,7 @@ def _pdo_steps(group: Sequence[Found]) -> list[Step]:
     record = pdo_record(group[0].entry.index)
     assert record is not None
     values = {one.entry.address: one for one in group if one.found is not None}
-    switch = values.pop((record, objects.PDO_COB_ID), None)
+    switch = values.pop((record, cia301.PDO_COB_ID), None)
     mapping = sorted((one for one in values.values() if one.entry.index != record), key=lambda one: one.entry.subindex)
     parameters = [one for one in values.values() if one.entry.index == record]
     steps: list[Step] = []
@@ -147,7 +148,7 @@ def _pdo_steps(group: Sequence[Found]) -> list[Step]:
     steps += _steps(parameters)
     if switch is None or switch.found is None:
         return steps
-    off = (_number(switch.found) | objects.PDO_INVALID).to_bytes(4, "little")
+    off = (_number(switch.found) | cia301.PDO_INVALID).to_bytes(4, "little")
     before = [(switch.entry, off)] if steps else []
     return [*before, *steps, (switch.entry, switch.found)]
 
@@ -379,7 +380,7 @@ def _entry(one: dict[str, Any]) -> Found:
     address = int(one["index"]), int(one["subindex"])
     found = None if one["found"] is None else bytes.fromhex(one["found"])
     written = [bytes.fromhex(data) for data in one["written"]]
-    entry = objects.TABLE.get(address) or Object(address[0], "(kept)", DataType.UNSIGNED32, address[1])
+    entry = cia301.TABLE.get(address) or Object(address[0], "(kept)", DataType.UNSIGNED32, address[1])
     return Found(entry, found, written)
 
 

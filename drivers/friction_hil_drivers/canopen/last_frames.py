@@ -8,13 +8,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.axis import CanopenAxis
     from friction_hil_drivers.canopen.watchdogs import Guard
 
-_OPERATIONAL = bytes([objects.NmtState.OPERATIONAL])
+_OPERATIONAL = bytes([cia301.NmtState.OPERATIONAL])
 _FRAMES_PER_TIMER = 4
 _IDLE_S = 1.0
 
@@ -50,7 +50,7 @@ class LastFrames:
         self._may_have_power = {axis.facts.name for axis in axes if not axis.is_proved_unpowered}
         self._timers = [_Timer(heartbeat_id, _OPERATIONAL, heartbeat_ns)]
         self._timers += [
-            _Timer(guard.can_id, None, guard.period_ns, guard.can_id - objects.HEARTBEAT_BASE) for guard in guards
+            _Timer(guard.can_id, None, guard.period_ns, guard.can_id - cia301.HEARTBEAT_BASE) for guard in guards
         ]
         for axis in axes:
             within_ms = [means.within_ms for means in axis.watch.means if means.kind == "rpdo"]

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import Clock, DriveState
 from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError, DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.codec import decode_heartbeat
 from friction_hil_drivers.canopen.conversation import PATIENCE_S, Conversation
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.stopping import disable_axes, has_no_power
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
 
 if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.cia301 import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
     from friction_hil_drivers.canopen.last_frames import LastFrames
-    from friction_hil_drivers.canopen.objects import Frame
     from friction_hil_drivers.canopen.sdo import SdoClient
 
 _ATTEMPTS = 2  # within the patience: the same controlword again is harmless, and a frame may have been lost
@@ -81,7 +81,7 @@ def switch_off(
     failure: BusError | None = None
     for node in dict.fromkeys(node for _, node, _ in axes):
         try:
-            send_nmt(bus, objects.NmtCommand.ENTER_PRE_OPERATIONAL, node)
+            send_nmt(bus, cia301.NmtCommand.ENTER_PRE_OPERATIONAL, node)
         except BusError as error:
             failure = error  # the node goes on waiting for RPDOs
         else:
@@ -104,11 +104,11 @@ class _Heard:
     def take(self, frame: "Frame") -> None:
         """Take a frame of the bus."""
         can_id, data = frame
-        if objects.HEARTBEAT_BASE < can_id <= objects.HEARTBEAT_BASE + 127:
-            node, is_there = can_id - objects.HEARTBEAT_BASE, decode_heartbeat(data) != objects.NmtState.BOOT_UP
+        if cia301.HEARTBEAT_BASE < can_id <= cia301.HEARTBEAT_BASE + 127:
+            node, is_there = can_id - cia301.HEARTBEAT_BASE, decode_heartbeat(data) != cia301.NmtState.BOOT_UP
             self.nodes = self.nodes | {node} if is_there else self.nodes - {node}
-        elif objects.SDO_RESPONSE_BASE < can_id <= objects.SDO_RESPONSE_BASE + 127:
-            self.nodes.add(can_id - objects.SDO_RESPONSE_BASE)
+        elif cia301.SDO_RESPONSE_BASE < can_id <= cia301.SDO_RESPONSE_BASE + 127:
+            self.nodes.add(can_id - cia301.SDO_RESPONSE_BASE)
 
 
 def _note(frames: "LastFrames | None", states: dict[str, DriveState]) -> None:
@@ -118,9 +118,9 @@ def _note(frames: "LastFrames | None", states: dict[str, DriveState]) -> None:
             frames.note(name, is_unpowered=has_no_power(state))
 
 
-def send_nmt(bus: "FrameBus", command: objects.NmtCommand, node: int) -> None:
+def send_nmt(bus: "FrameBus", command: cia301.NmtCommand, node: int) -> None:
     """Send an NMT command to one node."""
-    bus.send(objects.NMT_ID, bytes((command, node)))
+    bus.send(cia301.NMT_ID, bytes((command, node)))
 
 
 def disable(

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import DriveState
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.conversation import FIRST_ANSWER_S, Conversation, device_types
-from friction_hil_drivers.canopen.object_reader import ObjectReader
-from friction_hil_drivers.canopen.objects import DataType, Object
 from friction_hil_drivers.canopen.twins import IDENTITY, SETTLE_S, SURE_REQUESTS, NodeAnswers
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.access import ObjectReader
+from friction_hil_drivers.cia402.objects import DataType, Object
 
 if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.cia301 import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
-    from friction_hil_drivers.canopen.objects import Frame
     from friction_hil_drivers.canopen.sdo import SdoClient
 
 # Two periods of a master that sends at least every 150 ms, as SYNC, PDOs and heartbeats usually are
@@ -31,7 +31,7 @@ LISTEN_S = 0.3
 _ALL_NODES = 0
 _MOST_CONSUMERS = 16
 _MOST_ECHOES = 64  # own frames of one identifier that may be under way; the others were lost
-_NMT_NAMES = {command.value: command.name.lower().replace("_", " ") for command in objects.NmtCommand}
+_NMT_NAMES = {command.value: command.name.lower().replace("_", " ") for command in cia301.NmtCommand}
 
 
 class OtherMasters:
@@ -47,7 +47,7 @@ class OtherMasters:
         Identifier of SYNC.
     """
 
-    def __init__(self, nodes: Collection[int], master_node: int, sync_id: int = objects.SYNC_ID) -> None:
+    def __init__(self, nodes: Collection[int], master_node: int, sync_id: int = cia301.SYNC_ID) -> None:
         self._nodes = frozenset(nodes)
         self._echoes: Counter[int] = Counter()
         self._heard: dict[str, int] = {}  # frames, by what they are
@@ -55,15 +55,15 @@ class OtherMasters:
         self._identifiers: set[int] = set()
         self._answers = {node: NodeAnswers() for node in nodes}
         self._sync_id = sync_id
-        self._own_heartbeat = objects.HEARTBEAT_BASE + master_node
+        self._own_heartbeat = cia301.HEARTBEAT_BASE + master_node
         self._watched: dict[int, str] = {
             sync_id: f"SYNC ({sync_id:03X}h)",
             self._own_heartbeat: f"heartbeat of node {master_node}, which is the daemon's own number",
         }
         for node in nodes:
-            for number, base in enumerate(objects.RPDO_BASES, 1):
+            for number, base in enumerate(cia301.RPDO_BASES, 1):
                 self._watched[base + node] = f"RPDO {number} ({base + node:03X}h) to node {node}"
-            self._watched[objects.SDO_REQUEST_BASE + node] = f"SDO requests to node {node}"
+            self._watched[cia301.SDO_REQUEST_BASE + node] = f"SDO requests to node {node}"
 
     def watch_rpdo(self, can_id: int, node: int) -> None:
         """Watch an identifier that a node has given to one of its RPDOs."""
@@ -73,14 +73,14 @@ class OtherMasters:
 
     def watch_heartbeat(self, master: int, node: int) -> None:
         """Watch the heartbeat of a node that one of ours watches: that of its master."""
-        can_id = objects.HEARTBEAT_BASE + master
+        can_id = cia301.HEARTBEAT_BASE + master
         self._watched.setdefault(can_id, f"heartbeat of node {master}, which node {node} watches as its master's")
         if can_id in self._identifiers:
             self._count(self._watched[can_id])
 
     def requested(self, can_id: int, data: bytes | bytearray) -> None:
         """Note an SDO request of our own."""
-        answers = self._answers.get(can_id - objects.SDO_REQUEST_BASE)
+        answers = self._answers.get(can_id - cia301.SDO_REQUEST_BASE)
         if answers is not None:
             answers.requested(data)
 
@@ -96,16 +96,16 @@ class OtherMasters:
             self._echoes[can_id] -= 1
             return
         self._identifiers.add(can_id)
-        node = can_id - objects.HEARTBEAT_BASE
+        node = can_id - cia301.HEARTBEAT_BASE
         if node in self._nodes and data:
             self._states[node] = data[0] & 0x7F
-        if can_id == objects.NMT_ID:
+        if can_id == cia301.NMT_ID:
             self._take_nmt(data)
         elif can_id in self._watched:
             self._count(self._watched[can_id])
             self.requested(can_id, data)
-        elif can_id - objects.SDO_RESPONSE_BASE in self._answers:
-            self._answers[can_id - objects.SDO_RESPONSE_BASE].answered(data)
+        elif can_id - cia301.SDO_RESPONSE_BASE in self._answers:
+            self._answers[can_id - cia301.SDO_RESPONSE_BASE].answered(data)
 
     def _take_nmt(self, data: bytes) -> None:
         if len(data) == 2 and (data[1] == _ALL_NODES or data[1] in self._nodes):
@@ -121,12 +121,12 @@ class OtherMasters:
 
     def uses_sdo_of(self, node: int) -> bool:
         """Return True if SDO requests of another master to one of our nodes were heard."""
-        return objects.SDO_REQUEST_BASE + node in self._identifiers
+        return cia301.SDO_REQUEST_BASE + node in self._identifiers
 
     @property
     def uses_sdo(self) -> bool:
         """True if another master was heard to use the SDO server of any node."""
-        return any(objects.SDO_REQUEST_BASE < can_id < objects.SDO_REQUEST_BASE + 0x80 for can_id in self._identifiers)
+        return any(cia301.SDO_REQUEST_BASE < can_id < cia301.SDO_REQUEST_BASE + 0x80 for can_id in self._identifiers)
 
     def state_of(self, node: int) -> int | None:
         """Return the NMT state in the last heartbeat of one of our nodes, None where none was heard."""
@@ -144,8 +144,8 @@ class OtherMasters:
     @property
     def commanding(self) -> set[int]:
         """Identifiers of frames that act on our drives: SYNC, NMT, RPDOs, and the heartbeat that they watch."""
-        rpdos = {can_id for can_id in self._watched if can_id < objects.SDO_RESPONSE_BASE}
-        return {objects.NMT_ID, self._sync_id, self._own_heartbeat, *rpdos}
+        rpdos = {can_id for can_id in self._watched if can_id < cia301.SDO_RESPONSE_BASE}
+        return {cia301.NMT_ID, self._sync_id, self._own_heartbeat, *rpdos}
 
     @property
     def has_sync(self) -> bool:
@@ -297,21 +297,21 @@ def look(access: ObjectReader, node: int, others: OtherMasters) -> Look:
         The drive does not answer, or has no statusword.
     """
     statusword = access.read(objects.STATUSWORD)
-    for number in range(objects.PDO_COUNT):
-        record = objects.RPDO_PARAMETER + number
-        cob_id = access.find(Object(record, "COB-ID of an RPDO", DataType.UNSIGNED32, objects.PDO_COB_ID))
-        if cob_id is not None and not cob_id & objects.PDO_INVALID:
+    for number in range(cia301.PDO_COUNT):
+        record = cia301.RPDO_PARAMETER + number
+        cob_id = access.find(Object(record, "COB-ID of an RPDO", DataType.UNSIGNED32, cia301.PDO_COB_ID))
+        if cob_id is not None and not cob_id & cia301.PDO_INVALID:
             others.watch_rpdo(cob_id & 0x7FF, node)
     for master in _consumed_nodes(access):
         others.watch_heartbeat(master, node)
-    return Look(statusword, access.find(objects.PRODUCER_HEARTBEAT) or 0)
+    return Look(statusword, access.find(cia301.PRODUCER_HEARTBEAT) or 0)
 
 
 def _consumed_nodes(access: ObjectReader) -> Iterator[int]:
     """Yield the nodes whose heartbeats a drive watches (1016h)."""
-    count = access.find(objects.CONSUMER_HEARTBEAT_COUNT) or 0
+    count = access.find(cia301.CONSUMER_HEARTBEAT_COUNT) or 0
     for subindex in range(1, min(count, _MOST_CONSUMERS) + 1):
-        entry = Object(objects.CONSUMER_HEARTBEAT.index, "consumer heartbeat time", DataType.UNSIGNED32, subindex)
+        entry = Object(cia301.CONSUMER_HEARTBEAT.index, "consumer heartbeat time", DataType.UNSIGNED32, subindex)
         value = access.find(entry) or 0
         if value & 0xFFFF and value >> 16 & 0x7F:
             yield value >> 16 & 0x7F

@@ -10,10 +10,10 @@ from friction_hil.drive.encoder import unwrap
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.mapping import MappedPdo, place
-from friction_hil_drivers.canopen.objects import DataType, Object
+from friction_hil_drivers.cia402.objects import DataType, Object
 
 if TYPE_CHECKING:
-    from friction_hil_drivers.canopen.object_reader import ObjectReader
+    from friction_hil_drivers.cia402.access import ObjectReader
 
 _BITS = 32
 _FIX = "correct or remove the key load_encoder of the axis"

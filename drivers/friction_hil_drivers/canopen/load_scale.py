@@ -5,13 +5,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.load_encoder import LoadEncoderOptions
-from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.scales import LEAST_RESOLUTION, TOLERANCE, Kind
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.objects import Object
 
 if TYPE_CHECKING:
-    from friction_hil_drivers.canopen.object_reader import ObjectReader
+    from friction_hil_drivers.cia402.access import ObjectReader
 
 
 def with_scale(access: "ObjectReader", options: LoadEncoderOptions, kind: Kind) -> tuple[LoadEncoderOptions, str]:

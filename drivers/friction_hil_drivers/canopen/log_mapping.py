@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.drive import DriveState, Mode
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.dialogue import DOWNLOAD, HEAD, UPLOAD, expedited
 from friction_hil_drivers.canopen.frame_log import FrameLog
 from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, PdoRecord, field_format
-from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.sidecar_options import SidecarPdo, mapping_words
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.objects import Object
 
 if TYPE_CHECKING:
     from canopen import ObjectDictionary
 
-    from friction_hil_drivers.canopen.object_reader import ObjectReader
+    from friction_hil_drivers.cia402.access import ObjectReader
 
 OWN = "that this driver sets up"
 _NO_COB_ID = -1  # of no frame
@@ -145,7 +145,7 @@ def _stated(name: str, pdo: SidecarPdo) -> LoggedPdo:
 
 def _entries(words: Iterable[int], axis: int = 0) -> tuple[tuple[Object | None, int], ...]:
     return tuple(
-        (objects.TABLE.get((objects.first_axis_index(word >> 16, axis), word >> 8 & 0xFF)), word & 0xFF)
+        (cia301.TABLE.get((objects.first_axis_index(word >> 16, axis), word >> 8 & 0xFF)), word & 0xFF)
         for word in words
     )
 
@@ -165,7 +165,7 @@ def _logged(log: FrameLog, node: int, axis: int) -> Iterator[LoggedPdo]:
 def _transfers(log: FrameLog, node: int) -> list[tuple[int, int, int, int]]:
     """Return row, index, sub-index and value of each object that was written to a node, or read from it."""
     found = []
-    for base, specifier in (objects.SDO_REQUEST_BASE, DOWNLOAD), (objects.SDO_RESPONSE_BASE, UPLOAD):
+    for base, specifier in (cia301.SDO_REQUEST_BASE, DOWNLOAD), (cia301.SDO_RESPONSE_BASE, UPLOAD):
         for row in log.rows_of(base + node).tolist():
             data = log.data[row, : log.lengths[row]].tobytes()
             if (content := expedited(data, specifier)) is not None:
@@ -181,7 +181,7 @@ def _in_force(record: PdoRecord, transfers: Sequence[tuple[int, int, int, int]],
     began, current = 0, tuple[int, ...]()
     for row, index, subindex, value in [*transfers, (end, 0, 0, 0)]:
         before = (cob_id, current)
-        if index == record.cob_id.index and subindex == record.cob_id.subindex and not value & objects.PDO_INVALID:
+        if index == record.cob_id.index and subindex == record.cob_id.subindex and not value & cia301.PDO_INVALID:
             cob_id = value & 0x7FF
         elif index == record.mapping(0).index:
             words[subindex] = value

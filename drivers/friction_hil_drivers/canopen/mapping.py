@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from friction_hil.drive import Mode
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
-from friction_hil_drivers.canopen.objects import DataType, Object
+from friction_hil_drivers.canopen import cia301, codes
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.objects import DataType, Object
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.sdo import SdoClient
@@ -89,7 +90,7 @@ class PdoRecord:
     @property
     def default_identifier(self) -> int | None:
         """Identifier of the PDO's frames in the pre-defined connection set, which has four for each direction."""
-        bases = objects.RPDO_BASES if self.is_receive else objects.TPDO_BASES
+        bases = cia301.RPDO_BASES if self.is_receive else cia301.TPDO_BASES
         return bases[self.number] + self.node if self.axis == 0 and self.number < len(bases) else None
 
     @property
@@ -101,7 +102,7 @@ class PdoRecord:
 
     @property
     def _offset(self) -> int:
-        return objects.PDOS_PER_AXIS * self.axis + self.number
+        return cia301.PDOS_PER_AXIS * self.axis + self.number
 
     def address(self, entry: Object) -> int:
         """Return index and sub-index of an object on this axis: index << 8 | sub-index."""
@@ -113,12 +114,12 @@ class PdoRecord:
 
     def parameter(self, subindex: int, name: str, kind: DataType) -> Object:
         """Return an object of the communication record (1400h, 1800h)."""
-        base = objects.RPDO_PARAMETER if self.is_receive else objects.TPDO_PARAMETER
+        base = cia301.RPDO_PARAMETER if self.is_receive else cia301.TPDO_PARAMETER
         return Object(base + self._offset, f"{name} of {self.name}", kind, subindex)
 
     def mapping(self, position: int) -> Object:
         """Return an object of the mapping record (1600h, 1A00h); position 0 is the number of mapped objects."""
-        index = (objects.RPDO_MAPPING if self.is_receive else objects.TPDO_MAPPING) + self._offset
+        index = (cia301.RPDO_MAPPING if self.is_receive else cia301.TPDO_MAPPING) + self._offset
         if position == 0:
             return Object(index, f"number of objects in {self.name}", DataType.UNSIGNED8, 0)
         return Object(index, f"object {position} of {self.name}", DataType.UNSIGNED32, position)
@@ -126,22 +127,22 @@ class PdoRecord:
     @property
     def cob_id(self) -> Object:
         """Entry with the identifier, and the bit that switches the PDO off."""
-        return self.parameter(objects.PDO_COB_ID, "COB-ID", DataType.UNSIGNED32)
+        return self.parameter(cia301.PDO_COB_ID, "COB-ID", DataType.UNSIGNED32)
 
     @property
     def transmission_type(self) -> Object:
         """Entry that says when the PDO is sent or takes effect."""
-        return self.parameter(objects.PDO_TRANSMISSION_TYPE, "transmission type", DataType.UNSIGNED8)
+        return self.parameter(cia301.PDO_TRANSMISSION_TYPE, "transmission type", DataType.UNSIGNED8)
 
     @property
     def inhibit_time(self) -> Object:
         """Entry with the shortest time between two frames, in units of 100 us."""
-        return self.parameter(objects.PDO_INHIBIT_TIME, "inhibit time", DataType.UNSIGNED16)
+        return self.parameter(cia301.PDO_INHIBIT_TIME, "inhibit time", DataType.UNSIGNED16)
 
     @property
     def event_timer(self) -> Object:
         """Entry with the event timer; of an RPDO, the time after which its absence is an error."""
-        return self.parameter(objects.PDO_EVENT_TIMER, "event timer", DataType.UNSIGNED16)
+        return self.parameter(cia301.PDO_EVENT_TIMER, "event timer", DataType.UNSIGNED16)
 
 
 def place(pdos: Sequence[MappedPdo], entry: Object) -> tuple[int, int]:
@@ -165,10 +166,10 @@ def pdo_layout(entries: Sequence[Object], widths: Sequence[int]) -> struct.Struc
 def switch_off(access: "SdoClient", record: PdoRecord) -> bool:
     """Switch off a PDO that is not used, where the drive has it; return False if the drive refuses."""
     before = access.find(record.cob_id)
-    if before is None or before & objects.PDO_INVALID:
+    if before is None or before & cia301.PDO_INVALID:
         return True
     try:
-        access.write(record.cob_id, objects.PDO_INVALID | before)
+        access.write(record.cob_id, cia301.PDO_INVALID | before)
     except DriveError as error:
         if error.code != codes.SDO_ABORT:
             raise

@@ -4,7 +4,7 @@ from enum import IntEnum
 
 from friction_hil.drive.codes import coded
 from friction_hil_drivers.canopen import codes
-from friction_hil_drivers.canopen.objects import NmtState
+from friction_hil_drivers.canopen.cia301 import NmtState
 from friction_hil_drivers.canopen.watchdog_times import HEARTBEATS_TO_LOSS
 
 _STATE_NAMES = {state.value: state.name.lower().replace("_", "-") for state in NmtState}

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.mapping import LARGEST_BYTES, SYNCHRONOUS, MappedPdo, PdoRecord, field_format
-from friction_hil_drivers.canopen.objects import DataType, Object
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.objects import DataType, Object
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.sdo import SdoClient
@@ -142,7 +143,7 @@ def _carried_object(record: PdoRecord, word: int, position: int) -> Object:
     index, subindex = objects.first_axis_index(word >> 16, record.axis), word >> 8 & 0xFF
     if index in _DUMMIES:
         return Object(index, "nothing", DataType.UNSIGNED8, position)
-    known = objects.TABLE.get((index, subindex))
+    known = cia301.TABLE.get((index, subindex))
     return known or Object(index, "(no name here)", DataType.UNSIGNED32, subindex)
 
 
@@ -155,10 +156,10 @@ def free_identifier(pdo: FoundPdo, taken: Collection[int]) -> int:
         All of them are taken.
     """
     record, own = pdo.record, pdo.cob_id & 0x7FF
-    candidates = [own] if own and not pdo.cob_id & objects.PDO_EXTENDED else []
+    candidates = [own] if own and not pdo.cob_id & cia301.PDO_EXTENDED else []
     if record.default_identifier is not None:
         candidates.insert(0, record.default_identifier)
-    bases = objects.RPDO_BASES if record.is_receive else objects.TPDO_BASES
+    bases = cia301.RPDO_BASES if record.is_receive else cia301.TPDO_BASES
     candidates += [base + record.node for base in reversed(bases)]
     for identifier in candidates:
         if identifier not in taken:
@@ -172,7 +173,7 @@ def free_identifier(pdo: FoundPdo, taken: Collection[int]) -> int:
 def read_pdos(access: "SdoClient", *, is_receive: bool, node: int, axis: int = 0) -> list[FoundPdo]:
     """Read the PDOs of one direction that a drive has; nothing is written."""
     found = []
-    for number in range(objects.PDOS_PER_AXIS):
+    for number in range(cia301.PDOS_PER_AXIS):
         record = PdoRecord(is_receive, number, node, axis)
         cob_id = access.find(record.cob_id)
         count = None if cob_id is None else access.find(record.mapping(0))
@@ -256,7 +257,7 @@ class PdoNegotiator:
     def _found(self) -> list[FoundPdo]:
         found = read_pdos(self._access, **self._where)  # type: ignore[arg-type]
         # where nothing may be written, a PDO that is off stays off
-        return [pdo for pdo in found if not (self._access.is_read_only and pdo.cob_id & objects.PDO_INVALID)]
+        return [pdo for pdo in found if not (self._access.is_read_only and pdo.cob_id & cia301.PDO_INVALID)]
 
     def _widths(self, entries: Sequence[Object]) -> dict[Object, int]:
         """Return the widths that the drive itself gives its objects."""
@@ -312,8 +313,8 @@ class PdoNegotiator:
         record = pdo.record
         try:
             if pdo.words != tuple(words):
-                if not pdo.cob_id & objects.PDO_INVALID:
-                    self._access.write(record.cob_id, objects.PDO_INVALID | pdo.cob_id)
+                if not pdo.cob_id & cia301.PDO_INVALID:
+                    self._access.write(record.cob_id, cia301.PDO_INVALID | pdo.cob_id)
                 self._access.write(record.mapping(0), 0)
                 for position, word in enumerate(words, 1):
                     self._access.write(record.mapping(position), word)
@@ -346,22 +347,22 @@ class PdoNegotiator:
         """
         access, record = self._access, pdo.record
         identifier = free_identifier(pdo, self._taken)
-        cob_id = pdo.cob_id & objects.PDO_NO_RTR | identifier
+        cob_id = pdo.cob_id & cia301.PDO_NO_RTR | identifier
         kind = access.find(record.transmission_type)
         # it concerns event-driven PDOs alone, but some drives are delivered with 100 ms and may look at it always
         is_inhibited = not record.is_receive and bool(access.find(record.inhibit_time))
         if kind != SYNCHRONOUS or is_inhibited or access.find(record.cob_id) != cob_id:
             present = access.read(record.cob_id)
-            if not present & objects.PDO_INVALID:
-                self._attempt(record.cob_id, objects.PDO_INVALID | present)
+            if not present & cia301.PDO_INVALID:
+                self._attempt(record.cob_id, cia301.PDO_INVALID | present)
             if kind != SYNCHRONOUS and not self._attempt(record.transmission_type, SYNCHRONOUS):
                 self._require_usable_type(record, kind)
             if is_inhibited:
                 self._attempt(record.inhibit_time, 0)
             if not self._attempt(record.cob_id, cob_id):
-                self._attempt(record.cob_id, pdo.cob_id & ~objects.PDO_INVALID)
+                self._attempt(record.cob_id, pdo.cob_id & ~cia301.PDO_INVALID)
         in_force = access.read(record.cob_id)
-        if in_force & (objects.PDO_INVALID | objects.PDO_EXTENDED) or not in_force & 0x7FF:
+        if in_force & (cia301.PDO_INVALID | cia301.PDO_EXTENDED) or not in_force & 0x7FF:
             text = f"{access.axis}: {record.name} of {access.where} cannot be switched on: COB-ID {in_force:08X}h"
             raise DriveError(text, code=codes.MAPPING_NOT_KEPT)
         if in_force & 0x7FF in self._taken:
@@ -401,7 +402,7 @@ class PdoNegotiator:
         access, record = self._access, pdo.record
         present = replace(pdo, words=tuple(access.find(record.mapping(p)) or 0 for p in range(1, len(pdo.words) + 1)))
         if present.words != pdo.words or access.find(record.mapping(0)) != len(pdo.words):
-            self._attempt(record.cob_id, objects.PDO_INVALID | pdo.cob_id)
+            self._attempt(record.cob_id, cia301.PDO_INVALID | pdo.cob_id)
             self._attempt(record.mapping(0), 0)
             for position, word in enumerate(pdo.words, 1):
                 self._attempt(record.mapping(position), word)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from friction_hil.drive.codes import coded
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.listening import OtherMasters, heard_by
 
 if TYPE_CHECKING:
@@ -24,13 +24,13 @@ def ask_nmt_state(
 
     Nothing is raised where the node has no heartbeat, or refuses: its state stays unknown then.
     """
-    found = client.find(objects.PRODUCER_HEARTBEAT)
-    if found is None or not client.try_write(objects.PRODUCER_HEARTBEAT, _PERIOD_MS):
+    found = client.find(cia301.PRODUCER_HEARTBEAT)
+    if found is None or not client.try_write(cia301.PRODUCER_HEARTBEAT, _PERIOD_MS):
         return
     end = now() + _PATIENCE_S
     while others.state_of(node) is None and (left := end - now()) > 0.0:
         heard_by(bus, others, now() + min(_STEP_S, left), now)
-    client.try_write(objects.PRODUCER_HEARTBEAT, found)
+    client.try_write(cia301.PRODUCER_HEARTBEAT, found)
 
 
 def unknown_nmt_state(node: int) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from friction_hil.drive import Clock, Command, Feedback
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.codec import FeedbackDecoder, Measurement, emergency_code, emergency_text
 from friction_hil_drivers.canopen.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
 from friction_hil_drivers.canopen.heard_pdos import HeardPdos
@@ -95,7 +95,7 @@ class PassiveAxis:
         self.handlers: dict[int, Callable[[bytes], None]] = {
             pdo.cob_id: partial(self._on_tpdo, slot) for slot, pdo in enumerate(drive.tpdos)
         }
-        self.handlers[objects.EMERGENCY_BASE + node] = self._on_emergency
+        self.handlers[cia301.EMERGENCY_BASE + node] = self._on_emergency
 
     @property
     def is_complete(self) -> bool:
@@ -160,7 +160,7 @@ class PassiveExchange:
         clock: Clock,
         *,
         period_s: float,
-        sync_id: int = objects.SYNC_ID,
+        sync_id: int = cia301.SYNC_ID,
     ) -> None:
         self._bus = bus
         self._axes = axes

@@ -6,9 +6,10 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from friction_hil.errors import BusError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.dialogue import Upload
 from friction_hil_drivers.canopen.interfaces import bus_name
+from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.simulated_name import claim
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class Presence:
     def ask(self, bus: "FrameBus") -> None:
         """Ask all nodes for their device type, which none of them is to answer."""
         for node in self._nodes:
-            bus.send(objects.SDO_REQUEST_BASE + node, Upload(objects.DEVICE_TYPE).first())
+            bus.send(cia301.SDO_REQUEST_BASE + node, Upload(objects.DEVICE_TYPE).first())
         self._asked_s = time.monotonic()
 
     def require_silence(self, bus: "FrameBus") -> None:
@@ -62,7 +63,7 @@ class Presence:
             A node answers.
         """
         end = self._asked_s + _ANSWER_S.get(self._config.interface, _ANSWER_ELSEWHERE_S)
-        answers = {objects.SDO_RESPONSE_BASE + node: node for node in self._nodes}
+        answers = {cia301.SDO_RESPONSE_BASE + node: node for node in self._nodes}
         while (frame := bus.receive(max(0.0, end - time.monotonic()))) is not None or time.monotonic() < end:
             if frame is not None and frame[0] in answers:
                 text = f"node {answers[frame[0]]} on {bus_name(self._config)} answers already"

@@ -17,9 +17,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
-from friction_hil_drivers.canopen.object_reader import ObjectReader
-from friction_hil_drivers.canopen.objects import Object
+from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.si_units import (
     Measure,
@@ -29,6 +27,9 @@ from friction_hil_drivers.canopen.si_units import (
     parse_velocity_unit,
 )
 from friction_hil_drivers.canopen.units import CanopenUnits
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.access import ObjectReader
+from friction_hil_drivers.cia402.objects import Object
 from friction_hil_drivers.torque_sign import InvertedTorque, torque_signs
 
 Kind = Literal["rotary", "linear"]

@@ -12,25 +12,14 @@ import can
 import canopen
 
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
+from friction_hil_drivers.canopen.cia301 import Frame
 from friction_hil_drivers.canopen.conversation import PATIENCE_S
-from friction_hil_drivers.canopen.dialogue import (
-    ABSENT,
-    HIDDEN,
-    SEGMENT,
-    Abort,
-    Address,
-    Download,
-    OwedAnswers,
-    Transfer,
-    Upload,
-    abort,
-    describe,
-)
+from friction_hil_drivers.canopen.dialogue import SEGMENT, Download, OwedAnswers, Transfer, Upload, abort, describe
 from friction_hil_drivers.canopen.frames import FrameBus
 from friction_hil_drivers.canopen.journal import Journal, hexadecimal
-from friction_hil_drivers.canopen.object_reader import ObjectReader
-from friction_hil_drivers.canopen.objects import Frame, Object
+from friction_hil_drivers.cia402.access import ABSENT, HIDDEN, Abort, ObjectReader
+from friction_hil_drivers.cia402.objects import Address, Object
 
 _READ_ATTEMPTS = 3  # within the patience: reading again is harmless, and a frame may have been lost
 _MOST_NOTES = 5
@@ -317,8 +306,8 @@ class SdoNetwork:
 
     def client(self, node: int, axis: str, where: str) -> SdoClient:
         """Return the SDO client of a node; `axis` and `where` are for its messages."""
-        channel = SdoChannel(partial(self._send, objects.SDO_REQUEST_BASE + node), self._pump, self._now)
-        channel = self._channels.setdefault(objects.SDO_RESPONSE_BASE + node, channel)
+        channel = SdoChannel(partial(self._send, cia301.SDO_REQUEST_BASE + node), self._pump, self._now)
+        channel = self._channels.setdefault(cia301.SDO_RESPONSE_BASE + node, channel)
         return SdoClient(channel, axis, where)
 
     def _send(self, can_id: int, data: bytes) -> None:

@@ -10,12 +10,12 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from friction_hil.drive import DriveState
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
+from friction_hil_drivers.canopen.cia301 import Frame
 from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
-from friction_hil_drivers.canopen.objects import Frame
 from friction_hil_drivers.canopen.temperature import TemperatureRead
 from friction_hil_drivers.canopen.units import wrap
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
 
 ANSWER_NS = 50_000_000  # without an answer the request is repeated
 _OBEY_NS = 100_000_000  # for the quick stop to begin; then voltage is disabled
@@ -218,7 +218,7 @@ class CyclicSdo:
     )
 
     def __init__(self, node: int, standstill: float, axis: int, temperature: TemperatureRead) -> None:
-        self._request_id = objects.SDO_REQUEST_BASE + node
+        self._request_id = cia301.SDO_REQUEST_BASE + node
         self._axis = axis
         self.stop = SdoStop(standstill)
         self.error_code = ErrorCodeRead()

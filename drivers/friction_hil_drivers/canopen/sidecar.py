@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import AxisFacts, Clock, Command, Drives, DriveState, Feedback, Mode
 from friction_hil.drive.phase_lock import PhaseLock
 from friction_hil.errors import BusError, DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.delays import SETPOINT_CYCLES
 from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.canopen.heard_pdos import HeardPdos
@@ -23,6 +23,7 @@ from friction_hil_drivers.canopen.sidecar_axis import SidecarAxis, demand_object
 from friction_hil_drivers.canopen.sidecar_exchange import SidecarExchange
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions, mapped
 from friction_hil_drivers.canopen.units import PER_MILLE, CanopenUnits
+from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.torque_sign import torque_signs
 
 if TYPE_CHECKING:
@@ -270,7 +271,7 @@ class SidecarDrives(Drives):
         """Return the identifiers of what the daemon sends for an axis."""
         options = canopen_options(self._configs[name])
         has_heartbeat = options.sidecar is not None and options.sidecar.heartbeat_s is not None
-        return [axis.offset_id, *([objects.HEARTBEAT_BASE + options.master_node] if has_heartbeat else [])]
+        return [axis.offset_id, *([cia301.HEARTBEAT_BASE + options.master_node] if has_heartbeat else [])]
 
     def _compare_rhythm(self, axis: SidecarAxis, heard: HeardPdos) -> None:
         """Refuse a TPDO that should come once with every SYNC, and does not."""

@@ -8,15 +8,16 @@ from typing import NamedTuple
 from friction_hil.drive import AxisFacts, DriveState, Feedback, Mode
 from friction_hil.drive.codes import coded
 from friction_hil.drive.encoder import derived_velocity, unwrap
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.axis import Handler
+from friction_hil_drivers.canopen.cia301 import Frame, NmtState
 from friction_hil_drivers.canopen.codec import decode_heartbeat, emergency_code, emergency_text
 from friction_hil_drivers.canopen.mapping import MappedPdo
-from friction_hil_drivers.canopen.objects import Frame, NmtState, Object
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions, mapped
 from friction_hil_drivers.canopen.twins import TwinWatch
 from friction_hil_drivers.canopen.units import COUNTER_BITS, CanopenUnits
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.objects import Object
 
 _MOST_ECHOES = 64  # under way; the others were lost
 _ENABLE_MASK = 0x0F  # of the controlword: all four bits are set while the master wants Operation enabled
@@ -86,8 +87,8 @@ class SidecarAxis:
 
     def _make_handlers(self) -> Mapping[int, Handler]:
         handlers: dict[int, Handler] = {
-            objects.EMERGENCY_BASE + self.node: self._on_emergency,
-            objects.HEARTBEAT_BASE + self.node: self._on_heartbeat,
+            cia301.EMERGENCY_BASE + self.node: self._on_emergency,
+            cia301.HEARTBEAT_BASE + self.node: self._on_heartbeat,
             self._offset.cob_id: self._on_offset,
         }
         handlers |= {one.pdo.cob_id: partial(self._on_tpdo, one) for one in self._tpdos}

@@ -7,11 +7,12 @@ from friction_hil.drive import Clock, Command, FaultCode, Feedback
 from friction_hil.drive.codes import coded
 from friction_hil.drive.phase_lock import PhaseLock
 from friction_hil.errors import BusError, DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
 from friction_hil_drivers.canopen.heard_pdos import wrong_period
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.sidecar_axis import SidecarAxis
+from friction_hil_drivers.cia402 import objects
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.frames import FrameBus
@@ -21,7 +22,7 @@ _TPDO_FRACTION = 0.25  # of the period, kept for computing and sending
 _LATE_TO_CAPTURE = 3  # SYNCs outside of the window in a row
 _INTERVALS = 50  # between SYNCs by whose median the period is judged
 _EXTRA_WEIGHT, _EXTRA_LIMIT = 20, 200  # a SYNC too many weighs 20 cycles: 10 of them in quick succession are a fault
-_OPERATIONAL = bytes([objects.NmtState.OPERATIONAL])
+_OPERATIONAL = bytes([cia301.NmtState.OPERATIONAL])
 
 
 class SidecarExchange:
@@ -125,7 +126,7 @@ class SidecarExchange:
             self._bus.send(*axis.encode(command.torque))
         if self._heartbeat is not None and (now := self._clock.now_ns()) >= self._next_heartbeat_ns:
             node, period_s = self._heartbeat
-            self._bus.send(objects.HEARTBEAT_BASE + node, _OPERATIONAL)
+            self._bus.send(cia301.HEARTBEAT_BASE + node, _OPERATIONAL)
             self._next_heartbeat_ns = now + round(period_s * 1e9)
 
     def send_zero(self) -> list[str]:

@@ -6,9 +6,10 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.mapping import MappedPdo
-from friction_hil_drivers.canopen.objects import DataType, Object
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.objects import DataType, Object
 
 CobId = Annotated[int, Field(ge=0x81, le=0x77F)]
 # an index alone, with the standard's width, or a word of a mapping object: index, sub-index, bits
@@ -120,7 +121,7 @@ def _word(given: int) -> int:
     """Return the word of a mapping object: index, sub-index and bits."""
     if given > _LARGEST_INDEX:
         return given
-    known = objects.TABLE.get((given, 0))
+    known = cia301.TABLE.get((given, 0))
     if known is None or known.type is DataType.VISIBLE_STRING:
         raise ValueError(
             f"entry {given:#06x}: the width of this object is not known here; write the word of the mapping object, "

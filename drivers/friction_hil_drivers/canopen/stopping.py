@@ -11,10 +11,11 @@ from dataclasses import replace
 from friction_hil.drive import DriveState
 from friction_hil.drive.codes import coded
 from friction_hil.drive.inventory import Stop
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.conversation import Pause, Script
-from friction_hil_drivers.canopen.dialogue import ABSENT, Download, Transfer, Upload
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.access import ABSENT
 
 _POLL_S = 0.02
 _STANDSTILL_POLLS = 100  # 2 s

@@ -8,9 +8,11 @@ from collections import Counter
 
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.conversation import Pause, Script
-from friction_hil_drivers.canopen.dialogue import SEGMENT, Address, Upload, abort_code, answered, requested
+from friction_hil_drivers.canopen.dialogue import SEGMENT, Upload, abort_code, answered, requested
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.objects import Address
 
 # Asked of each node before anything else: what never changes in a node, and tells two of them apart
 IDENTITY = (objects.DEVICE_TYPE, objects.VENDOR_ID, objects.PRODUCT_CODE, objects.SERIAL_NUMBER)

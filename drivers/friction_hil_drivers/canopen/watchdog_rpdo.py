@@ -2,9 +2,10 @@
 
 from typing import TYPE_CHECKING
 
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.mapping import PdoRecord
-from friction_hil_drivers.canopen.objects import Object
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.objects import Object
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.sdo import SdoClient
@@ -22,14 +23,14 @@ def set_up_feed(access: "SdoClient", record: PdoRecord, identifier: int, timer_m
     held_ms = 0
     word = record.word(objects.CONTROLWORD, objects.CONTROLWORD.type.bits)
     is_ready = (
-        _holds_cob_id(access, record, objects.PDO_INVALID | identifier)
+        _holds_cob_id(access, record, cia301.PDO_INVALID | identifier)
         and (_carries(access, record, word) or _map(access, record, word))
         and any(access.try_write(record.transmission_type, kind) for kind in _EVENT_DRIVEN)
         and (held_ms := write_time(access, record.event_timer, timer_ms))
         and _holds_cob_id(access, record, identifier)
     )
     if not is_ready:
-        _holds_cob_id(access, record, objects.PDO_INVALID | identifier)
+        _holds_cob_id(access, record, cia301.PDO_INVALID | identifier)
         return 0
     return held_ms
 
@@ -39,7 +40,7 @@ def make_event_driven(access: "SdoClient", record: PdoRecord, identifier: int, t
     if access.find(record.event_timer) is None:
         return 0
     before = access.find(record.transmission_type)
-    _holds_cob_id(access, record, objects.PDO_INVALID | identifier)
+    _holds_cob_id(access, record, cia301.PDO_INVALID | identifier)
     is_event_driven = any(access.try_write(record.transmission_type, kind) for kind in _EVENT_DRIVEN)
     held_ms = write_time(access, record.event_timer, timer_ms) if is_event_driven else 0
     if not held_ms and before is not None:
@@ -62,7 +63,7 @@ def _carries(access: "SdoClient", record: PdoRecord, word: int) -> bool:
 
 def _holds_cob_id(access: "SdoClient", record: PdoRecord, value: int) -> bool:
     """Write the COB-ID of an RPDO; other bits than those of the identifier and of its validity are the drive's."""
-    relevant = objects.PDO_INVALID | 0x7FF
+    relevant = cia301.PDO_INVALID | 0x7FF
     access.try_write(record.cob_id, value)
     found = access.find(record.cob_id)
     return found is not None and found & relevant == value & relevant

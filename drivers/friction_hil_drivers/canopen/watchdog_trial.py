@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import DriveState
 from friction_hil.drive.finding import Finding
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
+from friction_hil_drivers.canopen.cia301 import Frame
 from friction_hil_drivers.canopen.codec import decode_heartbeat, emergency_code
 from friction_hil_drivers.canopen.dialogue import Upload
-from friction_hil_drivers.canopen.objects import Frame
 from friction_hil_drivers.canopen.watchdogs import Means
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.axis import CanopenAxis
@@ -31,7 +31,7 @@ _POLL = "statusword"
 _POLL_S = 0.02  # between two readings of the statusword
 _STATE_TIMEOUT_S = 2.0
 _TRIES = 3  # of a means, until this computer was not late
-_OPERATIONAL = bytes([objects.NmtState.OPERATIONAL])
+_OPERATIONAL = bytes([cia301.NmtState.OPERATIONAL])
 
 
 @dataclass(slots=True)
@@ -82,9 +82,9 @@ class WatchdogTrial:
         rpdo: Sequence[Frame] = [(watch.rpdo_id, word)] if watch.rpdo_id else ()
         self._frames: dict[str, Sequence[Frame]] = {
             "rpdo": rpdo,
-            "heartbeat": [(objects.HEARTBEAT_BASE + master_node, _OPERATIONAL)],
+            "heartbeat": [(cia301.HEARTBEAT_BASE + master_node, _OPERATIONAL)],
         }
-        self._guard_id = objects.HEARTBEAT_BASE + node
+        self._guard_id = cia301.HEARTBEAT_BASE + node
         self._sent_s: dict[str, float] = {}  # when each was fed last, or could first be
         self._periods_s = {"rpdo": _FEED_S, "heartbeat": beat_s, "guarding": beat_s, _POLL: _POLL_S}
 
@@ -126,11 +126,11 @@ class WatchdogTrial:
         DriveError
             It does not go there.
         """
-        self._nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL)
+        self._nmt(cia301.NmtCommand.ENTER_PRE_OPERATIONAL)
         self._leave_fault()
         if not self._axis.watch.rpdo_id:
             self._hold_position()
-        self._nmt(objects.NmtCommand.START)
+        self._nmt(cia301.NmtCommand.START)
         for word, state in (
             (profile.SHUTDOWN, DriveState.READY_TO_SWITCH_ON),
             (profile.SWITCH_ON, DriveState.SWITCHED_ON),
@@ -164,7 +164,7 @@ class WatchdogTrial:
             self._client.write(objects.CONTROLWORD, profile.DISABLE_VOLTAGE)
 
     def _switch_off(self) -> None:
-        self._nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL)
+        self._nmt(cia301.NmtCommand.ENTER_PRE_OPERATIONAL)
         self._leave_fault()
 
     def _state(self) -> DriveState:
@@ -178,8 +178,8 @@ class WatchdogTrial:
                 raise DriveError(text, "see what it reports: friction-hil run with --dry-run")
             time.sleep(_FEED_S)
 
-    def _nmt(self, command: objects.NmtCommand) -> None:
-        self._bus.send(objects.NMT_ID, bytes((command, self._axis.node)))
+    def _nmt(self, command: cia301.NmtCommand) -> None:
+        self._bus.send(cia301.NMT_ID, bytes((command, self._axis.node)))
 
     # One trial
 
@@ -207,7 +207,7 @@ class WatchdogTrial:
         if kind == "guarding":
             self._bus.send_remote(self._guard_id, 1)
         elif kind == _POLL:
-            self._bus.send(objects.SDO_REQUEST_BASE + self._axis.node, Upload(objects.STATUSWORD).first())
+            self._bus.send(cia301.SDO_REQUEST_BASE + self._axis.node, Upload(objects.STATUSWORD).first())
         else:
             for frame in self._frames[kind]:
                 self._bus.send(*frame)
@@ -216,16 +216,16 @@ class WatchdogTrial:
         """Note an emergency, another NMT state and another state of the drive, each when it is new."""
         can_id, data = frame
         node = self._axis.node
-        if can_id == objects.EMERGENCY_BASE + node:
+        if can_id == cia301.EMERGENCY_BASE + node:
             if code := emergency_code(data):
                 seen.errors.append((after_s, f"emergency {profile.error_text(code)}"))
             return
         text = ""
-        if can_id == objects.HEARTBEAT_BASE + node:
+        if can_id == cia301.HEARTBEAT_BASE + node:
             state = decode_heartbeat(data)
-            if state is not None and state != objects.NmtState.OPERATIONAL:
+            if state is not None and state != cia301.NmtState.OPERATIONAL:
                 text = f"NMT state {_nmt_words(state)}"
-        elif can_id == objects.SDO_RESPONSE_BASE + node:
+        elif can_id == cia301.SDO_RESPONSE_BASE + node:
             upload = Upload(objects.STATUSWORD)
             upload.take(data)
             if upload.value is not None and (found := profile.drive_state(upload.value)) is not DriveState.SWITCHED_ON:
@@ -236,7 +236,7 @@ class WatchdogTrial:
 
 def _nmt_words(state: int) -> str:
     try:
-        return objects.NmtState(state).name.lower().replace("_", "-")
+        return cia301.NmtState(state).name.lower().replace("_", "-")
     except ValueError:
         return f"{state:02X}h"
 

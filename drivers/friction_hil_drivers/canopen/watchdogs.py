@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Literal
 from friction_hil.drive import UnitRow
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.mapping import MappedPdo, PdoRecord
-from friction_hil_drivers.canopen.objects import DataType, Object
 from friction_hil_drivers.canopen.watchdog_rpdo import make_event_driven, set_up_feed, write_time
 from friction_hil_drivers.canopen.watchdog_times import REACTION_MS, WatchdogTimes
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.objects import DataType, Object
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.options import CanopenOptions
@@ -31,7 +32,7 @@ RpdoPlace = tuple[PdoRecord, int]  # an RPDO of the drive, and the identifier th
 NOT_TRIED = "written and read back, not tried"
 _REACTIONS = {1: "a fault", 2: "no voltage", 3: "a quick stop"}  # 6007h
 _LEAVES_OPERATIONAL = {0: "Pre-operational", 2: "Stopped"}  # 1029h:01
-_ERROR_BEHAVIOUR = objects.COMMUNICATION_ERROR_BEHAVIOUR
+_ERROR_BEHAVIOUR = cia301.COMMUNICATION_ERROR_BEHAVIOUR
 _WORD = struct.Struct("<H")
 
 
@@ -175,7 +176,7 @@ class Guard:
     __slots__ = ("can_id", "next_ns", "period_ns")
 
     def __init__(self, node: int, period_ns: int) -> None:
-        self.can_id = objects.HEARTBEAT_BASE + node
+        self.can_id = cia301.HEARTBEAT_BASE + node
         self.period_ns = period_ns
         self.next_ns = 0
 
@@ -237,7 +238,7 @@ def arm(
             is_guarded = bool(consumer)
         means += consumer
     if not is_guarded:  # CiA 301: a node that produces heartbeats is not guarded
-        access.try_write(objects.PRODUCER_HEARTBEAT, times.heartbeat_ms)
+        access.try_write(cia301.PRODUCER_HEARTBEAT, times.heartbeat_ms)
     if is_command:
         notes.append(f"no other RPDO has a timer: {command[0].name} takes effect when it arrives, and not at SYNC")
     watch = Watch(rpdo_id, times.feed_cycles, of_heartbeat.beat_s, is_guarded, tuple(means), bool(reaction))
@@ -300,8 +301,8 @@ def _summary(
 def _missing_reaction(access: "SdoClient") -> Iterator[str]:
     """Yield why the loss of the daemon is known to have no effect, whatever watches it."""
     there = {
-        "1016h": objects.CONSUMER_HEARTBEAT_COUNT,
-        "100Ch": objects.GUARD_TIME,
+        "1016h": cia301.CONSUMER_HEARTBEAT_COUNT,
+        "100Ch": cia301.GUARD_TIME,
     }
     means = [name for name, entry in there.items() if access.find(entry) is not None]
     found = f"{' and '.join(means)} could watch it" if means else "it has neither 1016h nor 100Ch"
@@ -320,15 +321,15 @@ def _missing_means(access: "SdoClient", rpdos: Sequence[PdoRecord], reaction: st
         yield f"no event-driven RPDO with a timer: {', '.join(refusals) or 'none is free'}"
     else:
         yield "no RPDO has a timer (1400h:05)"
-    count = access.find(objects.CONSUMER_HEARTBEAT_COUNT)
+    count = access.find(cia301.CONSUMER_HEARTBEAT_COUNT)
     if count:
         entries = [(entry, access.why_not_written(entry) or _why_hidden(access, entry)) for entry in _consumers(count)]
         refused = [f"{_place(entry)} {why}" for entry, why in entries if why]
         more = f", and {len(refused) - 1} more" if len(refused) > 1 else ""
         yield f"{refused[0]}{more}" if refused else "no entry of 1016h is free"
     else:
-        yield _state(access, objects.CONSUMER_HEARTBEAT_COUNT)
-    yield ", ".join(_state(access, entry) for entry in (objects.GUARD_TIME, objects.LIFE_TIME_FACTOR))
+        yield _state(access, cia301.CONSUMER_HEARTBEAT_COUNT)
+    yield ", ".join(_state(access, entry) for entry in (cia301.GUARD_TIME, cia301.LIFE_TIME_FACTOR))
 
 
 def _state(access: "SdoClient", entry: Object) -> str:
@@ -382,7 +383,7 @@ def _arm_rpdo(
 
 def _arm_heartbeat(access: "SdoClient", master: int, times: WatchdogTimes) -> tuple[list[Means], list[str]]:
     """Let the drive watch the daemon's heartbeat by an entry of 1016h that is free; return it, and notes."""
-    entries = _consumers(access.find(objects.CONSUMER_HEARTBEAT_COUNT) or 0)
+    entries = _consumers(access.find(cia301.CONSUMER_HEARTBEAT_COUNT) or 0)
     held = {entry: access.find(entry) for entry in entries}
     # one that cannot be read is left alone: it could not be restored, and the drive would miss the daemon afterwards
     found = {entry: value for entry, value in held.items() if value is not None}
@@ -405,18 +406,18 @@ def _arm_heartbeat(access: "SdoClient", master: int, times: WatchdogTimes) -> tu
 
 def _consumers(count: int) -> list[Object]:
     """Return the entries of 1016h."""
-    name = objects.CONSUMER_HEARTBEAT.name
+    name = cia301.CONSUMER_HEARTBEAT.name
     return [Object(0x1016, name, DataType.UNSIGNED32, number) for number in range(1, count + 1)]
 
 
 def _arm_guarding(access: "SdoClient", times: WatchdogTimes) -> list[Means]:
     """Let the drive watch for the daemon's remote frames; return it, nothing where it has no life guarding."""
-    if access.find(objects.GUARD_TIME) is None or access.find(objects.LIFE_TIME_FACTOR) is None:
+    if access.find(cia301.GUARD_TIME) is None or access.find(cia301.LIFE_TIME_FACTOR) is None:
         return []
-    if access.find(objects.PRODUCER_HEARTBEAT) and not access.try_write(objects.PRODUCER_HEARTBEAT, 0):
+    if access.find(cia301.PRODUCER_HEARTBEAT) and not access.try_write(cia301.PRODUCER_HEARTBEAT, 0):
         return []  # CiA 301: a node that produces heartbeats is not guarded
-    held_ms = write_time(access, objects.GUARD_TIME, times.guard_ms)
-    if not (held_ms and access.try_write(objects.LIFE_TIME_FACTOR, times.guards_to_loss)):
-        access.try_write(objects.GUARD_TIME, 0)
+    held_ms = write_time(access, cia301.GUARD_TIME, times.guard_ms)
+    if not (held_ms and access.try_write(cia301.LIFE_TIME_FACTOR, times.guards_to_loss)):
+        access.try_write(cia301.GUARD_TIME, 0)
         return []
     return [Means("guarding", "node guarding (100Ch, 100Dh)", times.guards_to_loss * held_ms)]

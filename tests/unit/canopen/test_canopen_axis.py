@@ -6,12 +6,13 @@ import struct
 from dataclasses import fields
 
 import pytest
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.codec import CommandEncoder, FeedbackDecoder, Measurement
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.mapping import COMMANDS, MappedPdo
 from friction_hil_drivers.canopen.units import CanopenUnits, wrap
+from friction_hil_drivers.cia402 import objects
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -331,7 +332,7 @@ def test_a_copy_decodes_by_itself():
     copy.report(feedback, 0)
     assert feedback.state is DriveState.FAULT
     assert bench.cycle().state is DriveState.OPERATION_ENABLED
-    assert objects.TPDO_BASES[0] + NODE == TPDO1
+    assert cia301.TPDO_BASES[0] + NODE == TPDO1
 
 
 def decoder(mode=Mode.CSP):

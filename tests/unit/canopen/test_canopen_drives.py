@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.drives import CanopenDrives
 
 from friction_hil.daemon.realtime import SteppedClock
@@ -133,8 +133,8 @@ def test_a_dry_run_writes_nothing_that_moves_or_changes_a_drive():
     written = {index for index, _ in listener.downloads()}
     assert written <= {*range(0x1800, 0x1804), *range(0x1A00, 0x1A04)}  # TPDOs
     assert RPDO1 not in {can_id for can_id, _ in listener.bus.sent}
-    commands = [data[0] for can_id, data in listener.bus.sent if can_id == objects.NMT_ID]
-    assert commands == [objects.NmtCommand.START, objects.NmtCommand.ENTER_PRE_OPERATIONAL]
+    commands = [data[0] for can_id, data in listener.bus.sent if can_id == cia301.NMT_ID]
+    assert commands == [cia301.NmtCommand.START, cia301.NmtCommand.ENTER_PRE_OPERATIONAL]
     assert listener.bench.statusword & 0x6F == 0x40
 
 

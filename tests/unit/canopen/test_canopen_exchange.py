@@ -11,7 +11,7 @@ from pathlib import Path
 
 import can
 import pytest
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.drives import CanopenDrives
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
@@ -195,7 +195,7 @@ def test_lost_feedback_is_bridged_and_not_taken_for_late(driven):
     fresh, missing = driven.cycles(300, Request.ENABLE)
     assert 180 <= fresh <= 200
     assert not any("late" in reason and "SYNC was left out" not in reason for reason in missing)
-    probes = 320 - len(driven.sent(objects.SYNC_ID))
+    probes = 320 - len(driven.sent(cia301.SYNC_ID))
     assert probes <= 300 / 50 + 1
 
 
@@ -220,7 +220,7 @@ def test_a_late_request_to_stop_is_sent_all_the_same(driven):
 
 def test_the_heartbeat_ends_when_a_drive_that_may_have_power_answers_nothing(driven):
     driven.bus.loses = lambda can_id, data: True  # the wire is cut
-    heartbeat = objects.HEARTBEAT_BASE + 126
+    heartbeat = cia301.HEARTBEAT_BASE + 126
     for _ in range(400):
         driven.cycles(1, Request.QUICK_STOP)
     assert not driven.feedback.is_reachable
@@ -246,12 +246,12 @@ def test_the_heartbeat_ends_3_s_after_a_drive_that_answers_has_not_given_up_its_
             send(msg, timeout)
 
     driven.bus.send = send_without_effect
-    heartbeat = objects.HEARTBEAT_BASE + 126
-    for can_id, data in [*driven.bench.nmt(0x80), (objects.HEARTBEAT_BASE + NODE, b"\x7f")]:
+    heartbeat = cia301.HEARTBEAT_BASE + 126
+    for can_id, data in [*driven.bench.nmt(0x80), (cia301.HEARTBEAT_BASE + NODE, b"\x7f")]:
         driven.bus.answers.put(message(can_id, data))
     counts = []
     for _ in range(45):
-        driven.bus.answers.put(message(objects.HEARTBEAT_BASE + NODE, b"\x7f"))
+        driven.bus.answers.put(message(cia301.HEARTBEAT_BASE + NODE, b"\x7f"))
         driven.cycles(100, Request.DISABLE)
         counts.append(len(driven.sent(heartbeat)))
     assert not driven.feedback.is_reachable
@@ -264,7 +264,7 @@ def test_the_heartbeat_ends_3_s_after_a_drive_that_answers_has_not_given_up_its_
 def test_a_node_that_another_master_took_out_of_operational_is_brought_back_and_stopped(driven):
     driven.bench.write(0x6007, 0, "h", 0)  # the drive itself does nothing about it
     driven.cycles(5, Request.ENABLE)
-    for can_id, data in [*driven.bench.nmt(0x80), (objects.HEARTBEAT_BASE + NODE, b"\x7f")]:
+    for can_id, data in [*driven.bench.nmt(0x80), (cia301.HEARTBEAT_BASE + NODE, b"\x7f")]:
         driven.bus.answers.put(message(can_id, data))
     driven.receive()
     assert not driven.feedback.is_reachable

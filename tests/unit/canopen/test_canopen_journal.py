@@ -2,7 +2,7 @@
 
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.journal import Journal
-from friction_hil_drivers.canopen.objects import INTERPOLATION_EXPONENT, INTERPOLATION_PERIOD
+from friction_hil_drivers.cia402.objects import INTERPOLATION_EXPONENT, INTERPOLATION_PERIOD
 
 from friction_hil.errors import DriveError
 

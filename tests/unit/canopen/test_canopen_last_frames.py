@@ -4,7 +4,7 @@ import tempfile
 import time
 
 import pytest
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.exclusive import AxisLock
 
@@ -107,7 +107,7 @@ def test_a_drive_that_may_have_power_is_not_kept_alive(machine, in_time_of_the_b
 def test_a_command_that_cannot_be_sent_does_not_keep_drives_from_being_restored(machine):
     machine.cycle(Request.ENABLE, 20)
     machine.cycle(Request.DISABLE, 20)
-    machine.bus.refused = [(0, bytes([objects.NmtCommand.ENTER_PRE_OPERATIONAL, FIRST]))]
+    machine.bus.refused = [(0, bytes([cia301.NmtCommand.ENTER_PRE_OPERATIONAL, FIRST]))]
     with pytest.raises(BusError, match="the interface is down"):
         machine.drives.close()
     assert machine.drives.leftovers == []
@@ -137,7 +137,7 @@ def test_drives_that_are_gone_are_asked_at_the_same_time(machine, in_time_of_the
     commands = [
         can_id
         for _, can_id, data in machine.bus.sent[asked:]
-        if can_id >= objects.SDO_REQUEST_BASE and data[1:3] == b"\x40\x60"
+        if can_id >= cia301.SDO_REQUEST_BASE and data[1:3] == b"\x40\x60"
     ]
     assert commands[:2] == [0x605, 0x606], "the second one does not wait for the first"
     assert machine.heartbeats(0.0)[-1] <= machine.bus.sent[asked][0]

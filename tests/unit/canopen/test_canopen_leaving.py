@@ -7,8 +7,8 @@ import time
 
 import can
 import pytest
-from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.drives import CanopenDrives
+from friction_hil_drivers.cia402 import objects
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request

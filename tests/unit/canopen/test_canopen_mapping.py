@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import can
 import pytest
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
 from friction_hil_drivers.canopen.mapping import (
     COMMANDS,
@@ -18,6 +18,7 @@ from friction_hil_drivers.canopen.mapping import (
 )
 from friction_hil_drivers.canopen.negotiation import PdoNegotiator
 from friction_hil_drivers.canopen.sdo import SdoNetwork
+from friction_hil_drivers.cia402 import objects
 
 from friction_hil.drive import Mode
 from friction_hil.errors import DriveError
@@ -153,7 +154,7 @@ def test_a_drive_that_keeps_another_mapping_is_refused(drive):
 def test_unused_pdos_are_switched_off_once(drive):
     drive.bench.map(0x1802, 0x1A02, 0x385, 1, [0x60640020])
     switch_off(drive.access, PdoRecord(False, 2, NODE))
-    assert drive.bench.read(0x1802, 1) & objects.PDO_INVALID
+    assert drive.bench.read(0x1802, 1) & cia301.PDO_INVALID
     drive.wire.requests.clear()
     switch_off(drive.access, PdoRecord(False, 2, NODE))
     assert all(data[0] == 0x40 for data in drive.wire.requests)  # it only looked

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from friction_hil_drivers.canopen.journal import Found, Journal, restoration
-from friction_hil_drivers.canopen.objects import DataType, Object
+from friction_hil_drivers.cia402.objects import DataType, Object
 
 
 def entry(index, subindex, kind=DataType.UNSIGNED32):

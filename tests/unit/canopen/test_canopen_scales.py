@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.object_reader import ObjectReader
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.scales import read_scales, require_agreement
 from friction_hil_drivers.canopen.si_units import (
@@ -17,6 +15,8 @@ from friction_hil_drivers.canopen.si_units import (
     parse_velocity_unit,
 )
 from friction_hil_drivers.canopen.unit_table import polarity_notes, resolution_notes, unit_rows
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.access import ObjectReader
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError

@@ -6,10 +6,11 @@ import time
 
 import can
 import pytest
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.dialogue import Download, Upload
 from friction_hil_drivers.canopen.frames import FrameBus
 from friction_hil_drivers.canopen.sdo import PATIENCE_S, SdoNetwork
+from friction_hil_drivers.cia402 import objects
 
 from friction_hil.errors import DriveError
 from tests.canopen_bench import NODE, Bench, BenchBus
@@ -103,11 +104,11 @@ def test_a_late_answer_is_not_taken_for_that_to_the_same_object(make):
     """Read slowly, written, read back: the read-back must be what the drive holds now."""
     bus, client = make()
     bus.delay = lambda request: 1.4 if request[0] == 0x40 else 0.0
-    before = client.read(objects.PRODUCER_HEARTBEAT)  # asked again after a second: two answers come
+    before = client.read(cia301.PRODUCER_HEARTBEAT)  # asked again after a second: two answers come
     assert len(bus.requests) == 2
     bus.delay = lambda request: 0.0
-    client.write(objects.PRODUCER_HEARTBEAT, before + 7)
-    assert client.read(objects.PRODUCER_HEARTBEAT) == before + 7
+    client.write(cia301.PRODUCER_HEARTBEAT, before + 7)
+    assert client.read(cia301.PRODUCER_HEARTBEAT) == before + 7
 
 
 def test_a_lost_request_for_an_object_only_costs_time(make):
@@ -141,10 +142,10 @@ def test_a_drive_that_stops_answering_has_no_absent_object(make):
 def test_writing_may_take_seconds(make):
     bus, client = make()
     bus.delay = lambda request: 2.5
-    client.write(objects.PRODUCER_HEARTBEAT, 50)
+    client.write(cia301.PRODUCER_HEARTBEAT, 50)
     assert len(bus.requests) == 1  # and is asked for once
     bus.delay = lambda request: 0.0
-    assert client.read(objects.PRODUCER_HEARTBEAT) == 50
+    assert client.read(cia301.PRODUCER_HEARTBEAT) == 50
 
 
 def test_a_segmented_transfer_takes_the_segment_with_its_toggle_bit(make):

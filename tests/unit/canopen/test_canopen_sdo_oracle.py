@@ -5,10 +5,11 @@ from types import SimpleNamespace
 
 import canopen
 from canopen.sdo import SdoClient, SdoServer
-from friction_hil_drivers.canopen.dialogue import Abort, Download, Transfer, Upload, abort
+from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload, abort
 from friction_hil_drivers.canopen.frames import FrameBus
-from friction_hil_drivers.canopen.objects import DataType, Object
 from friction_hil_drivers.canopen.sdo import SdoNetwork
+from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.objects import DataType, Object
 from hypothesis import given
 from hypothesis import strategies as st
 

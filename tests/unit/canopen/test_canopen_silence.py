@@ -2,7 +2,7 @@
 
 import can
 import pytest
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
 
@@ -22,7 +22,7 @@ class PatientBus(BenchBus):
         self.waited_s = 0.0
 
     def loses(self, can_id, data):
-        return self.is_deaf and can_id == objects.SYNC_ID
+        return self.is_deaf and can_id == cia301.SYNC_ID
 
     def recv(self, timeout=None):
         if self.is_deaf and self.answers.empty():

@@ -7,10 +7,10 @@ import struct
 
 import can
 import pytest
-from friction_hil_drivers.canopen.dialogue import Abort
 from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.simulated.dictionary import SdoAbortError
 from friction_hil_drivers.canopen.watchdogs import Feeder, Watch, feeders
+from friction_hil_drivers.cia402.access import Abort
 
 from friction_hil.config.schema import Realtime
 from friction_hil.daemon.realtime import SteppedClock

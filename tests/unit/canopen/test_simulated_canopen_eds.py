@@ -6,15 +6,15 @@ from typing import Any
 
 import canopen
 import pytest
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
-from friction_hil_drivers.canopen.objects import DataType
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
+from friction_hil_drivers.cia402.objects import DataType
 
 from friction_hil.errors import UsageError
 from tests.canopen_bench import NODE, Bench
 
-PDO_RECORDS = {base + n for base in (0x1400, 0x1600, 0x1800, 0x1A00) for n in range(objects.PDO_COUNT)}
+PDO_RECORDS = {base + n for base in (0x1400, 0x1600, 0x1800, 0x1A00) for n in range(cia301.PDO_COUNT)}
 
 
 @pytest.fixture(scope="module")
@@ -62,11 +62,11 @@ def test_lists_of_objects_match_the_sections() -> None:
 
 
 def test_eds_and_table_of_objects_agree(eds: Any) -> None:
-    for entry in objects.TABLE.values():
+    for entry in cia301.TABLE.values():
         variable = eds.get_variable(entry.index, entry.subindex)
         if variable is not None:  # the driver also knows objects of other drives
             assert (variable.data_type, variable.name) == (entry.type, entry.name)
-    known = {index for index, _ in objects.TABLE} | PDO_RECORDS
+    known = {index for index, _ in cia301.TABLE} | PDO_RECORDS
     assert {variable.index for variable in variables(eds)} <= known
 
 
@@ -82,7 +82,7 @@ def test_simulated_drive_serves_exactly_the_eds(eds: Any) -> None:
 
 def test_device_information(eds: Any) -> None:
     information = eds.device_information
-    assert (information.nr_of_RXPDO, information.nr_of_TXPDO) == (objects.PDO_COUNT, objects.PDO_COUNT)
+    assert (information.nr_of_RXPDO, information.nr_of_TXPDO) == (cia301.PDO_COUNT, cia301.PDO_COUNT)
     assert eds[0x1018][2].default == information.product_number
     assert eds[0x1018][1].default == information.vendor_number
 

@@ -5,10 +5,11 @@ import struct
 
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.sdo_stop import CyclicSdo
 from friction_hil_drivers.canopen.temperature import TemperatureOptions, TemperatureRead
+from friction_hil_drivers.cia402 import objects
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -240,7 +241,7 @@ def test_the_temperature_comes_with_the_feedback_or_beside_it(is_mappable, chang
         assert feedback.is_fresh
         drives.send([Command(Request.ENABLE)])
         heard.append(feedback.temperature)
-    asked_for = [data for can_id, data in bus.sent[begin:] if can_id == objects.SDO_REQUEST_BASE + NODE]
+    asked_for = [data for can_id, data in bus.sent[begin:] if can_id == cia301.SDO_REQUEST_BASE + NODE]
     drives.close()
     assert mappings(bus.bench) == found
     bus.shutdown()
@@ -257,7 +258,7 @@ def mappings(bench):
         number: [
             bench.read(0x1A00 + number, position) for position in range(1, bench.read(0x1A00 + number, 0, "B") + 1)
         ]
-        for number in range(objects.PDO_COUNT)
+        for number in range(cia301.PDO_COUNT)
     }
 
 

@@ -9,12 +9,13 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen import frame_log, objects
+from friction_hil_drivers.canopen import cia301, frame_log
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, pdo_layout
-from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.units import CanopenUnits
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.objects import Object
 
 import friction_hil as fh
 from friction_hil.cli import main
@@ -63,8 +64,8 @@ def drive(mode: Mode) -> CanopenAxis:
     def pdo(cob_id: int, entries: tuple[Object, ...]) -> MappedPdo:
         return MappedPdo(cob_id, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
 
-    tpdos = tuple(pdo(objects.TPDO_BASES[i] + 1, entries) for i, entries in enumerate(FEEDBACK))
-    rpdo = pdo(objects.RPDO_BASES[0] + 1, COMMANDS[mode])
+    tpdos = tuple(pdo(cia301.TPDO_BASES[i] + 1, entries) for i, entries in enumerate(FEEDBACK))
+    rpdo = pdo(cia301.RPDO_BASES[0] + 1, COMMANDS[mode])
     return CanopenAxis(ConfiguredDrive(FACTS, UNITS, mode, tpdos, (rpdo,), "", 1e-3), 1, 0.1)
 
 

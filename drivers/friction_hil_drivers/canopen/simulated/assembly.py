@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import Mode
 from friction_hil.errors import UsageError
 from friction_hil.servo.servo import Servo
-from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
 from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
 from friction_hil_drivers.canopen.simulated.node import SimulatedNode
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions
+from friction_hil_drivers.cia402 import objects
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration

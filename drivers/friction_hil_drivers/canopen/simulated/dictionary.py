@@ -9,11 +9,12 @@ from typing import Any
 from canopen.objectdictionary import ODArray, ODVariable
 
 from friction_hil.errors import UsageError
-from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.dialogue import Abort
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, compact_arrays, load_eds
-from friction_hil_drivers.canopen.objects import DataType, Object
 from friction_hil_drivers.canopen.simulated.wire_types import Value, wire_type
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.objects import DataType, Object
 
 _FIRST_OBJECT = 0x1000
 _MOST_MS = 0xFFFF  # the lower half of a consumer entry
@@ -180,18 +181,18 @@ class Dictionary:
 
     def _fill_in(self, own: Mapping[tuple[int, int], Entry], node: int) -> None:
         """Give values to the objects that the file leaves empty and without which no node works (CiA 301)."""
-        for known in (objects.SYNC_COB_ID, objects.EMERGENCY_COB_ID):
+        for known in (cia301.SYNC_COB_ID, cia301.EMERGENCY_COB_ID):
             if not self.of(known).value & 0x7FF:
                 self.set_default(known, own[known.address].value)
         for parameter, mapping, bases in (
-            (objects.RPDO_PARAMETER, objects.RPDO_MAPPING, objects.RPDO_BASES),
-            (objects.TPDO_PARAMETER, objects.TPDO_MAPPING, objects.TPDO_BASES),
+            (cia301.RPDO_PARAMETER, cia301.RPDO_MAPPING, cia301.RPDO_BASES),
+            (cia301.TPDO_PARAMETER, cia301.TPDO_MAPPING, cia301.TPDO_BASES),
         ):
             for number in self.numbers(parameter, mapping, 0):
-                entry = self.at_or_hidden(parameter + number, objects.PDO_COB_ID, DataType.UNSIGNED32)
+                entry = self.at_or_hidden(parameter + number, cia301.PDO_COB_ID, DataType.UNSIGNED32)
                 if not entry.value & 0x7FF:
                     predefined = bases[number] + node if number < len(bases) else 0
-                    entry.default = entry.value = (entry.value | predefined) or objects.PDO_INVALID
+                    entry.default = entry.value = (entry.value | predefined) or cia301.PDO_INVALID
         self.set_default(objects.CONTROLWORD, 0)
         if not self.of(objects.INTERPOLATION_PERIOD).value:
             for known in (objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT):
@@ -343,7 +344,7 @@ def _is_integer(entry: Entry) -> bool:
 
 def _doubt(entry: Entry) -> str:
     """Cut a default that does not fit its type; return what to say about it, empty for nothing."""
-    if entry.index == objects.CONSUMER_HEARTBEAT.index and entry.subindex > 0 and entry.maximum <= _MOST_MS:
+    if entry.index == cia301.CONSUMER_HEARTBEAT.index and entry.subindex > 0 and entry.maximum <= _MOST_MS:
         return (
             f"{entry.index:04X}h:{entry.subindex:02X}: HighLimit={entry.maximum} leaves no room for a node "
             "(node << 16 | ms): no heartbeat can be watched"

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from friction_hil.drive import DriveState, Mode
 from friction_hil.errors import DriveError
 from friction_hil.servo.servo import Servo
-from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.dialogue import Abort
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.manners import Manners
@@ -20,7 +18,8 @@ from friction_hil_drivers.canopen.simulated.values import (
     file_velocity_unit,
     set_defaults,
 )
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.access import Abort
 from friction_hil_drivers.cia402.power import requested_state
 
 PARAMETER_ERROR, FOLLOWING_ERROR = 0x6320, 0x8611

@@ -3,9 +3,9 @@
 import struct
 from collections.abc import Callable
 
-from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.dialogue import Abort
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.access import Abort
 
 _FRAME = struct.Struct("<HB5x")
 _HISTORY_LENGTH = 8

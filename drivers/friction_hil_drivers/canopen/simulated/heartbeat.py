@@ -1,8 +1,8 @@
 """Error control of a simulated node: its heartbeat (1017h), those it watches (1016h), node guarding (100Ch, 100Dh)."""
 
-from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.dialogue import Abort
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, Entry, SdoAbortError
+from friction_hil_drivers.cia402.access import Abort
 
 _MS = 1_000_000  # ns
 
@@ -11,7 +11,7 @@ class Producer:
     """Timer of this node's own heartbeat."""
 
     def __init__(self, dictionary: Dictionary) -> None:
-        self._time = dictionary.of(objects.PRODUCER_HEARTBEAT)
+        self._time = dictionary.of(cia301.PRODUCER_HEARTBEAT)
         self._last_ns = 0
 
     @property
@@ -40,7 +40,7 @@ class Consumer:
     """Watches other nodes. A node is watched from its first heartbeat on."""
 
     def __init__(self, dictionary: Dictionary) -> None:
-        self._entries = dictionary.subindices(objects.CONSUMER_HEARTBEAT.index, 1, 127)
+        self._entries = dictionary.subindices(cia301.CONSUMER_HEARTBEAT.index, 1, 127)
         for entry in self._entries:
             entry.on_write = lambda value, entry=entry: self._write(entry, value)
         self._deadlines_ns: dict[int, int] = {}  # by node
@@ -98,9 +98,9 @@ class LifeGuard:
     _TOGGLE = 0x80
 
     def __init__(self, dictionary: Dictionary) -> None:
-        guard_time, factor = dictionary.entries(objects.GUARD_TIME, objects.LIFE_TIME_FACTOR)
+        guard_time, factor = dictionary.entries(cia301.GUARD_TIME, cia301.LIFE_TIME_FACTOR)
         self._guard_time, self._factor = guard_time, factor
-        self.is_supported = dictionary.shows(objects.GUARD_TIME) and dictionary.shows(objects.LIFE_TIME_FACTOR)
+        self.is_supported = dictionary.shows(cia301.GUARD_TIME) and dictionary.shows(cia301.LIFE_TIME_FACTOR)
         for entry in (guard_time, factor):
             entry.on_write = self._change
         self.reset()

@@ -22,17 +22,18 @@ from friction_hil.motion.trajectory import (
     still_path,
     triangle_path,
 )
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import cia301, codes
+from friction_hil_drivers.canopen.cia301 import NmtCommand, NmtState
 from friction_hil_drivers.canopen.conversation import Conversation
 from friction_hil_drivers.canopen.dialogue import Download
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.mapping import SYNCHRONOUS, PdoRecord
-from friction_hil_drivers.canopen.objects import NmtCommand, NmtState, Object
 from friction_hil_drivers.canopen.options import canopen_options
 from friction_hil_drivers.canopen.sidecar_options import SidecarPdo, mapping_words
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions
 from friction_hil_drivers.canopen.units import COUNTER_BITS, wrap
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.objects import Object
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
@@ -99,7 +100,7 @@ class _Slave:
         write(self.node, objects.INTERPOLATION_PERIOD, round(period_s * (1e6 if period_s < 1e-3 else 1e3)))
         write(self.node, objects.MODE, self.mode)
         write(self.node, objects.ABORT_CONNECTION_OPTION, _TO_FAULT)
-        write(self.node, objects.CONSUMER_HEARTBEAT, MASTER_NODE << 16 | round(3e3 * _HEARTBEAT_S))
+        write(self.node, cia301.CONSUMER_HEARTBEAT, MASTER_NODE << 16 | round(3e3 * _HEARTBEAT_S))
 
     def begin_cycle(self) -> None:
         """Wait for the TPDOs of a new SYNC, and for the sidecar's offset."""
@@ -243,7 +244,7 @@ class StandInMaster:
             for frame in slave.command(request, time_s, self._moving_since_s is not None):
                 bus.send(*frame)
         if self._now() >= self._next_heartbeat_ns:
-            bus.send(objects.HEARTBEAT_BASE + MASTER_NODE, bytes([NmtState.OPERATIONAL]))
+            bus.send(cia301.HEARTBEAT_BASE + MASTER_NODE, bytes([NmtState.OPERATIONAL]))
             self._next_heartbeat_ns = self._now() + round(_HEARTBEAT_S * 1e9)
         if not self._is_real:
             self._await_sidecar()
@@ -339,7 +340,7 @@ class StandInMaster:
                 slave.offset_ns = None
                 size = (mapping_words(slave.sidecar.offset)[0] & 0xFF) // 8
                 request = Download(objects.TORQUE_OFFSET, 0, size).first()
-                self._open_bus.send(objects.SDO_REQUEST_BASE + slave.node, request)
+                self._open_bus.send(cia301.SDO_REQUEST_BASE + slave.node, request)
 
     # Setting up
 
@@ -347,12 +348,12 @@ class StandInMaster:
         for slave in self._slaves:
             self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL, slave.node)
             slave.set_up(self, self._period_s)
-        self._open_bus.send(objects.HEARTBEAT_BASE + MASTER_NODE, bytes([NmtState.OPERATIONAL]))
+        self._open_bus.send(cia301.HEARTBEAT_BASE + MASTER_NODE, bytes([NmtState.OPERATIONAL]))
         for slave in self._slaves:
             self._nmt(NmtCommand.START, slave.node)
 
     def _nmt(self, command: NmtCommand, node: int) -> None:
-        self._open_bus.send(objects.NMT_ID, bytes((command, node)))
+        self._open_bus.send(cia301.NMT_ID, bytes((command, node)))
 
     def write(self, node: int, entry: Object, value: int) -> None:
         """Write an object by SDO.
@@ -394,8 +395,8 @@ def make_path(motion: "Motion | None") -> Path:
 def _map(master: StandInMaster, node: int, record: PdoRecord, pdo: SidecarPdo, kind: int) -> None:
     """Map a PDO in the order that CiA 301 prescribes."""
     words: Sequence[int] = mapping_words(pdo)
-    type_entry = record.parameter(objects.PDO_TRANSMISSION_TYPE, "transmission type", objects.DataType.UNSIGNED8)
-    master.write(node, record.cob_id, objects.PDO_INVALID | pdo.cob_id)
+    type_entry = record.parameter(cia301.PDO_TRANSMISSION_TYPE, "transmission type", objects.DataType.UNSIGNED8)
+    master.write(node, record.cob_id, cia301.PDO_INVALID | pdo.cob_id)
     master.write(node, record.mapping(0), 0)
     for position, word in enumerate(words, 1):
         master.write(node, record.mapping(position), word)

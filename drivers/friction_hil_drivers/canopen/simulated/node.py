@@ -4,9 +4,8 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.dialogue import Abort
-from friction_hil_drivers.canopen.objects import NmtCommand, NmtState
+from friction_hil_drivers.canopen import cia301
+from friction_hil_drivers.canopen.cia301 import NmtCommand, NmtState
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.disturbances import DisturbedWire, ShownValues
 from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
@@ -16,6 +15,7 @@ from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.pdo import Rpdo, Tpdo
 from friction_hil_drivers.canopen.simulated.scenario import Event, Timeline
 from friction_hil_drivers.canopen.simulated.slow_sdo import SlowSdoServer
+from friction_hil_drivers.cia402.access import Abort
 
 COMMUNICATION, HEARTBEAT_LOST, RPDO_TOO_SHORT, RPDO_TIMEOUT, SYNC_LOST = 0x8100, 0x8130, 0x8210, 0x8250, 0x8700
 _CONNECTION_ERRORS = (COMMUNICATION, HEARTBEAT_LOST, RPDO_TIMEOUT, SYNC_LOST)
@@ -28,7 +28,7 @@ _S, _US = 1_000_000_000, 1_000  # ns
 
 
 def _numbers(dictionary: Dictionary, kind: type[Rpdo] | type[Tpdo]) -> list[int]:
-    return dictionary.numbers(kind.parameter_base, kind.mapping_base, objects.PDO_COUNT)
+    return dictionary.numbers(kind.parameter_base, kind.mapping_base, cia301.PDO_COUNT)
 
 
 class SimulatedNode:
@@ -96,7 +96,7 @@ class SimulatedNode:
         self.drive = make_drive(dictionary, self._emergencies)
         self._sdo = SlowSdoServer(
             dictionary,
-            partial(self._send, objects.SDO_RESPONSE_BASE + number),
+            partial(self._send, cia301.SDO_RESPONSE_BASE + number),
             self._manners.sdo_delay_s,
             self._manners.sdo,
             clock,
@@ -108,13 +108,13 @@ class SimulatedNode:
         self._shown = ShownValues(dictionary, self._manners.events)
         self._rpdos = [Rpdo(number, dictionary) for number in _numbers(dictionary, Rpdo)]
         self._tpdos = [Tpdo(number, dictionary) for number in _numbers(dictionary, Tpdo)]
-        self._sync_id = dictionary.of(objects.SYNC_COB_ID)
+        self._sync_id = dictionary.of(cia301.SYNC_COB_ID)
         self._sync_id.on_write = self._write_sync_id
-        self._sync_period = dictionary.of(objects.COMMUNICATION_CYCLE_PERIOD)
+        self._sync_period = dictionary.of(cia301.COMMUNICATION_CYCLE_PERIOD)
         self._sync_period.on_write = self._forget_sync
-        self._emergency_id = dictionary.of(objects.EMERGENCY_COB_ID)
+        self._emergency_id = dictionary.of(cia301.EMERGENCY_COB_ID)
         self._emergency_id.on_write = self._write_emergency_id
-        self._behaviour = dictionary.of(objects.COMMUNICATION_ERROR_BEHAVIOUR)
+        self._behaviour = dictionary.of(cia301.COMMUNICATION_ERROR_BEHAVIOUR)
         self._sync_deadline_ns: int | None = None
         self._handlers: dict[int, Callable[[bytes], None]] = {}
         self._connect()
@@ -122,7 +122,7 @@ class SimulatedNode:
     def boot(self) -> None:
         """Send the boot-up message and be pre-operational."""
         self.state = NmtState.PRE_OPERATIONAL
-        self._send(objects.HEARTBEAT_BASE + self.number, bytes([NmtState.BOOT_UP]))
+        self._send(cia301.HEARTBEAT_BASE + self.number, bytes([NmtState.BOOT_UP]))
         self._producer.restart(self.now_ns)
 
     @property
@@ -147,7 +147,7 @@ class SimulatedNode:
 
     def receive_remote(self, can_id: int) -> None:
         """Take a remote frame: the request of node guarding. A node that sends heartbeats does not answer it."""
-        is_request = can_id == objects.HEARTBEAT_BASE + self.number and not self._is_deaf
+        is_request = can_id == cia301.HEARTBEAT_BASE + self.number and not self._is_deaf
         if not is_request or not self._guard.is_supported or self._producer.is_on:
             return
         self._send(can_id, self._guard.answer(self.state, self.now_ns))
@@ -301,7 +301,7 @@ class SimulatedNode:
 
     def _send_emergency(self, data: bytes) -> None:
         cob_id = self._emergency_id.value
-        if self.state in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL) and not cob_id & objects.PDO_INVALID:
+        if self.state in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL) and not cob_id & cia301.PDO_INVALID:
             self._send(cob_id & 0x7FF, data)
 
     # Events
@@ -415,7 +415,7 @@ class SimulatedNode:
 
     def _send_heartbeat(self) -> None:
         if self._producer.is_on:
-            self._send(objects.HEARTBEAT_BASE + self.number, bytes([self.state]))
+            self._send(cia301.HEARTBEAT_BASE + self.number, bytes([self.state]))
 
     def _lose_connection(self, code: int) -> None:
         """React to a lost heartbeat: the drive by 6007h, the node by 1029h."""
@@ -431,7 +431,7 @@ class SimulatedNode:
             raise SdoAbortError(Abort.VALUE)
 
     def _write_emergency_id(self, value: int) -> None:
-        if not value & objects.PDO_INVALID and (value & ~0x7FF or value == 0):
+        if not value & cia301.PDO_INVALID and (value & ~0x7FF or value == 0):
             raise SdoAbortError(Abort.VALUE)
 
     def _forget_sync(self, _: int) -> None:
@@ -450,7 +450,7 @@ class SimulatedNode:
         self._event_driven = [tpdo for tpdo in self._tpdos if tpdo.exists and not tpdo.is_synchronous]
         self._handlers = {rpdo.can_id: partial(self._on_rpdo, rpdo) for rpdo in self._rpdos if rpdo.exists}
         for node in self._consumer.nodes:
-            self._handlers[objects.HEARTBEAT_BASE + node] = partial(self._on_heartbeat, node)
+            self._handlers[cia301.HEARTBEAT_BASE + node] = partial(self._on_heartbeat, node)
         self._handlers[self._sync_id.value & 0x7FF] = self._on_sync
-        self._handlers[objects.SDO_REQUEST_BASE + self.number] = self._on_sdo
-        self._handlers[objects.NMT_ID] = self._on_nmt
+        self._handlers[cia301.SDO_REQUEST_BASE + self.number] = self._on_sdo
+        self._handlers[cia301.NMT_ID] = self._on_nmt

@@ -3,11 +3,11 @@
 import struct
 from collections.abc import Sequence
 
-from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.dialogue import Abort
-from friction_hil_drivers.canopen.objects import DataType
+from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, Entry, SdoAbortError
 from friction_hil_drivers.canopen.simulated.wire_types import Value, WireType
+from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.objects import DataType
 
 _LARGEST_SYNCHRONOUS = 240
 _MOST_ENTRIES = 64
@@ -69,9 +69,9 @@ class SimulatedPdo:
     def __init__(self, number: int, dictionary: Dictionary) -> None:
         self._dictionary = dictionary
         parameter, mapping = self.parameter_base + number, self.mapping_base + number
-        self._cob_id = dictionary.at_or_hidden(parameter, objects.PDO_COB_ID, DataType.UNSIGNED32)
-        self._type = dictionary.at_or_hidden(parameter, objects.PDO_TRANSMISSION_TYPE, DataType.UNSIGNED8)
-        self._event_timer = dictionary.at_or_hidden(parameter, objects.PDO_EVENT_TIMER, DataType.UNSIGNED16)
+        self._cob_id = dictionary.at_or_hidden(parameter, cia301.PDO_COB_ID, DataType.UNSIGNED32)
+        self._type = dictionary.at_or_hidden(parameter, cia301.PDO_TRANSMISSION_TYPE, DataType.UNSIGNED8)
+        self._event_timer = dictionary.at_or_hidden(parameter, cia301.PDO_EVENT_TIMER, DataType.UNSIGNED16)
         self._count = dictionary.at_or_hidden(mapping, 0, DataType.UNSIGNED8)
         self._mapped = dictionary.subindices(mapping, 1, _MOST_ENTRIES)
         self._cob_id.on_write = self._write_cob_id
@@ -96,18 +96,18 @@ class SimulatedPdo:
             self._entries = []
         self._layout = _layout(self._entries)
         self.size = self._layout.size
-        is_valid = not self._cob_id.value & objects.PDO_INVALID and not _is_restricted(self.can_id)
+        is_valid = not self._cob_id.value & cia301.PDO_INVALID and not _is_restricted(self.can_id)
         self.exists = is_valid and bool(self._entries)
 
     def _note(self, _: int) -> None:
         self.is_stale = True
 
     def _require_disabled(self) -> None:
-        if not self._cob_id.value & objects.PDO_INVALID:
+        if not self._cob_id.value & cia301.PDO_INVALID:
             raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
 
     def _write_cob_id(self, value: int) -> None:
-        if not value & objects.PDO_INVALID:
+        if not value & cia301.PDO_INVALID:
             if self._cob_id.value & 0x1FFFFFFF != value & 0x1FFFFFFF:
                 self._require_disabled()
             if value & 0x3FFFF800 or _is_restricted(value & 0x7FF):
@@ -159,8 +159,8 @@ class Rpdo(SimulatedPdo):
     """Received: writes the entries mapped to it."""
 
     _is_receive = True
-    parameter_base = objects.RPDO_PARAMETER
-    mapping_base = objects.RPDO_MAPPING
+    parameter_base = cia301.RPDO_PARAMETER
+    mapping_base = cia301.RPDO_MAPPING
 
     def load(self) -> None:
         """Apply the records as they are now, and start afresh."""
@@ -191,12 +191,12 @@ class Tpdo(SimulatedPdo):
     """
 
     _is_receive = False
-    parameter_base = objects.TPDO_PARAMETER
-    mapping_base = objects.TPDO_MAPPING
+    parameter_base = cia301.TPDO_PARAMETER
+    mapping_base = cia301.TPDO_MAPPING
 
     def __init__(self, number: int, dictionary: Dictionary) -> None:
         parameter = self.parameter_base + number
-        self._inhibit = dictionary.at_or_hidden(parameter, objects.PDO_INHIBIT_TIME, DataType.UNSIGNED16)
+        self._inhibit = dictionary.at_or_hidden(parameter, cia301.PDO_INHIBIT_TIME, DataType.UNSIGNED16)
         self._inhibit.on_write = self._write_inhibit
         super().__init__(number, dictionary)
 

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from friction_hil_drivers.canopen import dialogue as sdo
-from friction_hil_drivers.canopen.dialogue import Abort
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, Entry, SdoAbortError
+from friction_hil_drivers.cia402.access import Abort
 
 _LARGEST = 4096  # bytes of one object: a faulty client must not fill the memory
 

@@ -1,10 +1,51 @@
 """Reading a drive's objects, from the drive itself or from a log of its answers."""
 
 from abc import ABC, abstractmethod
+from enum import IntEnum
 
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
-from friction_hil_drivers.canopen.objects import Object
+from friction_hil_drivers.cia402.objects import Object
+
+
+class Abort(IntEnum):
+    """Abort codes (CiA 301, table 22)."""
+
+    TOGGLE = 0x05030000
+    TIME_OUT = 0x05040000
+    COMMAND = 0x05040001
+    OUT_OF_MEMORY = 0x05040005
+    UNSUPPORTED_ACCESS = 0x06010000
+    WRITE_ONLY = 0x06010001
+    READ_ONLY = 0x06010002
+    NO_OBJECT = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    PDO_TOO_LONG = 0x06040042
+    INCOMPATIBLE = 0x06040043
+    HARDWARE = 0x06060000
+    LENGTH = 0x06070010
+    NO_SUBINDEX = 0x06090011
+    VALUE = 0x06090030
+    TOO_HIGH = 0x06090031
+    TOO_LOW = 0x06090032
+    NOT_TRANSFERRED = 0x08000020
+    LOCAL_CONTROL = 0x08000021
+    DEVICE_STATE = 0x08000022
+    NO_DATA = 0x08000024
+
+
+# Why a server says that it has no such object ...
+ABSENT = (Abort.NO_OBJECT, Abort.NO_SUBINDEX)
+# ... and that it has one which cannot be read now
+HIDDEN = (
+    Abort.TIME_OUT,
+    Abort.OUT_OF_MEMORY,
+    Abort.WRITE_ONLY,
+    Abort.HARDWARE,
+    Abort.NOT_TRANSFERRED,
+    Abort.LOCAL_CONTROL,
+    Abort.DEVICE_STATE,
+)
 
 
 class ObjectReader(ABC):

@@ -1,13 +1,14 @@
-"""Objects of CiA 301 and CiA 402 that the driver and its simulated drive use, and identifiers of frames.
+"""Objects of CiA 402, and those of CiA 301 that describe a device on whatever bus.
 
-Every index, name and type is defined here and nowhere else. Types are those of the standard; a real drive may differ
-(60B2h is INTEGER32 in some), so objects are mapped with the widths that the drive itself gives them.
+Every index, name and type is defined here and nowhere else; what belongs to CAN is in `canopen.cia301`. Types are
+those of the standard; a real drive may differ (60B2h is INTEGER32 in some), so objects are mapped with the widths
+that the drive itself gives them.
 """
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-Frame = tuple[int, bytes]  # identifier and data
+Address = tuple[int, int]  # index and sub-index
 
 
 class DataType(IntEnum):
@@ -29,7 +30,7 @@ class DataType(IntEnum):
 
     @property
     def code(self) -> str:
-        """Format character of `struct`, to be used with ``<`` (CANopen is little-endian)."""
+        """Format character of `struct`, to be used with ``<`` (the wire is little-endian)."""
         return _CODES[self]
 
     @property
@@ -99,26 +100,17 @@ class Object:
         return f"{address} {self.name}"
 
 
-# Communication profile, CiA 301
+# The device, CiA 301
 DEVICE_TYPE = Object(0x1000, "device type", _U32)
 ERROR_REGISTER = Object(0x1001, "error register", _U8)
 ERROR_HISTORY_COUNT = Object(0x1003, "number of errors", _U8)
-SYNC_COB_ID = Object(0x1005, "COB-ID SYNC", _U32)
-COMMUNICATION_CYCLE_PERIOD = Object(0x1006, "communication cycle period", _U32)  # us
 DEVICE_NAME = Object(0x1008, "device name", _TEXT)
 HARDWARE_VERSION = Object(0x1009, "hardware version", _TEXT)
 SOFTWARE_VERSION = Object(0x100A, "software version", _TEXT)
-GUARD_TIME = Object(0x100C, "guard time", _U16)  # ms
-LIFE_TIME_FACTOR = Object(0x100D, "life time factor", _U8)
-EMERGENCY_COB_ID = Object(0x1014, "COB-ID emergency", _U32)
-CONSUMER_HEARTBEAT_COUNT = Object(0x1016, "number of consumer heartbeat times", _U8)
-CONSUMER_HEARTBEAT = Object(0x1016, "consumer heartbeat time", _U32, 1)  # node << 16 | ms
-PRODUCER_HEARTBEAT = Object(0x1017, "producer heartbeat time", _U16)  # ms
 VENDOR_ID = Object(0x1018, "vendor ID", _U32, 1)
 PRODUCT_CODE = Object(0x1018, "product code", _U32, 2)
 REVISION_NUMBER = Object(0x1018, "revision number", _U32, 3)
 SERIAL_NUMBER = Object(0x1018, "serial number", _U32, 4)
-COMMUNICATION_ERROR_BEHAVIOUR = Object(0x1029, "communication error behaviour", _U8, 1)
 
 # Of the simulated drive alone: each manufacturer has another object for a temperature, or none
 SIMULATED_MOTOR_TEMPERATURE = Object(0x5FF0, "motor temperature", _I16)  # 0.1 deg C
@@ -204,48 +196,6 @@ def first_axis_index(index: int, axis: int) -> int:
     """Return the index on axis 0 of an object of axis ``axis``; others stay as they are."""
     first = index - AXIS_OFFSET * axis
     return first if first in _FIRST_AXIS else index
-
-
-# PDO parameters: records of each kind, counted from these indices; four is what the simulated drive has
-PDO_COUNT = 4
-PDOS_PER_AXIS = 64
-RPDO_PARAMETER = 0x1400
-RPDO_MAPPING = 0x1600
-TPDO_PARAMETER = 0x1800
-TPDO_MAPPING = 0x1A00
-PDO_COB_ID, PDO_TRANSMISSION_TYPE, PDO_INHIBIT_TIME, PDO_EVENT_TIMER = 1, 2, 3, 5  # sub-indices
-PDO_INVALID = 1 << 31  # bit of a COB-ID entry: this PDO (or EMCY) does not exist
-PDO_NO_RTR = 1 << 30  # bit of a TPDO's COB-ID entry: it is not sent on request
-PDO_EXTENDED = 1 << 29  # bit of a COB-ID entry: 29-bit identifier
-
-# Identifiers of the pre-defined connection set; the node's number is added to the bases
-NMT_ID = 0x000
-SYNC_ID = 0x080
-EMERGENCY_BASE = 0x080
-TPDO_BASES = (0x180, 0x280, 0x380, 0x480)
-RPDO_BASES = (0x200, 0x300, 0x400, 0x500)
-SDO_RESPONSE_BASE = 0x580
-SDO_REQUEST_BASE = 0x600
-HEARTBEAT_BASE = 0x700
-
-
-class NmtCommand(IntEnum):
-    """Command specifier, first byte of an NMT message."""
-
-    START = 0x01
-    STOP = 0x02
-    ENTER_PRE_OPERATIONAL = 0x80
-    RESET_NODE = 0x81
-    RESET_COMMUNICATION = 0x82
-
-
-class NmtState(IntEnum):
-    """Byte of a heartbeat."""
-
-    BOOT_UP = 0x00
-    STOPPED = 0x04
-    OPERATIONAL = 0x05
-    PRE_OPERATIONAL = 0x7F
 
 
 # Velocity units by object 60A9h: prefix, numerator, denominator, reserved (CiA 402-2, CiA 303-2)
