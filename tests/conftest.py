@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+import sys
 import tempfile
 
 from hypothesis import HealthCheck, settings
@@ -21,6 +22,15 @@ os.environ["XDG_STATE_HOME"] = _STATE.name
 # Daemons of one name exclude each other; those of parallel workers are to be strangers. A short path: it names sockets.
 _runtime = tempfile.TemporaryDirectory(prefix="fh")
 os.environ["XDG_RUNTIME_DIR"] = _runtime.name
+
+
+def _refuse_locked_memory(event: str, arguments: tuple[object, ...]) -> None:
+    """Fail a test that would lock the memory of the tests themselves: the kernel would then load all they map."""
+    if event == "ctypes.dlsym" and arguments[1] == "mlockall":
+        raise AssertionError("this locks the memory of pytest, 1.6 GB: do it in a process of its own")
+
+
+sys.addaudithook(_refuse_locked_memory)
 
 # A busy machine and the first call of a kernel, which compiles it, are no failures.
 for name in PROFILES:

@@ -244,7 +244,10 @@ def called(text: str) -> int:
 def test_commands_that_need_no_drive(folder, capfd):
     pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
     for text, status in WITHOUT_DRIVES:
-        assert called(text) == status, f"{text}: {capfd.readouterr().err}"
+        if text.startswith("friction-hil doctor"):  # it locks memory
+            assert run(*shlex.split(text)[1:], check=False).returncode == status, text
+        else:
+            assert called(text) == status, f"{text}: {capfd.readouterr().err}"
     assert yaml.safe_load((folder / "net.yaml").read_text())["friction"]["model"] == "network"
     for made in ("lugre.png", "study/report.html"):
         assert (folder / made).stat().st_size > 10_000

@@ -1,10 +1,13 @@
 """Clocks, and what is asked of the operating system: nothing here waits for time to pass."""
 
+import contextlib
 import ctypes
 import errno
-import gc
+import json
 import os
 import resource
+import subprocess
+import sys
 
 import pytest
 
@@ -40,54 +43,73 @@ def test_after_the_deadline_there_is_no_time_to_get_ready():
     assert RealClock(0).doze_until(clock.now_ns() + 200_000) is False
 
 
-def status_of(process="self"):
-    """What punctuality changes, as the kernel and Python tell it."""
-    with open(f"/proc/{process}/status") as status:
-        locked = next(line.split()[1] for line in status if line.startswith("VmLck"))
-    descriptors = {os.readlink(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd") if _is_open(fd)}
+# Locks the memory of a process of its own: this one has gigabytes, and what is locked once stays in memory.
+PUNCTUAL = """
+import gc, json, os, sys
+from friction_hil.daemon.realtime import punctuality
+
+def status():
+    with open("/proc/self/status") as file:
+        locked = next(line.split()[1] for line in file if line.startswith("VmLck"))
+    with os.scandir("/proc/self/fd") as descriptors:
+        opened = [os.readlink(each) for each in descriptors if os.path.lexists(each)]
     return {
         "scheduler": os.sched_getscheduler(0),
         "priority": os.sched_getparam(0).sched_priority,
         "is_locked": locked != "0",
-        "is_latency_held": "/dev/cpu_dma_latency" in descriptors,
+        "is_latency_held": "/dev/cpu_dma_latency" in opened,
         "is_collecting": gc.isenabled(),
         "is_frozen": gc.get_freeze_count() > 0,
     }
 
+priority, way = int(sys.argv[1]), sys.argv[2]
+if way == "collector off":
+    gc.disable()
+found = {"before": status()}
+try:
+    with punctuality(priority) as findings:
+        found["inside"] = status()
+        if way == "error":
+            raise RuntimeError
+except RuntimeError:
+    pass
+found |= {"after": status(), "findings": [[each.check, each.result, each.detail, each.fix] for each in findings]}
+print(json.dumps(found))
+"""
 
-def _is_open(fd):
-    return os.path.lexists(f"/proc/self/fd/{fd}")
+
+def punctual(priority, way=""):
+    """What punctuality changes in a process, as the kernel and Python tell it, and what it reports."""
+    command = [sys.executable, "-c", PUNCTUAL, str(priority), way]
+    return json.loads(subprocess.run(command, capture_output=True, check=True, timeout=60).stdout)
 
 
 def test_nothing_is_asked_for_at_ordinary_priority():
-    before = status_of()
-    with punctuality(0) as findings:
-        assert findings == []
-        assert status_of() == before
+    found = punctual(0)
+    assert found["findings"] == []
+    assert found["inside"] == found["before"] == found["after"]
 
 
-@pytest.mark.deep
-@pytest.mark.parametrize("error", [None, RuntimeError])
-def test_everything_is_granted_or_reported_and_given_back(error):
-    gc.unfreeze()  # what is frozen before cannot be told from what the context freezes
-    before = status_of()
-    try:
-        with punctuality(1) as findings:
-            inside = status_of()
-            if error is not None:
-                raise error
-    except RuntimeError:
-        pass
-    assert status_of() == before
-    assert [each.check for each in findings] == ["memory", "priority", "processor sleep"]
-    assert all((each.result == "pass") == (each.fix == "") for each in findings)
-    text = "\n".join(each.detail for each in findings if each.result != "pass")
+@pytest.mark.parametrize("way", ["", "error", "collector off"])
+def test_everything_is_granted_or_reported_and_given_back(way):
+    found = punctual(1, way)
+    inside, findings = found["inside"], found["findings"]
+    assert found["after"] == found["before"]
+    assert found["before"]["is_collecting"] == (way != "collector off")
+    assert [check for check, *_ in findings] == ["memory", "priority", "processor sleep"]
+    assert all((result == "pass") == (fix == "") for _, result, _, fix in findings)
+    text = "\n".join(detail for _, result, detail, _ in findings if result != "pass")
     scheduler = inside["scheduler"] & ~os.SCHED_RESET_ON_FORK
     assert (scheduler == os.SCHED_FIFO and inside["priority"] == 1) != ("no SCHED_FIFO priority 1" in text)
     assert inside["is_locked"] != ("memory is not locked" in text)
     assert inside["is_latency_held"] != ("/dev/cpu_dma_latency cannot be held" in text)
     assert inside["is_frozen"]
     assert not inside["is_collecting"]
+
+
+def test_tests_do_not_lock_the_memory_of_pytest():
+    with pytest.raises(AssertionError, match="process of its own"):
+        realtime._lock_memory(contextlib.ExitStack())
 
 
 class _Memory:
@@ -123,13 +145,3 @@ def test_memory_that_may_run_out_is_told(monkeypatch, refusal, limit, is_capable
     assert found.result == result
     assert found.detail.startswith(detail)
     assert ("memlock" in found.fix) == (result == "warn")
-
-
-def test_a_collector_that_was_off_stays_off():
-    gc.disable()
-    try:
-        with punctuality(1):
-            pass
-        assert not gc.isenabled()
-    finally:
-        gc.enable()

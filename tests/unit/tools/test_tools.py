@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import formats, read, write
-from tools.benchmarks import exchange, export, health, latency, loop, models, neural, recordings
+from tools.benchmarks import export, health, latency, loop, models, neural, recordings
 from tools.benchmarks.report import Row, compare, percentile, show
 
 PROJECT = Path(__file__).parents[3]
@@ -456,9 +456,12 @@ def test_the_benchmark_of_latency_compares_sleeping_and_spinning(monkeypatch: py
 
 
 @pytest.mark.deep
-def test_the_benchmark_of_the_exchange_times_each_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exchange, "DURATION_S", 0.5)
-    names = [row.name for row in exchange.run()]
+def test_the_benchmark_of_the_exchange_times_each_part() -> None:
+    half_a_second = "exchange.DURATION_S = 0.5; report.show(exchange.run(), as_json=True)"
+    command = [sys.executable, "-c", f"from tools.benchmarks import exchange, report; {half_a_second}"]
+    done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    names = [row["name"] for row in json.loads(done.stdout)["rows"]]
     assert [name.split(" p")[0] for name in names[2:]] == [
         "receive",
         "step",
