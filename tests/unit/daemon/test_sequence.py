@@ -3,7 +3,7 @@
 from dataclasses import fields
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from friction_hil.daemon.safety import REQUESTS, LoopState
@@ -212,6 +212,7 @@ def test_a_stop_does_not_wait_longer_for_the_compensation_to_fade_out():
 @given(
     st.lists(st.tuples(inputs, st.integers(1, 100)), max_size=8), inputs, st.sampled_from(["stop", "fault", "pause"])
 )
+@example([(RunInputs(has_fault=True, is_kept_after_fault=True), 1)], RunInputs(), "fault")
 def test_every_run_ends_in_bounded_time(events, last, why):
     """Whatever the drives do: the set-point ends by itself, all else has a time-out."""
     machine, time_s = RunStateMachine(is_listening=False), 0.0
@@ -226,7 +227,9 @@ def test_every_run_ends_in_bounded_time(events, last, why):
     last.is_setpoint_standing = True  # the compensation may fade for a day, by fade_s
     disabling_s = max(DISABLE_TIMEOUT_S, LOST_POWERED_TIMEOUT_S)
     bound = time_s + FADE_TIMEOUT_S + STANDSTILL_TIMEOUT_S + QUICK_STOP_TIMEOUT_S + disabling_s + 0.1
-    rest = (LoopState.DONE,) if why != "pause" else (LoopState.DONE, LoopState.WAITING)
+    # who waits without power, waits with a fault too
+    may_wait = why == "pause" or (why == "fault" and machine.state is LoopState.WAITING)
+    rest = (LoopState.DONE, LoopState.WAITING) if may_wait else (LoopState.DONE,)
     while machine.state not in rest:
         time_s += DT
         machine.advance(time_s, last)
