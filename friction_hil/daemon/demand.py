@@ -7,7 +7,7 @@ import numpy as np
 from friction_hil.numerics.jit import Array
 
 SPAN = 5  # set-points in the fit
-_LONGEST_GAP = 3  # cycles without a new set-point, or missed, that are filled in once the next one comes
+_LONGEST_GAP = 3  # cycles without a set-point, with the same one, or missed, that are bridged
 _SMOOTHING = 0.2  # coefficient of the one-pole filter of the acceleration, which shows the rounding most
 _NO_DEMAND = (math.nan, math.nan, math.nan, math.nan)
 
@@ -17,7 +17,8 @@ class DemandEstimator:
 
     The parabola filters the rounding of the set-points to whole counts: at the newest of them its slope has 0.8 times
     the variance of their simple difference. A constant acceleration leaves no error. Where a set-point was lost, came
-    a cycle late or is rounded to the same count, the gap is filled in on the straight line to the next one.
+    a cycle late or is rounded to the same count, the gap is filled in on the straight line to the next one; until that
+    comes, the motion is taken to go on with the acceleration that it had.
 
     Parameters
     ----------
@@ -37,7 +38,18 @@ class DemandEstimator:
     [0.005, 2.0, 2.0, 0.0]
     """
 
-    __slots__ = ("_acceleration", "_ahead", "_bend", "_count", "_cycle", "_now", "_points", "_rate")
+    __slots__ = (
+        "_acceleration",
+        "_ahead",
+        "_bend",
+        "_count",
+        "_cycle",
+        "_last",
+        "_now",
+        "_period_s",
+        "_points",
+        "_rate",
+    )
 
     def __init__(self, period_s: float, delay_s: float, lead_s: float) -> None:
         grid = np.arange(1.0 - SPAN, 1.0)  # periods, the newest at 0
@@ -47,19 +59,36 @@ class DemandEstimator:
         self._rate: Array = np.array([0.0, 1.0, 2.0 * now]) @ fit / period_s
         self._ahead: Array = np.array([0.0, 1.0, 2.0 * ahead]) @ fit / period_s
         self._bend: Array = 2.0 * fit[2] / (period_s * period_s)
+        self._period_s = period_s
         self._acceleration = 0.0
         self._points = np.zeros(SPAN)
         self._count = 0
         self._cycle = 0  # of the newest set-point
+        self._last = _NO_DEMAND  # that was computed from it
+
+    def forget(self) -> None:
+        """Begin anew: the motion that was heard is over."""
+        self._count, self._last = 0, _NO_DEMAND
 
     def take(self, cycle: int, setpoint: float) -> tuple[float, float, float, float]:
-        """Take one cycle's set-point; return position and velocity now, velocity and acceleration ahead.
+        """Take one cycle's set-point, NaN if none was heard; return position and velocity now, velocity and
+        acceleration ahead.
 
-        They are NaN until there is one set-point for each point of the fit; a set-point that is NaN begins anew.
+        They are NaN until there is one set-point for each point of the fit, and after a gap that is too long.
         """
-        if not math.isfinite(setpoint):
-            self._count = 0
-            return _NO_DEMAND
+        if math.isfinite(setpoint):
+            self._last = self._fit(cycle, setpoint)
+            return self._last
+        if cycle - self._cycle > _LONGEST_GAP:
+            self.forget()
+        return self._continued((cycle - self._cycle) * self._period_s)
+
+    def _continued(self, elapsed_s: float) -> tuple[float, float, float, float]:
+        position, velocity, ahead, acceleration = self._last
+        change = acceleration * elapsed_s
+        return position + (velocity + 0.5 * change) * elapsed_s, velocity + change, ahead + change, acceleration
+
+    def _fit(self, cycle: int, setpoint: float) -> tuple[float, float, float, float]:
         elapsed = max(cycle - self._cycle, 1)
         self._cycle = cycle
         if elapsed > _LONGEST_GAP:

@@ -140,6 +140,8 @@ class FollowerAxis(AxisLoop):
             self._note_gap(cycle, feedback, state, is_usable=is_usable)
         position = supervisor.position
         velocity = feedback.velocity if is_usable else compensator.velocity_estimate
+        if not is_operating:
+            self._demand.forget()
         demand = self._demand.take(cycle, feedback.position_demand if is_operating else math.nan)
         is_enabled = self._gate(
             is_operating and state in (LoopState.IDLE, LoopState.RUNNING) and running_s >= 0.0,

@@ -70,7 +70,8 @@ class Feedback:
     is_setpoint_lost: bool = False
     notices: list[str] = field(default_factory=list)  # to be recorded and shown; the loop empties it
     # of drives that another controller moves (`Drives.is_follower`)
-    position_demand: float = math.nan  # the drive's demand after `AxisFacts.setpoint_delay_s`; NaN where not known
+    # the drive's demand after `AxisFacts.setpoint_delay_s`; NaN where none has come since the cycle before
+    position_demand: float = math.nan
     is_offset_wanted: bool = True  # mode and controlword are such that a torque offset compensates friction
     temperature: float = math.nan  # deg C, the last one read; NaN where none is measured
     load_position: float = math.nan  # by an encoder at the load, rad or m of the axis; NaN where there is none

@@ -134,6 +134,7 @@ class CanWire:
         self._torques: dict[int, dict[int, int]] = {}  # node: objects that make its torque
         self._due: list[tuple[float, int, str, Frame]] = []
         self._number = itertools.count()
+        self._last_due: dict[int, float] = {}
         self._asked: dict[int, tuple[int, bytes, float]] = {}  # node: index, request, time
         self.disturbances: list[Disturbance] = []
         self.began_s: float | None = None
@@ -175,8 +176,13 @@ class CanWire:
             ]
         for delay_s, data in pieces:
             passed = Frame(frame.time_s, frame.can_id, data, frame.is_remote)
-            if delay_s > 0.0:
-                heapq.heappush(self._due, (time.monotonic() + delay_s, next(self._number), direction, passed))
+            now_s = time.monotonic()
+            due_s = now_s + delay_s
+            if frame.can_id in self._mapped:
+                # nobody can tell another master's old set-point from a new one; CAN keeps the order of an identifier
+                due_s = self._last_due[frame.can_id] = max(due_s, self._last_due.get(frame.can_id, 0.0))
+            if due_s > now_s:
+                heapq.heappush(self._due, (due_s, next(self._number), direction, passed))
             else:
                 (self._drives if direction == TO_DRIVE else self._daemon).send(passed)
 

@@ -16,12 +16,14 @@ _LATE = "FH-113"  # this computer was busy, which is nobody's fault
 # catches up, a heartbeat or SYNC that was not seen in time. The message has to name these periods.
 _FROM_LATE = ("FH-103", "FH-105", "FH-106", "FH-107", "FH-230", "FH-235", "FH-248")
 _NAMES_MISSED = re.compile(r"; \d+ periods? (was|were) missed ")
-# What may follow from feedback and commands that do not arrive, where the message says so: too fast, too far
-_FROM_GAPS = ("FH-107", "FH-108")
+# What may follow from feedback and commands that do not arrive, where the message says so: too fast, too far, behind
+_FROM_GAPS = ("FH-107", "FH-108", "FH-109")
 _NAMES_GAPS = re.compile(r"; feedback was missing in \d+ of the \d+ cycles before")
 _BUSY = (_LATE, "FH-101", "FH-103", "FH-114", "FH-230", "FH-235", "FH-248")  # daemon or drives were
 _SAYS_TORQUE = re.compile(r"torque offset|FH-222|FH-128")  # what was not set to zero
+_NOT_RESTORED = "[FH-222]"  # a drive that did not answer after the stop
 _TOO_SLOW = "set-points no longer wait for a missed one"
+_ALL_LOST = re.compile(r"\b(\d+) of \1 rows were lost")  # before the file had a channel
 _ROWS_LOST = re.compile(r"rows?\b.*\blost\b|\blost\b.*\brows?\b")
 _POWERED = {state.words for state in DriveState if state.is_powered}
 
@@ -115,7 +117,7 @@ def _judge_exit(fault: Fault, seen: Seen, faults: list[str], verdict: Verdict) -
         return
     if verdict.is_void and "Error:" in seen.errors:
         return  # refused before anything was enabled: the computer was too busy to connect
-    is_incomplete = "rows were lost" in seen.errors or "still to be written" in seen.errors
+    is_incomplete = any(text in seen.errors for text in ("rows were lost", "still to be written", _NOT_RESTORED))
     expected = 1 if faults or is_incomplete else 0
     if seen.status != expected:
         verdict.wrong.append(f"exit status {seen.status}, not {expected}: {seen.errors[-300:].strip()}")
@@ -155,12 +157,12 @@ def _is_from_lateness(seen: Seen, text: str) -> bool:
 
 
 def _judge_rows(fault: Fault, seen: Seen, verdict: Verdict) -> None:
-    if seen.rows is None:
-        if not verdict.is_void and int(seen.result.get("cycles", seen.cycles)):
+    cycles = int(seen.result.get("cycles", seen.cycles))
+    if seen.rows is None and not _ALL_LOST.search(seen.errors):
+        if not verdict.is_void and cycles:
             verdict.wrong.append(f"recording: {seen.row_problem}")
         return
-    cycles = int(seen.result.get("cycles", seen.cycles))
-    verdict.lost = max(0, cycles - seen.rows)
+    verdict.lost = max(0, cycles - (seen.rows or 0))
     if verdict.lost and not fault.killed and not _ROWS_LOST.search(seen.errors):
         verdict.wrong.append(f"{verdict.lost} of {cycles} rows are missing, and nobody says so")
 

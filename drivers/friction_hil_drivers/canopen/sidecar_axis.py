@@ -80,7 +80,7 @@ class SidecarAxis:
         self._cycle = 0  # of the last position
         self._stale = 0  # cycles since then in which somebody was there to hear it
         self._nmt_state: int | None = None  # as the last heartbeat has it
-        self._demand: int | None = None
+        self._demand: int | None = None  # of this cycle; None where none was heard
         self._demand_object = demand_object(options)
         self.is_complete = False
         self.handlers = self._make_handlers()
@@ -136,7 +136,8 @@ class SidecarAxis:
             A second TPDO since the last call is the answer to this SYNC: in simulated time nobody sends two, but
             several processes on udp_multicast may be heard in another order than they sent.
         """
-        self._demand = self._values.get(objects.TARGET_POSITION)
+        # one that is not heard again is lost, or late: repeated, it would look like an axis that rests
+        self._demand = self._values.pop(objects.TARGET_POSITION, None)
         if self._twin.is_suspected and (fault := self._twin.judge()):
             self._fault = self._fault or fault
         self._missing = set(self._awaited - self._early if has_early else self._awaited)
@@ -239,10 +240,10 @@ class SidecarAxis:
         self._cycle = cycle
 
     def _position_demand(self) -> float:
-        """Return the master's set-point, near the position modulo the counter's range; NaN where none was heard."""
+        """Return this cycle's set-point, near the position modulo the counter's range; NaN where none was heard."""
         demand = self._demand
         if self._demand_object is objects.POSITION_DEMAND:
-            demand = self._values.get(objects.POSITION_DEMAND)
+            demand = self._values.pop(objects.POSITION_DEMAND, None)
         if self._demand_object is None or demand is None or self._counts is None:
             return math.nan
         return unwrap(self._counts, demand, COUNTER_BITS) / self._units.counts_per_unit

@@ -3,6 +3,8 @@
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from friction_hil.daemon.demand import SPAN, DemandEstimator
 
@@ -71,7 +73,33 @@ def test_without_a_demand_it_begins_anew():
     demand = estimator()
     for k in range(10):
         demand.take(k, motion(k * T))
+    demand.forget()
     assert all(map(math.isnan, demand.take(10, math.nan)))
     for k in range(11, 11 + SPAN - 1):
         assert all(map(math.isnan, demand.take(k, 7.0)))
     assert demand.take(11 + SPAN, 7.0) == (7.0, 0.0, 0.0, 0.0)
+
+
+@given(st.lists(st.booleans(), min_size=40, max_size=200), st.floats(-20.0, 20.0), st.floats(0.0, 3.0))
+def test_lost_setpoints_do_not_turn_the_velocity_round(heard, acceleration, speed):
+    """The motion goes on in one direction; whatever is lost, the demand says so, or that it is not known."""
+    speed += SPAN * T * max(-acceleration, 0.0) + len(heard) * T * max(-acceleration, 0.0)
+    demand = estimator()
+    for k, is_heard in enumerate([True] * 20 + heard):
+        time_s = k * T + DELAY
+        setpoint = speed * time_s + 0.5 * acceleration * time_s**2 if is_heard else math.nan
+        _, velocity, ahead, _ = demand.take(k, setpoint)
+        slack = 0.05 + 12 * T * abs(acceleration)  # the acceleration is filtered, and a gap filled in by a line
+        for value, at_s in ((velocity, k * T), (ahead, k * T + LEAD)):
+            assert math.isnan(value) or value == pytest.approx(speed + acceleration * at_s, abs=slack)
+
+
+def test_a_long_gap_is_not_bridged():
+    demand = estimator()
+    for k in range(20):
+        demand.take(k, motion(k * T + DELAY))
+    for k in range(20, 23):
+        heard = demand.take(k, math.nan)
+        assert heard[0] == pytest.approx(motion(k * T), abs=1e-5)
+    for k in range(23, 30):
+        assert all(map(math.isnan, demand.take(k, math.nan)))

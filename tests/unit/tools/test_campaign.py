@@ -218,3 +218,17 @@ def test_the_table_is_in_its_file_after_every_try(tmp_path, monkeypatch) -> None
     assert repeats == [f"./tools/campaign --only {name} --seed 7 --first 1 --tries 1" for name in ("stop-2", "wrap")]
     missing = CliRunner().invoke(command, ["--output", str(tmp_path / "no/table.md")])
     assert "there is no folder" in str(missing.exception)
+
+
+def test_a_disk_without_room_for_a_channel_is_no_error_where_the_run_says_what_is_lost() -> None:
+    said = "recording: 100 of 100 rows were lost"
+    verdict = judge(BY_NAME["disk-full"], seen(rows=None, row_problem="no channel", errors=said, status=1))
+    assert (verdict.problems, verdict.lost) == ([], 100)
+    silent = judge(BY_NAME["disk-full"], seen(rows=None, row_problem="no channel", errors="", status=0))
+    assert silent.problems == ["recording: no channel"]
+
+
+def test_settings_that_were_not_restored_after_the_stop_are_exit_status_1() -> None:
+    said = "x: not restored in the drive: 1A00h:02 [FH-222]"
+    assert judge(BY_NAME["lost-10"], seen(errors=said, status=1)).problems == []
+    assert judge(BY_NAME["lost-10"], seen(errors=said, status=0)).problems != []

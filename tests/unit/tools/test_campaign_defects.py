@@ -34,7 +34,7 @@ class Cycle:
 
 def clean(mode: str = "csp", frequency: float = 1.0, stop: int = 300) -> list[Cycle]:
     """A run: a sine with friction, a quick stop in motion in cycle ``stop``, then no power."""
-    limits, torque, found = _limits(mode, PERIOD_S), 0.0, []
+    limits, torque, found = _limits("CAN", mode, PERIOD_S), 0.0, []
     for k in range(stop + 40):
         at = min(k, stop)
         phase = math.tau * frequency * at * PERIOD_S
@@ -60,7 +60,7 @@ def clean(mode: str = "csp", frequency: float = 1.0, stop: int = 300) -> list[Cy
 
 def judged(cycles: list[Cycle], mode: str = "csp", **changes) -> list[str]:
     """What the judge says of a run with these frames."""
-    witness = Witness(_limits(mode, PERIOD_S))
+    witness = Witness(_limits("CAN", mode, PERIOD_S))
     for one in cycles:
         witness.status(one.time_s, one.status)
         witness.feedback(one.time_s, one.actual)
@@ -90,7 +90,7 @@ def tripled_after_a_gap() -> list[Cycle]:
     cycles = clean()
     del cycles[LOST]
     cycles = changed(cycles, slice(80, 90), torque=lambda one: 3.0 * one.torque)
-    before, step = cycles[79].torque, _limits("csp", PERIOD_S).step
+    before, step = cycles[79].torque, _limits("CAN", "csp", PERIOD_S).step
     for k in range(80, 95):
         wanted = cycles[k].torque
         before += max(-step, min(step, wanted - before))
@@ -100,7 +100,7 @@ def tripled_after_a_gap() -> list[Cycle]:
 
 def five_steps_at_once() -> list[Cycle]:
     """Each command is within a step of the one before; they come in one period."""
-    cycles, step = clean(), _limits("csp", PERIOD_S).step
+    cycles, step = clean(), _limits("CAN", "csp", PERIOD_S).step
     begin_s, before = cycles[84].time_s, cycles[84].torque
     burst = [
         replace(cycles[84], time_s=begin_s + 2e-4 * k, torque=before - k * step * math.copysign(0.99, before))
@@ -110,7 +110,7 @@ def five_steps_at_once() -> list[Cycle]:
 
 
 def one_step_of_five() -> list[Cycle]:
-    cycles, step = clean(), _limits("csp", PERIOD_S).step
+    cycles, step = clean(), _limits("CAN", "csp", PERIOD_S).step
     del cycles[LOST]
     return ramp(cycles, 80, [cycles[79].torque - 5.0 * step])
 
