@@ -4,14 +4,15 @@ import struct
 
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo
-from friction_hil_drivers.canopen.units import CanopenUnits
+from friction_hil_drivers.canopen.mapping import MappedPdo
+from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK
+from friction_hil_drivers.cia402.units import DriveUnits
 
 from friction_hil.drive import AxisFacts, Command, Feedback, Mode
 
 NODE = 5
 TPDO1, TPDO2, RPDO1, EMCY, HEARTBEAT = 0x185, 0x285, 0x205, 0x085, 0x705
-UNITS = CanopenUnits(1000.0, 500.0, 0.64)
+UNITS = DriveUnits(1000.0, 500.0, 0.64)
 LAYOUTS = {Mode.CSP: "<Hih", Mode.CSV: "<Hih", Mode.CST: "<Hh"}
 MS = 1_000_000
 BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = b"\x00", b"\x04", b"\x05", b"\x7f"

@@ -9,25 +9,19 @@ from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import cia301, codes
-from friction_hil_drivers.canopen.cia301 import Frame
-from friction_hil_drivers.canopen.codec import (
-    CommandEncoder,
-    FeedbackDecoder,
-    Measurement,
-    decode_heartbeat,
-    emergency_code,
-    next_controlword,
-)
+from friction_hil_drivers.canopen.cia301 import Frame, decode_heartbeat
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.load_encoder import LoadEncoder
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.monitor import NodeCondition, NodeMonitor
 from friction_hil_drivers.canopen.notices import Notices
 from friction_hil_drivers.canopen.sdo_stop import STANDSTILL_NS, CyclicSdo
 from friction_hil_drivers.canopen.sync_answers import SyncAnswers
-from friction_hil_drivers.canopen.temperature import MappedTemperature, TemperatureRead
 from friction_hil_drivers.canopen.twins import TwinWatch
 from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402.codec import CommandEncoder, FeedbackDecoder, Measurement, next_controlword
+from friction_hil_drivers.cia402.load_encoder import LoadEncoder
+from friction_hil_drivers.cia402.profile import emergency_code
+from friction_hil_drivers.cia402.temperature import MappedTemperature, TemperatureRead
 
 Handler = Callable[[bytes], None]  # takes the data of a frame
 
@@ -138,7 +132,7 @@ class CanopenAxis:
         self._notices = Notices()
         self._now_ns = self._heard_ns = self._left_ns = self._nmt_start_ns = 0
         self._decoder = FeedbackDecoder(drive.tpdos, drive.units, drive.mode, drive.period_s)
-        self._encoder = CommandEncoder(drive.rpdos, drive.mode, drive.units)
+        self._encoder = CommandEncoder({pdo.cob_id: pdo for pdo in drive.rpdos}, drive.mode, drive.units)
         self._mode = int(drive.mode)
         self._is_commanded = bool(drive.rpdos)
         self._frames = [b""] * len(drive.tpdos)  # last data of each TPDO

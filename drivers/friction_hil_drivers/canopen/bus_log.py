@@ -18,11 +18,11 @@ from friction_hil_drivers.canopen.frame_log import FrameLog
 from friction_hil_drivers.canopen.log_mapping import OWN, LoggedPdo, LogMapping, mappings
 from friction_hil_drivers.canopen.mapping import PdoRecord
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
-from friction_hil_drivers.canopen.scales import read_units
-from friction_hil_drivers.canopen.units import COUNTER_BITS, PER_MILLE, CanopenUnits
 from friction_hil_drivers.cia402 import objects, profile
 from friction_hil_drivers.cia402.access import ObjectReader
 from friction_hil_drivers.cia402.objects import Address, Object
+from friction_hil_drivers.cia402.scales import read_units
+from friction_hil_drivers.cia402.units import COUNTER_BITS, PER_MILLE, DriveUnits
 
 if TYPE_CHECKING:
     from canopen import ObjectDictionary
@@ -263,7 +263,7 @@ def _held(values: Array) -> Array:
     return values[known[np.maximum(np.searchsorted(known, np.arange(len(values)), "right") - 1, 0)]]
 
 
-def _columns(units: CanopenUnits, mode: Mode) -> dict[str, tuple[Object, float]]:
+def _columns(units: DriveUnits, mode: Mode) -> dict[str, tuple[Object, float]]:
     """Return the columns of a recording, each with its object and its scale."""
     torque = units.rated_torque / PER_MILLE
     columns = {

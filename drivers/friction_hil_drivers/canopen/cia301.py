@@ -61,3 +61,11 @@ class NmtState(IntEnum):
     STOPPED = 0x04
     OPERATIONAL = 0x05
     PRE_OPERATIONAL = 0x7F
+
+
+_NMT_STATE = 0x7F  # bits of a heartbeat's byte; the upper one is the toggle bit of node guarding
+
+
+def decode_heartbeat(data: bytes) -> int | None:
+    """Return the NMT state in a heartbeat, None for an empty message."""
+    return data[0] & _NMT_STATE if data else None

@@ -1,6 +1,7 @@
-"""Codes of the CANopen driver's fault messages, each with its message, cause and remedy."""
+"""Codes of the CANopen driver's fault messages, beside those of CiA 402, with message, cause and remedy."""
 
 from friction_hil.drive.codes import Explanation
+from friction_hil_drivers.cia402 import codes
 
 BUS_NOT_OPENED = "FH-201"
 BUS_FAILED = "FH-202"
@@ -9,13 +10,9 @@ NODE_LOCKED = "FH-204"
 LOCK_FAILED = "FH-205"
 NO_ANSWER = "FH-206"
 ANSWER_LOST = "FH-207"
-SDO_ABORT = "FH-208"
-OBJECT_MISSING = "FH-209"
-OBJECT_SIZE = "FH-210"
 WRONG_IDENTITY = "FH-211"
 MODE_NOT_SUPPORTED = "FH-212"
 WRONG_EDS = "FH-213"
-UNIT_UNKNOWN = "FH-214"
 ALREADY_POWERED = "FH-215"
 PERIOD_NOT_EXPRESSIBLE = "FH-216"
 NO_WATCHDOG = "FH-217"
@@ -24,7 +21,6 @@ MAPPING_NOT_KEPT = "FH-219"
 MASTER_APPEARED = "FH-220"
 NOTHING_TO_HEAR = "FH-221"
 NOT_RESTORED = "FH-222"
-JOURNAL_FILE = "FH-223"
 NO_MAPPING = "FH-227"
 UNKNOWN_ENTRY = "FH-228"
 NO_TORQUE_OFFSET = "FH-229"
@@ -36,8 +32,6 @@ SYNC_NOT_ANSWERED = "FH-234"
 FEEDBACK_LATE = "FH-235"
 PDO_LENGTH = "FH-236"
 COMMANDS_TOO_OLD = "FH-237"
-UNITS_CONTRADICT = "FH-240"
-UNIT_AMBIGUOUS = "FH-241"
 NODE_SILENT = "FH-244"
 NODE_TAKEN = "FH-245"
 SYNC_UNUSABLE = "FH-247"
@@ -50,7 +44,7 @@ TWO_NODES = "FH-264"
 WOULD_DISTURB = "FH-265"
 SYNC_ID_FIXED = "FH-266"
 
-EXPLANATIONS = {
+EXPLANATIONS = codes.EXPLANATIONS | {
     BUS_NOT_OPENED: Explanation(
         "the bus ... does not open",
         "interface missing or down, no permission, no multicast route",
@@ -86,21 +80,6 @@ EXPLANATIONS = {
         "drive switched off or reset meanwhile, frames lost",
         "check supply and wires",
     ),
-    SDO_ABORT: Explanation(
-        "reading, writing ...: SDO abort",
-        "the drive refuses access or value",
-        "look the abort code up in the drive's manual",
-    ),
-    OBJECT_MISSING: Explanation(
-        "node ... lacks object ...",
-        "not in this drive or firmware",
-        "another mode; newer firmware",
-    ),
-    OBJECT_SIZE: Explanation(
-        "... does not fit; has ... bits and not ...",
-        "value too large; object narrower than in the standard",
-        "another mode",
-    ),
     WRONG_IDENTITY: Explanation(
         "... says 1018h ..., but the configuration's identity demands ...",
         "another drive under this number",
@@ -115,14 +94,6 @@ EXPLANATIONS = {
         "this EDS is not this drive's",
         "EDS of another type or firmware",
         "the matching EDS, or none",
-    ),
-    UNIT_UNKNOWN: Explanation(
-        (
-            "... does not report its encoder resolution, its rated torque; velocity in an unknown unit, or (csv) in "
-            "one that is not shown"
-        ),
-        "object missing or empty; 60A9h aborted as not readable now",
-        "`counts_per_unit`, `rated_torque`, `velocity_unit`",
     ),
     ALREADY_POWERED: Explanation(
         "node ... is in state operation enabled already",
@@ -163,11 +134,6 @@ EXPLANATIONS = {
         "not restored: ...",
         "the drive refuses the value, has power, or does not answer",
         "write it with the vendor's tool, or switch the drive off and on; the next run tries again",
-    ),
-    JOURNAL_FILE: Explanation(
-        "what the drive held before cannot be kept",
-        "disk full, or no permission in the folder for temporary files",
-        "make room; remove the file that the message names",
     ),
     NO_MAPPING: Explanation(
         "no RPDOs, TPDOs of ... carry ...",
@@ -223,16 +189,6 @@ EXPLANATIONS = {
         "a command was not sent because it was ... ms old",
         "the daemon was held up between feedback and command",
         "`friction-hil doctor`; see FH-113",
-    ),
-    UNITS_CONTRADICT: Explanation(
-        "... says ..., but node ... says ...: a factor of ...",
-        "wrong unit in the configuration, or an object that means something else at this vendor",
-        "correct the key or leave it out; `trust: [KEY]` to insist",
-    ),
-    UNIT_AMBIGUOUS: Explanation(
-        "the objects of node ... leave open what a count of 6064h is",
-        "a gear without feed constant, or a feed constant that contradicts 608Fh",
-        "`counts_per_unit`: turn the motor once by hand and read 6064h",
     ),
     NODE_SILENT: Explanation(
         "node ... answers no SDO request; no node answers",

@@ -9,19 +9,26 @@ from friction_hil.drive import AxisFacts, DriveState, Mode
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import cia301, codes, delays
 from friction_hil_drivers.canopen.eds import load_eds
-from friction_hil_drivers.canopen.load_encoder import LoadEncoderOptions, require_object
-from friction_hil_drivers.canopen.load_scale import with_scale
-from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, PdoRecord, switch_off
+from friction_hil_drivers.canopen.mapping import MappedPdo, PdoRecord, switch_off
 from friction_hil_drivers.canopen.negotiation import FoundPdo, Negotiated, PdoNegotiator, grouped
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
-from friction_hil_drivers.canopen.scales import read_scales, require_agreement, require_velocity_unit
-from friction_hil_drivers.canopen.temperature import TemperatureOptions, read_first
-from friction_hil_drivers.canopen.unit_table import polarity_notes, resolution_notes, unit_rows
-from friction_hil_drivers.canopen.units import PER_MILLE, CanopenUnits
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import NOT_WATCHED, Watch, arm
 from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.access import RefusedError
+from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK
+from friction_hil_drivers.cia402.load_encoder import LoadEncoderOptions, require_object, with_scale
 from friction_hil_drivers.cia402.objects import Object
+from friction_hil_drivers.cia402.scales import (
+    polarity_notes,
+    read_scales,
+    require_agreement,
+    require_velocity_unit,
+    resolution_notes,
+    unit_rows,
+)
+from friction_hil_drivers.cia402.temperature import TemperatureOptions, read_first
+from friction_hil_drivers.cia402.units import PER_MILLE, DriveUnits
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
@@ -42,7 +49,7 @@ class ConfiguredDrive:
     """Result of the configuration, as the cyclic phase needs it."""
 
     facts: AxisFacts
-    units: CanopenUnits
+    units: DriveUnits
     mode: Mode
     tpdos: tuple[MappedPdo, ...]
     rpdos: tuple[MappedPdo, ...]  # empty: the drive is only listened to
@@ -392,8 +399,8 @@ def ensure(access: "SdoClient", entry: Object, value: int, bits: int | None = No
     """
     try:
         access.write(entry, value, bits)
-    except DriveError as error:
-        if error.code != codes.SDO_ABORT or access.find(entry) != value:
+    except RefusedError:
+        if access.find(entry) != value:
             raise
 
 
@@ -428,9 +435,7 @@ def _set_interpolation_period(access: "SdoClient", mode: Mode, period_s: float) 
     try:
         ensure(access, objects.INTERPOLATION_EXPONENT, exponent)
         ensure(access, objects.INTERPOLATION_PERIOD, value)
-    except DriveError as error:
-        if error.code != codes.SDO_ABORT:
-            raise
+    except RefusedError as error:
         found = _with_present_exponent(access, period_s)
         power = access.find(objects.INTERPOLATION_EXPONENT)
         present_s = found * 10.0 ** (-3 if power is None else power)

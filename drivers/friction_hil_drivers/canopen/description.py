@@ -5,9 +5,9 @@ from typing import Any
 from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.conversation import Script
 from friction_hil_drivers.canopen.dialogue import Upload
-from friction_hil_drivers.canopen.unit_table import polarity_text
 from friction_hil_drivers.cia402 import objects, profile
 from friction_hil_drivers.cia402.objects import DataType, Object
+from friction_hil_drivers.cia402.scales import polarity_text
 
 _MODES = {1: "pp", 2: "vl", 3: "pv", 4: "tq", 6: "hm", 7: "ip", 8: "csp", 9: "csv", 10: "cst", 11: "cstca"}
 _SYNCHRONOUS = 240  # largest synchronous transmission type

@@ -21,7 +21,6 @@ from friction_hil_drivers.canopen.eds_check import compare_axis, read_eds
 from friction_hil_drivers.canopen.exchange import CyclicExchange
 from friction_hil_drivers.canopen.exclusive import AxisLock, state_path
 from friction_hil_drivers.canopen.interfaces import bus_name
-from friction_hil_drivers.canopen.journal import Journal
 from friction_hil_drivers.canopen.leaving import read_state, restore, send_nmt, switch_off, watchdog_frames
 from friction_hil_drivers.canopen.listening import (
     LISTEN_S,
@@ -40,11 +39,13 @@ from friction_hil_drivers.canopen.new_keys import new_keys
 from friction_hil_drivers.canopen.nmt_state import ask_nmt_state, kept_out_of_operational, unknown_nmt_state
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.passive import PassiveExchange, nothing_to_hear, passive_exchange
+from friction_hil_drivers.canopen.pdo_journal import CanopenJournal
 from friction_hil_drivers.canopen.service import CanopenService
 from friction_hil_drivers.canopen.sidecar import SidecarDrives
 from friction_hil_drivers.canopen.stopping import has_no_power
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
+from friction_hil_drivers.cia402 import codes as cia402_codes
 from friction_hil_drivers.cia402 import objects
 
 if TYPE_CHECKING:
@@ -55,9 +56,9 @@ if TYPE_CHECKING:
     from friction_hil_drivers.canopen.sdo import SdoClient, SdoNetwork
 
 _OF_MAPPING = (
-    codes.SDO_ABORT,
-    codes.OBJECT_MISSING,
-    codes.OBJECT_SIZE,
+    cia402_codes.SDO_ABORT,
+    cia402_codes.OBJECT_MISSING,
+    cia402_codes.OBJECT_SIZE,
     codes.MAPPING_NOT_KEPT,
     codes.NO_MAPPING,
     codes.UNKNOWN_ENTRY,
@@ -172,7 +173,7 @@ class CanopenDrives(CanopenService):
         self._locks: list[AxisLock] = []
         self._clients: dict[str, SdoClient] = {}
         self._looks: dict[str, Look] = {}
-        self._journals: dict[int, Journal] = {}
+        self._journals: dict[int, CanopenJournal] = {}
         self._nmt_states: dict[int, int | None] = {}  # of nodes that were given another one: the state found
         self._states: dict[str, DriveState] = {}  # read back while leaving
         self.is_passive = False
@@ -226,7 +227,9 @@ class CanopenDrives(CanopenService):
         client = network.client(node, name, f"node {node} on {bus_name(config)}")
         client.axis_number = canopen_options(self._configs[name]).axis_number
         if node not in self._journals:
-            self._journals[node] = Journal(client, lambda identity: state_path(config, node, f"-{identity}.json"))
+            self._journals[node] = CanopenJournal(
+                client, lambda identity: state_path(config, node, f"-{identity}.json")
+            )
         client.journal = self._journals[node]
         return client
 

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any, Literal
 from friction_hil.drive import Mode
 from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.eds import load_eds
-from friction_hil_drivers.canopen.mapping import COMMANDS, PdoRecord
+from friction_hil_drivers.canopen.mapping import PdoRecord
 from friction_hil_drivers.canopen.negotiation import FoundPdo, covering, grouped
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
-from friction_hil_drivers.canopen.si_units import Measure, decode_position_unit
 from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.codec import COMMANDS
 from friction_hil_drivers.cia402.objects import Object
+from friction_hil_drivers.cia402.units import Measure, decode_position_unit
 
 if TYPE_CHECKING:
     from canopen import ObjectDictionary

@@ -8,7 +8,7 @@ from friction_hil.drive import Clock, DriveState
 from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import cia301, codes
-from friction_hil_drivers.canopen.codec import decode_heartbeat
+from friction_hil_drivers.canopen.cia301 import decode_heartbeat
 from friction_hil_drivers.canopen.conversation import PATIENCE_S, Conversation
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.stopping import disable_axes, has_no_power

@@ -12,10 +12,11 @@ from friction_hil.drive import DriveState, Mode
 from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.dialogue import DOWNLOAD, HEAD, UPLOAD, expedited
 from friction_hil_drivers.canopen.frame_log import FrameLog
-from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, PdoRecord, field_format
+from friction_hil_drivers.canopen.mapping import PdoRecord
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.sidecar_options import SidecarPdo, mapping_words
 from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK, field_format
 from friction_hil_drivers.cia402.objects import Object
 
 if TYPE_CHECKING:

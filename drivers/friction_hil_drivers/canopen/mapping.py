@@ -9,6 +9,8 @@ from friction_hil.drive import Mode
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.access import RefusedError
+from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK, block_layout
 from friction_hil_drivers.cia402.objects import DataType, Object
 
 if TYPE_CHECKING:
@@ -17,22 +19,6 @@ if TYPE_CHECKING:
 SYNCHRONOUS = 1  # transmission type: with every SYNC
 LARGEST_BYTES = 8
 _LARGEST_LOAD = 0.9  # of the period; the rest is for SDO, heartbeats and emergencies
-
-FEEDBACK = (
-    (objects.STATUSWORD, objects.POSITION_ACTUAL, objects.TORQUE_ACTUAL),
-    (objects.VELOCITY_ACTUAL, objects.MODE_DISPLAY),
-)
-COMMANDS = {
-    Mode.CSP: (objects.CONTROLWORD, objects.TARGET_POSITION, objects.TORQUE_OFFSET),
-    Mode.CSV: (objects.CONTROLWORD, objects.TARGET_VELOCITY, objects.TORQUE_OFFSET),
-    Mode.CST: (objects.CONTROLWORD, objects.TARGET_TORQUE),
-}
-TARGETS = {
-    Mode.CSP: objects.TARGET_POSITION,
-    Mode.CSV: objects.TARGET_VELOCITY,
-    Mode.CST: objects.TARGET_TORQUE,
-}
-_FORMATS = {8: "b", 16: "h", 32: "i", 64: "q"}  # of `struct`, for signed integers by their width
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,24 +131,6 @@ class PdoRecord:
         return self.parameter(cia301.PDO_EVENT_TIMER, "event timer", DataType.UNSIGNED16)
 
 
-def place(pdos: Sequence[MappedPdo], entry: Object) -> tuple[int, int]:
-    """Return the number of the PDO that carries an object, and the object's place in it."""
-    ((number, position),) = [
-        (n, k) for n, pdo in enumerate(pdos) for k, each in enumerate(pdo.entries) if each == entry
-    ]
-    return number, position
-
-
-def field_format(entry: Object, bits: int) -> str:
-    """Return the format character of `struct` for an object of ``bits`` bits."""
-    return _FORMATS[bits] if entry.type.is_signed else _FORMATS[bits].upper()
-
-
-def pdo_layout(entries: Sequence[Object], widths: Sequence[int]) -> struct.Struct:
-    """Return the layout of a PDO that carries ``entries``, with their widths in bits on this drive."""
-    return struct.Struct("<" + "".join(field_format(entry, bits) for entry, bits in zip(entries, widths, strict=True)))
-
-
 def switch_off(access: "SdoClient", record: PdoRecord) -> bool:
     """Switch off a PDO that is not used, where the drive has it; return False if the drive refuses."""
     before = access.find(record.cob_id)
@@ -170,9 +138,7 @@ def switch_off(access: "SdoClient", record: PdoRecord) -> bool:
         return True
     try:
         access.write(record.cob_id, cia301.PDO_INVALID | before)
-    except DriveError as error:
-        if error.code != codes.SDO_ABORT:
-            raise
+    except RefusedError:
         return False
     return True
 
@@ -215,6 +181,6 @@ def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[MappedPdo]) -> 
 def expected_pdos(mode: Mode) -> list[MappedPdo]:
     """Return the PDOs of a drive whose objects have the standard's widths, to compute the load before connecting."""
     return [
-        MappedPdo(0, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
+        MappedPdo(0, entries, block_layout(entries, [entry.type.bits for entry in entries]))
         for entries in (*FEEDBACK, COMMANDS[mode])
     ]

@@ -12,8 +12,11 @@ from typing import TYPE_CHECKING
 
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import cia301, codes
-from friction_hil_drivers.canopen.mapping import LARGEST_BYTES, SYNCHRONOUS, MappedPdo, PdoRecord, field_format
+from friction_hil_drivers.canopen.mapping import LARGEST_BYTES, SYNCHRONOUS, MappedPdo, PdoRecord
+from friction_hil_drivers.cia402 import codes as cia402_codes
 from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.access import RefusedError
+from friction_hil_drivers.cia402.codec import field_format
 from friction_hil_drivers.cia402.objects import DataType, Object
 
 if TYPE_CHECKING:
@@ -266,10 +269,10 @@ class PdoNegotiator:
             bits = access.width(entry) or (access.hidden_width(entry) if self._where["is_receive"] else None)
             if bits is None:
                 text = f"{access.axis}: {access.where} lacks object {entry}, which is needed in an {self._direction}"
-                raise DriveError(text, code=codes.OBJECT_MISSING)
+                raise DriveError(text, code=cia402_codes.OBJECT_MISSING)
             if bits < entry.type.bits or bits > 64:
                 text = f"{access.axis}: {entry} has {bits} bits in {access.where} and not {entry.type.bits}"
-                raise DriveError(text, code=codes.OBJECT_SIZE)
+                raise DriveError(text, code=cia402_codes.OBJECT_SIZE)
             widths[entry] = bits
         return widths
 
@@ -383,9 +386,7 @@ class PdoNegotiator:
         """Write an object; return False if the drive refuses and does not hold the value already."""
         try:
             self._access.write(entry, value)
-        except DriveError as error:
-            if error.code != codes.SDO_ABORT:
-                raise
+        except RefusedError:
             return self._access.find(entry) == value
         return True
 
@@ -452,9 +453,7 @@ class PdoNegotiator:
             return self._values[entry].ljust(size, b"\0")[:size]
         try:
             data = access.bytes_of(entry)
-        except DriveError as error:
-            if error.code != codes.SDO_ABORT:
-                raise
+        except RefusedError:
             data = None
         if data is None and entry in _ZEROED:
             return bytes(size)
@@ -477,7 +476,7 @@ class PdoNegotiator:
         yield f"{pdo.record.name} keeps the mapping that the drive has{beside}"
 
     def _note_refusal(self, record: PdoRecord, error: DriveError) -> None:
-        if error.code not in (codes.SDO_ABORT, codes.MAPPING_NOT_KEPT, codes.OBJECT_MISSING):
+        if error.code not in (cia402_codes.SDO_ABORT, codes.MAPPING_NOT_KEPT, cia402_codes.OBJECT_MISSING):
             raise error  # no refusal: the drive does not answer
         self._refusals.setdefault(record.name, error.detail)
 

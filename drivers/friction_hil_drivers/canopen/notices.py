@@ -1,7 +1,7 @@
 """What a node says beside its feedback, in words: emergencies, bits of the statusword, PDOs of a wrong length."""
 
-from friction_hil_drivers.canopen.codec import emergency_text
 from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402.profile import emergency_text
 
 _MOST = 100  # different notices of one axis; a node that babbles must not fill the memory
 _WATCHED = profile.WARNING | profile.REMOTE | profile.INTERNAL_LIMIT | profile.FOLLOWS_COMMAND

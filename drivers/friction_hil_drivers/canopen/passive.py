@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import Clock, Command, Feedback
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import cia301, codes
-from friction_hil_drivers.canopen.codec import FeedbackDecoder, Measurement, emergency_code, emergency_text
 from friction_hil_drivers.canopen.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
 from friction_hil_drivers.canopen.heard_pdos import HeardPdos
 from friction_hil_drivers.canopen.twins import TwinWatch
 from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402.codec import FeedbackDecoder, Measurement
+from friction_hil_drivers.cia402.profile import emergency_code, emergency_text
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.axis import CanopenAxis

@@ -13,9 +13,10 @@ from friction_hil.drive import DriveState
 from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.cia301 import Frame
 from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
-from friction_hil_drivers.canopen.temperature import TemperatureRead
-from friction_hil_drivers.canopen.units import wrap
 from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.objects import Object
+from friction_hil_drivers.cia402.temperature import TemperatureRead
+from friction_hil_drivers.cia402.units import wrap
 
 ANSWER_NS = 50_000_000  # without an answer the request is repeated
 _OBEY_NS = 100_000_000  # for the quick stop to begin; then voltage is disabled
@@ -251,7 +252,8 @@ class CyclicSdo:
         """Return the transfer that is due: the stop comes first, the temperature last."""
         takers: tuple[_Taker, ...] = (self.error_code, self._temperature)
         for taker in (self.stop, *takers) if self.is_stopping else takers:
-            if (transfer := taker.request(now_ns)) is not None:
+            if (due := taker.request(now_ns)) is not None:
+                transfer = Upload(due) if isinstance(due, Object) else due
                 transfer.entry = transfer.entry.of_axis(self._axis)
                 return _Pending(transfer, taker, now_ns + ANSWER_NS)
         return None

@@ -22,8 +22,8 @@ from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.sidecar_axis import SidecarAxis, demand_object
 from friction_hil_drivers.canopen.sidecar_exchange import SidecarExchange
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions, mapped
-from friction_hil_drivers.canopen.units import PER_MILLE, CanopenUnits
 from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.units import PER_MILLE, DriveUnits
 from friction_hil_drivers.torque_sign import torque_signs
 
 if TYPE_CHECKING:
@@ -297,12 +297,12 @@ def _count_offsets(bus: "FrameBus", axes: Mapping[int, SidecarAxis]) -> None:
     bus.send = counted  # type: ignore[method-assign]
 
 
-def _units(options: CanopenOptions) -> CanopenUnits:
+def _units(options: CanopenOptions) -> DriveUnits:
     counts, rated_torque = options.counts_per_unit, options.rated_torque
     assert counts is not None and rated_torque is not None  # noqa: PT018 - the options have checked both
     sign = -1.0 if options.is_inverted else 1.0
     of_command, of_feedback = torque_signs(options.inverted_torque)
-    return CanopenUnits(sign * counts, sign * counts, sign * of_feedback * rated_torque, of_command * of_feedback)
+    return DriveUnits(sign * counts, sign * counts, sign * of_feedback * rated_torque, of_command * of_feedback)
 
 
 def _has(options: SidecarOptions, entry: objects.Object) -> bool:

@@ -10,14 +10,14 @@ from friction_hil.drive.codes import coded
 from friction_hil.drive.encoder import derived_velocity, unwrap
 from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.axis import Handler
-from friction_hil_drivers.canopen.cia301 import Frame, NmtState
-from friction_hil_drivers.canopen.codec import decode_heartbeat, emergency_code, emergency_text
+from friction_hil_drivers.canopen.cia301 import Frame, NmtState, decode_heartbeat
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions, mapped
 from friction_hil_drivers.canopen.twins import TwinWatch
-from friction_hil_drivers.canopen.units import COUNTER_BITS, CanopenUnits
 from friction_hil_drivers.cia402 import objects, profile
 from friction_hil_drivers.cia402.objects import Object
+from friction_hil_drivers.cia402.profile import emergency_code, emergency_text
+from friction_hil_drivers.cia402.units import COUNTER_BITS, DriveUnits
 
 _MOST_ECHOES = 64  # under way; the others were lost
 _ENABLE_MASK = 0x0F  # of the controlword: all four bits are set while the master wants Operation enabled
@@ -43,7 +43,7 @@ class SidecarAxis:
     node : int
     mode : Mode
         Mode in which the master moves the drive.
-    units : CanopenUnits
+    units : DriveUnits
     period_s : float
     options : SidecarOptions
 
@@ -56,7 +56,7 @@ class SidecarAxis:
     """
 
     def __init__(
-        self, facts: AxisFacts, node: int, mode: Mode, units: CanopenUnits, period_s: float, options: SidecarOptions
+        self, facts: AxisFacts, node: int, mode: Mode, units: DriveUnits, period_s: float, options: SidecarOptions
     ) -> None:
         self.facts, self.node = facts, node
         self._arguments = facts, node, mode, units, period_s, options

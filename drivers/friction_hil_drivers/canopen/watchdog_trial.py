@@ -14,11 +14,11 @@ from friction_hil.drive import DriveState
 from friction_hil.drive.finding import Finding
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import cia301
-from friction_hil_drivers.canopen.cia301 import Frame
-from friction_hil_drivers.canopen.codec import decode_heartbeat, emergency_code
+from friction_hil_drivers.canopen.cia301 import Frame, decode_heartbeat
 from friction_hil_drivers.canopen.dialogue import Upload
 from friction_hil_drivers.canopen.watchdogs import Means
 from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.profile import emergency_code
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.axis import CanopenAxis

@@ -1,10 +1,11 @@
-"""Reading a drive's objects, from the drive itself or from a log of its answers."""
+"""Objects of a drive: reading them, from the drive itself or from a log of its answers, and why a drive refuses."""
 
 from abc import ABC, abstractmethod
 from enum import IntEnum
+from typing import Protocol
 
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.cia402 import codes
 from friction_hil_drivers.cia402.objects import Object
 
 
@@ -46,6 +47,33 @@ HIDDEN = (
     Abort.LOCAL_CONTROL,
     Abort.DEVICE_STATE,
 )
+
+
+class AbortError(Exception):
+    """Refusal of a drive to show or to take an object, with its abort code; in ``words``, where the bus has them."""
+
+    def __init__(self, code: int, words: str = "") -> None:
+        super().__init__(words or f"{code:08X}h")
+        self.code = code
+
+
+class RefusedError(DriveError):
+    """An object was not written because the drive refuses it."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text, code=codes.SDO_ABORT)
+
+
+class Reading(Protocol):
+    """Reading of an object that is over."""
+
+    @property
+    def data(self) -> bytes | None:
+        """Content as on the wire, None where the drive refused it or did not answer."""
+
+    @property
+    def is_silent(self) -> bool:
+        """True if the drive did not answer."""
 
 
 class ObjectReader(ABC):
@@ -102,3 +130,8 @@ class ObjectReader(ABC):
             text = f"{self.axis}: {self.where} {self.why_absent(entry)} object {entry}, which is needed"
             raise DriveError(text, code=codes.OBJECT_MISSING)
         return value
+
+
+def hexadecimal(data: bytes | None) -> str:
+    """Return the content of an object as a number: ``007E003Ch``."""
+    return "not shown" if data is None else f"{int.from_bytes(data, 'little'):0{2 * len(data)}X}h"

@@ -1,4 +1,6 @@
-"""Controlword, statusword, modes and error codes of CiA 402. Pure functions, no bus."""
+"""Controlword, statusword, modes, error codes and emergencies of CiA 402. Pure functions, no bus."""
+
+import struct
 
 from friction_hil.drive import DriveState, Mode, Request
 
@@ -185,3 +187,22 @@ def error_text(code: int) -> str:
     """Return an error code in words: ``8611h following error``; an unknown one by its class."""
     text = ERROR_TEXTS.get(code) or _ERROR_CLASSES.get(code & 0xF000, "the manufacturer's own")
     return f"{code:04X}h {text}"
+
+
+_EMERGENCY_CODE = struct.Struct("<H")  # then the error register and 5 bytes of the manufacturer; some drives send less
+
+
+def emergency_code(data: bytes) -> int | None:
+    """Return the error code of an emergency message, None for a message too short to have one."""
+    return _EMERGENCY_CODE.unpack_from(data)[0] if len(data) >= _EMERGENCY_CODE.size else None
+
+
+def emergency_text(data: bytes) -> str:
+    """Return an emergency message in words: error code, error register, the manufacturer's bytes if there are any."""
+    code = emergency_code(data)
+    if code is None:
+        return f"emergency without an error code: {len(data)} bytes {data.hex(' ')}".rstrip()
+    text = f"emergency {error_text(code)}" if code else "emergency 0000h: the drive reports no error any more"
+    if len(data) > _EMERGENCY_CODE.size:
+        text += f", error register {data[2]:02X}h"
+    return f"{text}, {data[3:].hex(' ')}" if any(data[3:]) else text

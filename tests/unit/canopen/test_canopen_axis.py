@@ -8,11 +8,11 @@ from dataclasses import fields
 import pytest
 from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.axis import CanopenAxis
-from friction_hil_drivers.canopen.codec import CommandEncoder, FeedbackDecoder, Measurement
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.mapping import COMMANDS, MappedPdo
-from friction_hil_drivers.canopen.units import CanopenUnits, wrap
+from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.codec import COMMANDS, CommandEncoder, FeedbackDecoder, Measurement
+from friction_hil_drivers.cia402.units import DriveUnits, wrap
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -50,7 +50,7 @@ def test_frames_become_si_values():
 
 
 def test_an_inverted_axis_inverts_all_signs():
-    feedback = Bench(units=CanopenUnits(-1000.0, -500.0, -0.64)).cycle(
+    feedback = Bench(units=DriveUnits(-1000.0, -500.0, -0.64)).cycle(
         (TPDO1, "3706 e8030000 f4ff"), (TPDO2, "18fcffff 08")
     )
     assert (feedback.position, feedback.velocity) == (-1.0, 2.0)
@@ -418,7 +418,9 @@ def test_commands_go_wherever_they_are_mapped():
         MappedPdo(0x405, (objects.TORQUE_OFFSET, objects.CONTROLWORD), struct.Struct("<iH")),
         MappedPdo(0x505, (objects.TARGET_POSITION,), struct.Struct("<i")),
     ]
-    frames = CommandEncoder(rpdos, Mode.CSP, UNITS).encode(0x0F, Command(Request.ENABLE, 1.0, 0.0, -0.064))
+    frames = CommandEncoder({pdo.cob_id: pdo for pdo in rpdos}, Mode.CSP, UNITS).encode(
+        0x0F, Command(Request.ENABLE, 1.0, 0.0, -0.064)
+    )
     assert frames == [
         (0x305, b"abcd\x0f\x00"),
         (0x405, struct.pack("<iH", -100, 0x0F)),
@@ -428,7 +430,9 @@ def test_commands_go_wherever_they_are_mapped():
 
 def test_a_drive_without_a_torque_offset_gets_its_target_alone():
     rpdos = [MappedPdo(RPDO1, (objects.CONTROLWORD, objects.TARGET_VELOCITY), struct.Struct("<Hi"))]
-    [frame] = CommandEncoder(rpdos, Mode.CSV, UNITS).encode(0x0F, Command(Request.ENABLE, 0.0, 2.0, 0.1))
+    [frame] = CommandEncoder({pdo.cob_id: pdo for pdo in rpdos}, Mode.CSV, UNITS).encode(
+        0x0F, Command(Request.ENABLE, 0.0, 2.0, 0.1)
+    )
     assert frame == (RPDO1, struct.pack("<Hi", 0x0F, 1000))
 
 

@@ -7,18 +7,11 @@ import can
 import pytest
 from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
-from friction_hil_drivers.canopen.mapping import (
-    COMMANDS,
-    FEEDBACK,
-    PdoRecord,
-    check_bus_load,
-    frame_bits,
-    switch_off,
-    wire_time_s,
-)
+from friction_hil_drivers.canopen.mapping import PdoRecord, check_bus_load, frame_bits, switch_off, wire_time_s
 from friction_hil_drivers.canopen.negotiation import PdoNegotiator
 from friction_hil_drivers.canopen.sdo import SdoNetwork
 from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK
 
 from friction_hil.drive import Mode
 from friction_hil.errors import DriveError

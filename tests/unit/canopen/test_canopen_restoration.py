@@ -6,7 +6,8 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from friction_hil_drivers.canopen.journal import Found, Journal, restoration
+from friction_hil_drivers.canopen.pdo_journal import CanopenJournal, restoration
+from friction_hil_drivers.cia402.journal import Found
 from friction_hil_drivers.cia402.objects import DataType, Object
 
 
@@ -64,7 +65,7 @@ def test_what_another_users_killed_run_has_kept_shuts_out_nobody(request):
     entry = Object(0x1017, "heartbeat", DataType.UNSIGNED16)
 
     def keep():
-        journal = Journal(Shown(), lambda identity: folder / f"can0-5-{identity}.json")
+        journal = CanopenJournal(Shown(), lambda identity: folder / f"can0-5-{identity}.json")
         journal.before(entry, b"\x08\0")
         return journal.notes
 

@@ -8,9 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.load_encoder import LoadEncoder, LoadEncoderOptions
-from friction_hil_drivers.canopen.load_scale import with_scale
 from friction_hil_drivers.canopen.mapping import MappedPdo
+from friction_hil_drivers.cia402.load_encoder import LoadEncoder, LoadEncoderOptions, with_scale
 from hypothesis import given
 from hypothesis import strategies as st
 

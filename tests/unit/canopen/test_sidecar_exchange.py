@@ -9,7 +9,7 @@ from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.sidecar_axis import SidecarAxis
 from friction_hil_drivers.canopen.sidecar_exchange import SidecarExchange
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
-from friction_hil_drivers.canopen.units import CanopenUnits
+from friction_hil_drivers.cia402.units import DriveUnits
 
 from friction_hil.daemon.pacing import LockedPacer
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode
@@ -86,7 +86,7 @@ class Sidecar:
     def __init__(self, world, *, max_missed=10, acquired=50, heartbeat=None):
         world.seal()
         facts = AxisFacts("x", "node 1", 1e-4, 1e-3, 1.5e-3, 0.75e-3)
-        units = CanopenUnits(1e5, 1e5, 0.5)
+        units = DriveUnits(1e5, 1e5, 0.5)
         self.axis = SidecarAxis(facts, 1, Mode.CSP, units, 1e-3, OPTIONS)
         self.world, self.lock = world, PhaseLock(1e-3)
         stamps = []

@@ -12,10 +12,11 @@ import pytest
 from friction_hil_drivers.canopen import cia301, frame_log
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, pdo_layout
-from friction_hil_drivers.canopen.units import CanopenUnits
+from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK, block_layout
 from friction_hil_drivers.cia402.objects import Object
+from friction_hil_drivers.cia402.units import DriveUnits
 
 import friction_hil as fh
 from friction_hil.cli import main
@@ -26,7 +27,7 @@ from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 ROOT = Path(__file__).parents[3]
 CYCLES = 60
 PERIOD = 1e-3
-UNITS = CanopenUnits(counts_per_unit=65536 / (2.0 * np.pi), velocity_per_unit=65536 / (2.0 * np.pi), rated_torque=0.5)
+UNITS = DriveUnits(counts_per_unit=65536 / (2.0 * np.pi), velocity_per_unit=65536 / (2.0 * np.pi), rated_torque=0.5)
 WRITERS = {".log": can.CanutilsLogWriter, ".asc": can.ASCWriter, ".blf": can.BLFWriter}
 FACTS = AxisFacts("x", "", 1e-4, 1e-3, 0.0, 0.0)
 
@@ -62,7 +63,7 @@ def drive(mode: Mode) -> CanopenAxis:
     """The driver's encoder and decoder of node 1."""
 
     def pdo(cob_id: int, entries: tuple[Object, ...]) -> MappedPdo:
-        return MappedPdo(cob_id, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
+        return MappedPdo(cob_id, entries, block_layout(entries, [entry.type.bits for entry in entries]))
 
     tpdos = tuple(pdo(cia301.TPDO_BASES[i] + 1, entries) for i, entries in enumerate(FEEDBACK))
     rpdo = pdo(cia301.RPDO_BASES[0] + 1, COMMANDS[mode])

@@ -31,9 +31,10 @@ from friction_hil_drivers.canopen.mapping import SYNCHRONOUS, PdoRecord
 from friction_hil_drivers.canopen.options import canopen_options
 from friction_hil_drivers.canopen.sidecar_options import SidecarPdo, mapping_words
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions
-from friction_hil_drivers.canopen.units import COUNTER_BITS, wrap
 from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.access import RefusedError
 from friction_hil_drivers.cia402.objects import Object
+from friction_hil_drivers.cia402.units import COUNTER_BITS, wrap
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
@@ -369,8 +370,7 @@ class StandInMaster:
         if download.is_silent:
             raise DriveError(f"node {node} does not answer (writing {entry})", code=codes.NO_ANSWER)
         if not download.is_accepted:
-            text = f"node {node} refuses {value} for {entry}: abort {download.abort_code:08X}h"
-            raise DriveError(text, code=codes.SDO_ABORT)
+            raise RefusedError(f"node {node} refuses {value} for {entry}: abort {download.abort_code:08X}h")
 
     @property
     def _open_bus(self) -> "FrameBus":

@@ -7,9 +7,9 @@ from friction_hil.errors import UsageError
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.units import SimulatedUnits, unwrapped
-from friction_hil_drivers.canopen.units import wrap
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.units import wrap
 
 NO_MODE = 0
 _CSP, _CSV, _CST = Mode.CSP, Mode.CSV, Mode.CST

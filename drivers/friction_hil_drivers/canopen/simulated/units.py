@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from friction_hil.servo.servo import Servo
-from friction_hil_drivers.canopen.units import wrap
+from friction_hil_drivers.cia402.units import wrap
 
 INT16, INT32 = (-0x8000, 0x7FFF), (-(1 << 31), (1 << 31) - 1)
 

@@ -1,4 +1,4 @@
-"""Scales of a drive: from the configuration, else from the drive's own objects; and whether the two agree.
+"""Scales of a drive: from the configuration, else from its own objects; whether the two agree; the table of units.
 
 Formulas of CiA 402-2 ("factor group"), for one revolution of the motor:
 
@@ -14,33 +14,43 @@ Many drives report 1/1 in objects that they do not use; such a value says nothin
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from friction_hil.drive import Mode, UnitRow
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes
-from friction_hil_drivers.canopen.options import CanopenOptions
-from friction_hil_drivers.canopen.si_units import (
+from friction_hil_drivers.cia402 import codes, objects
+from friction_hil_drivers.cia402.access import ObjectReader
+from friction_hil_drivers.cia402.objects import Object
+from friction_hil_drivers.cia402.options import DriveOptions
+from friction_hil_drivers.cia402.units import (
+    LEAST_RESOLUTION,
+    PER_MILLE,
+    TOLERANCE,
+    DriveUnits,
+    Kind,
     Measure,
     Unit,
     decode_position_unit,
     decode_velocity_unit,
     parse_velocity_unit,
 )
-from friction_hil_drivers.canopen.units import CanopenUnits
-from friction_hil_drivers.cia402 import objects
-from friction_hil_drivers.cia402.access import ObjectReader
-from friction_hil_drivers.cia402.objects import Object
 from friction_hil_drivers.torque_sign import InvertedTorque, torque_signs
 
-Kind = Literal["rotary", "linear"]
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig
+    from friction_hil.config.axis import AxisLimits
 
 NOTHING_CONFIRMS = "not cross-checked"
 TRUSTED = "trusted although"
-TOLERANCE = 2e-3  # relative; users round counts per rad
 _TORQUE_TOLERANCE = 1e-2
 _TORQUE_STEP = 0.5e-3  # N m; half a step of 6076h
 _TURN = 2.0 * math.pi  # rad
-LEAST_RESOLUTION = 2.0  # counts per revolution: 1/1 is the default of an object that is not used
+_POSITION_INVERTED, _VELOCITY_INVERTED = 0x80, 0x40  # bits of 607Eh
+_POLARITY = {_POSITION_INVERTED: "position", _VELOCITY_INVERTED: "velocity"}
+_COARSE = 0.1  # of the friction: a larger step of the torque is told
+_SPEED = 0.1  # of the velocity limit: where the level of the friction is taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,27 +88,27 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Scales:
-    """All scales of one drive, without the signs that `CanopenOptions` inverts."""
+    """All scales of one drive, without the signs that `DriveOptions` inverts."""
 
     position: Scale
     velocity: Scale
     torque: Scale
 
-    def units(self, *, is_inverted: bool, inverted_torque: InvertedTorque = "none") -> CanopenUnits:
+    def units(self, *, is_inverted: bool, inverted_torque: InvertedTorque = "none") -> DriveUnits:
         """Return the conversion that the cyclic phase uses."""
         sign = -1.0 if is_inverted else 1.0
         of_command, of_feedback = torque_signs(inverted_torque)
         torque = sign * of_feedback * self.torque.value
-        return CanopenUnits(sign * self.position.value, sign * self.velocity.value, torque, of_command * of_feedback)
+        return DriveUnits(sign * self.position.value, sign * self.velocity.value, torque, of_command * of_feedback)
 
 
-def read_units(access: ObjectReader, options: CanopenOptions, kind: Kind) -> CanopenUnits:
+def read_units(access: ObjectReader, options: DriveOptions, kind: Kind) -> DriveUnits:
     """Return the conversion of a drive, without comparing configuration and drive; see `read_scales`."""
     scales = read_scales(access, options, kind)
     return scales.units(is_inverted=options.is_inverted, inverted_torque=options.inverted_torque)
 
 
-def read_scales(access: ObjectReader, options: CanopenOptions, kind: Kind) -> Scales:
+def read_scales(access: ObjectReader, options: DriveOptions, kind: Kind) -> Scales:
     """Return the scales of a drive.
 
     Raises
@@ -110,7 +120,7 @@ def read_scales(access: ObjectReader, options: CanopenOptions, kind: Kind) -> Sc
     return Scales(position, _velocity(access, options, kind, position.value), _torque(access, options, kind))
 
 
-def require_velocity_unit(access: ObjectReader, options: CanopenOptions) -> None:
+def require_velocity_unit(access: ObjectReader, options: DriveOptions) -> None:
     """Refuse to assume a unit for velocity targets where the drive has one, but does not show it.
 
     Raises
@@ -127,8 +137,8 @@ def require_velocity_unit(access: ObjectReader, options: CanopenOptions) -> None
         raise DriveError(text, code=codes.UNIT_UNKNOWN)
 
 
-def require_agreement(access: ObjectReader, options: CanopenOptions, scales: Scales) -> None:
-    """Refuse a configuration that contradicts the drive, unless `CanopenOptions.trust` names the key.
+def require_agreement(access: ObjectReader, options: DriveOptions, scales: Scales) -> None:
+    """Refuse a configuration that contradicts the drive, unless `DriveOptions.trust` names the key.
 
     Raises
     ------
@@ -151,7 +161,7 @@ def require_agreement(access: ObjectReader, options: CanopenOptions, scales: Sca
 # Position
 
 
-def _position(access: ObjectReader, options: CanopenOptions, kind: Kind) -> Scale:
+def _position(access: ObjectReader, options: DriveOptions, kind: Kind) -> Scale:
     per = "m" if kind == "linear" else "rad"
     reported = _reported_positions(access, kind, is_needed=options.counts_per_unit is None)
     given = options.counts_per_unit
@@ -220,7 +230,7 @@ def _ratio(access: ObjectReader, numerator: Object, divisor: Object) -> float | 
 # Velocity
 
 
-def _velocity(access: ObjectReader, options: CanopenOptions, kind: Kind, counts: float) -> Scale:
+def _velocity(access: ObjectReader, options: DriveOptions, kind: Kind, counts: float) -> Scale:
     given = None if options.velocity_unit is None else parse_velocity_unit(options.velocity_unit)
     unit = _decoded(access, objects.VELOCITY_UNIT, is_needed=given is None)
     per = "m/s" if kind == "linear" else "rad/s"
@@ -279,7 +289,7 @@ def _decoded(access: ObjectReader, entry: Object, *, is_needed: bool) -> Unit | 
 # Torque
 
 
-def _torque(access: ObjectReader, options: CanopenOptions, kind: Kind) -> Scale:
+def _torque(access: ObjectReader, options: DriveOptions, kind: Kind) -> Scale:
     per = "N" if kind == "linear" else "N m"
     milli = access.find(objects.RATED_TORQUE)
     given = options.rated_torque
@@ -316,3 +326,79 @@ def _contradicted(value: float, text: str, key: str, reported: Reported, unit: s
     ratio = max(value / reported.value, reported.value / value)
     says = f"{reported.value:.7g} {unit} ({reported.source}): a factor of {ratio:.4g}"
     return Scale(value, text, key, f"{TRUSTED} the drive says {says}", says)
+
+
+# Table of units and limits, shown before the first enable, and notes
+
+
+def unit_rows(scales: Scales, limits: "AxisLimits", mode: Mode, kind: Kind) -> tuple[UnitRow, ...]:
+    """Return the rows for position, velocity and torque."""
+    unit, force = ("m", "N") if kind == "linear" else ("rad", "N m")
+    position = "none"
+    if limits.position is not None:
+        low, high = limits.position
+        counts = [f"{bound * scales.position.value:.0f}" for bound in (low, high)]
+        position = f"[{low:g}, {high:g}] {unit} = [{counts[0]}, {counts[1]}] counts"
+    increments = limits.velocity * scales.velocity.value
+    per_mille = int(limits.torque / scales.torque.value * PER_MILLE + 1e-9)
+    velocity = f"{limits.velocity:g} {unit}/s = {_in_words(increments)} increments"
+    further = "examined by the first motion" if mode is Mode.CSV else ""
+    return (
+        _row("position", scales.position, position),
+        _row("velocity", scales.velocity, velocity, further),
+        _row("torque", scales.torque, f"{limits.torque:g} {force} = {per_mille} per mille"),
+    )
+
+
+def _row(quantity: str, scale: Scale, limit: str, further: str = "") -> UnitRow:
+    confirmation = f"{scale.confirmation}; {further}" if further else scale.confirmation
+    return UnitRow(quantity, scale.text, scale.source, confirmation, limit)
+
+
+def _in_words(value: float) -> str:
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+
+
+def resolution_notes(scales: Scales, axis: "AxisConfig") -> list[str]:
+    """Return a note where a step of the drive's torque is coarse, relative to the limit or to the friction.
+
+    The torque is rounded towards zero, so that up to a step of the compensation is missing.
+    """
+    step, limit = scales.torque.value / PER_MILLE, axis.limits.torque
+    force = "N" if axis.model.axis == "linear" else "N m"
+    if limit < step:
+        return [
+            f"a step of the drive's torque is {step:.3g} {force}, more than limits.torque ({limit:g} {force}): no "
+            "torque can be sent"
+        ]
+    velocity = np.array([_SPEED * axis.limits.velocity])
+    level = abs(float(axis.model.friction_model.steady_state(velocity, load_torque=0.0)[0]))
+    if 0.0 < level * _COARSE < step:
+        return [
+            f"a step of the drive's torque is {step:.3g} {force}, and the friction of the model {level:.3g} {force}: "
+            f"torque is rounded towards zero, so that up to {min(step / level, 1.0):.0%} of the compensation is missing"
+        ]
+    return []
+
+
+def polarity_text(polarity: int) -> str:
+    """Return object 607Eh in words.
+
+    >>> polarity_text(0xC0)
+    'C0h: position and velocity inverted'
+    """
+    inverted = [name for bit, name in _POLARITY.items() if polarity & bit]
+    return f"{polarity:02X}h: {' and '.join(inverted) or 'nothing'} inverted"
+
+
+def polarity_notes(polarity: int | None, inverted_torque: InvertedTorque) -> list[str]:
+    """Return a note where the drive inverts its position or velocity: by CiA 402 it does not invert the torque then."""
+    if polarity is None or not polarity & sum(_POLARITY):
+        return []
+    text = f"607Eh is {polarity_text(polarity)}"
+    if polarity & _POSITION_INVERTED and inverted_torque == "none":
+        text += (
+            "; by CiA 402 the torque is not: if compensation makes the following error larger, set inverted_torque: "
+            "both (or command, if only what is sent acts in the other direction)"
+        )
+    return [text]

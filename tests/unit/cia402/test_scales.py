@@ -5,8 +5,16 @@ import math
 import numpy as np
 import pytest
 from friction_hil_drivers.canopen.options import CanopenOptions
-from friction_hil_drivers.canopen.scales import read_scales, require_agreement
-from friction_hil_drivers.canopen.si_units import (
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.access import ObjectReader
+from friction_hil_drivers.cia402.scales import (
+    polarity_notes,
+    read_scales,
+    require_agreement,
+    resolution_notes,
+    unit_rows,
+)
+from friction_hil_drivers.cia402.units import (
     VELOCITY_UNITS,
     Measure,
     decode_position_unit,
@@ -14,9 +22,6 @@ from friction_hil_drivers.canopen.si_units import (
     encode_unit,
     parse_velocity_unit,
 )
-from friction_hil_drivers.canopen.unit_table import polarity_notes, resolution_notes, unit_rows
-from friction_hil_drivers.cia402 import objects
-from friction_hil_drivers.cia402.access import ObjectReader
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError

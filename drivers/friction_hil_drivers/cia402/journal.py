@@ -10,33 +10,26 @@ Set-points that act as soon as somebody enables the drive are no settings: they 
 import contextlib
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import cia301, codes
-from friction_hil_drivers.cia402 import objects
-from friction_hil_drivers.cia402.objects import DataType, Object
+from friction_hil_drivers.cia402 import codes, objects
+from friction_hil_drivers.cia402.access import RefusedError, hexadecimal
+from friction_hil_drivers.cia402.objects import Address, DataType, Object
 
 _VERSION = 1
-_MOST_ENTRIES = 64  # of a mapping; larger counts stand for multiplexed PDOs
-_PDO_PARAMETERS = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
-_PDO_MAPPINGS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
-_WATCHDOGS = (0x1016, 0x100C, 0x100D)
-_TO_MAPPING = 0x200  # from a communication record to its mapping record
 
 # Commands and set-points are no settings; 1010h and 1011h are orders
 _NOT_KEPT = frozenset({0x1010, 0x1011, 0x6040, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60FF})
 
 _MODES = [objects.axis_index(objects.MODE.index, axis) for axis in range(8)]
 
-Address = tuple[int, int]
-
 
 class Access(Protocol):
-    """What the journal needs of an SDO client."""
+    """What the journal needs of a drive."""
 
     axis: str
     where: str
@@ -79,9 +72,6 @@ class Found:
         return f"{self.entry} {f'was {hexadecimal(self.found)}' if is_kept(self.entry) else 'is to be 0'}"
 
 
-# What belongs together
-
-
 def is_kept(entry: Object) -> bool:
     """Return True for a setting, False for a command or a set-point."""
     index = entry.index
@@ -90,75 +80,16 @@ def is_kept(entry: Object) -> bool:
     return index not in _NOT_KEPT
 
 
-def pdo_record(index: int) -> int | None:
-    """Return the communication record of the PDO that an object belongs to, None for another object."""
-    if any(index in indices for indices in _PDO_PARAMETERS):
-        return index
-    return index - _TO_MAPPING if any(index in indices for indices in _PDO_MAPPINGS) else None
-
-
-def cob_id_entry(record: int) -> Object:
-    """Return the entry that switches a PDO on and off."""
-    return Object(record, "COB-ID of a PDO", DataType.UNSIGNED32, cia301.PDO_COB_ID)
-
-
-def mapping_entry(record: int, position: int) -> Object:
-    """Return an entry of the mapping of a PDO; position 0 is their number."""
-    if position == 0:
-        return Object(record + _TO_MAPPING, "number of objects in a PDO", DataType.UNSIGNED8, 0)
-    return Object(record + _TO_MAPPING, f"object {position} of a PDO", DataType.UNSIGNED32, position)
-
-
 Step = tuple[Object, bytes]
 
 
-def restoration(found: Sequence[Found]) -> list[list[Step]]:
-    """Return what is to be written, in groups: watchdogs first, then the last one that was changed.
-
-    A PDO is one group, in the order that CiA 301 prescribes: PDO off, count 0, entries, count, parameters, PDO on.
-    """
-    groups: dict[int, list[Found]] = {}
-    for one in found:
-        record = pdo_record(one.entry.index)
-        key = one.entry.index << 8 | one.entry.subindex if record is None else record << 8
-        groups.setdefault(key, []).append(one)
-    plans = [_pdo_steps(group) if pdo_record(group[0].entry.index) else _steps(group) for group in groups.values()]
-    last_first = [plan for plan in reversed(plans) if plan]
-    # the daemon must be heard every few milliseconds until they are off, and the rest may take seconds
-    return sorted(last_first, key=lambda plan: plan[0][0].index not in _WATCHDOGS)
-
-
-def _steps(group: Sequence[Found]) -> list[Step]:
-    return [(one.entry, one.found) for one in group if one.found is not None]
-
-
-def _pdo_steps(group: Sequence[Found]) -> list[Step]:
-    record = pdo_record(group[0].entry.index)
-    assert record is not None
-    values = {one.entry.address: one for one in group if one.found is not None}
-    switch = values.pop((record, cia301.PDO_COB_ID), None)
-    mapping = sorted((one for one in values.values() if one.entry.index != record), key=lambda one: one.entry.subindex)
-    parameters = [one for one in values.values() if one.entry.index == record]
-    steps: list[Step] = []
-    if mapping and mapping[0].entry.subindex == 0:
-        count = mapping[0]
-        steps.append((count.entry, bytes(1)))
-        steps += _steps(mapping[1:])  # those beyond the number too, as far as the drive shows them
-        steps += _steps([count])
-    steps += _steps(parameters)
-    if switch is None or switch.found is None:
-        return steps
-    off = (_number(switch.found) | cia301.PDO_INVALID).to_bytes(4, "little")
-    before = [(switch.entry, off)] if steps else []
-    return [*before, *steps, (switch.entry, switch.found)]
-
-
-def _number(data: bytes | None) -> int:
+def number_of(data: bytes | None) -> int:
+    """Return an unsigned integer, 0 for an object that is not shown."""
     return int.from_bytes(data or b"", "little")
 
 
 class Journal:
-    """Values found in one drive.
+    """Values found in one drive; each bus adds what belongs together on it.
 
     Parameters
     ----------
@@ -166,6 +97,8 @@ class Journal:
     path_of : callable
         Returns the path of the file, given the identity of the drive in hexadecimal numbers, and the user's number.
     """
+
+    names: Mapping[Address, Object] = objects.TABLE  # what is known of objects that a file has
 
     def __init__(self, access: Access, path_of: Callable[[str], Path]) -> None:
         self._access = access
@@ -225,9 +158,9 @@ class Journal:
         if self._path is not None:
             return
         parts = [self._access.peek(entry) for entry in _IDENTITY]
-        identity = "-".join(f"{_number(part):x}" for part in parts)
+        identity = "-".join(f"{number_of(part):x}" for part in parts)
         self._path = self._path_of(f"{identity}-{os.geteuid()}")
-        kept, problem = _load(self._path)
+        kept, problem = _load(self._path, self.names)
         if problem:
             self.notes.append(f"{self._path} is not used: {problem}")
         for one in kept:
@@ -251,16 +184,12 @@ class Journal:
                 )
 
     def _concerned(self, entry: Object) -> Iterator[Object]:
-        """Yield what has to be known to undo a write: of a mapping all of it, of every PDO its switch."""
-        record = pdo_record(entry.index)
-        if record is not None:
-            yield cob_id_entry(record)
-            if entry.index != record and (record + _TO_MAPPING, 0) not in self._found:
-                count = mapping_entry(record, 0)
-                yield count
-                held = _number(self._access.peek(count))
-                yield from (mapping_entry(record, k) for k in range(1, held + 1) if held <= _MOST_ENTRIES)
+        """Yield what has to be known to undo a write."""
         yield entry
+
+    def _restoration(self) -> list[list[Step]]:
+        """Return what is to be written, in groups that belong together: the last one that was changed first."""
+        return [[(one.entry, one.found)] for one in reversed(self._found.values()) if one.found is not None]
 
     # Restoring
 
@@ -274,7 +203,7 @@ class Journal:
         DriveError
             The drive does not answer any more; then everything stays in the file.
         """
-        refused = [group for group in restoration(list(self._found.values())) if not self._restore_group(group)]
+        refused = [group for group in self._restoration() if not self._restore_group(group)]
         for group in refused:  # e.g. a value of 60C2h that is too short a time with the exponent of this run
             self._restore_group(group)
         left: dict[Address, Found] = {}
@@ -292,10 +221,8 @@ class Journal:
         return words
 
     def _is_unused(self, entry: Object) -> bool:
-        """Return True for an entry of a mapping that has fewer entries again."""
-        count = self._found.get((entry.index, 0))
-        is_mapping = any(entry.index in indices for indices in _PDO_MAPPINGS) and entry.subindex > 0
-        return is_mapping and count is not None and entry.subindex > _number(count.found)
+        """Return True for an object whose content means nothing, given what the others hold again."""
+        return False
 
     def _restore_group(self, group: Sequence[Step]) -> bool:
         """Write a group; return False if the drive refused a part of it."""
@@ -306,9 +233,7 @@ class Journal:
         for entry, data in group:
             try:
                 self._access.download(entry, data)
-            except DriveError as error:
-                if error.code != codes.SDO_ABORT:
-                    raise
+            except RefusedError:
                 is_taken = False  # reported by the comparison afterwards, if it stays so
         return is_taken
 
@@ -356,7 +281,7 @@ class Journal:
 _IDENTITY = (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.SERIAL_NUMBER)
 
 
-def _load(path: Path) -> tuple[list[Found], str]:
+def _load(path: Path, names: Mapping[Address, Object]) -> tuple[list[Found], str]:
     """Return the content of a file that this user wrote, and why it cannot be used, "" where it can."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
@@ -371,19 +296,14 @@ def _load(path: Path) -> tuple[list[Found], str]:
             content = json.load(file)
             if content["version"] != _VERSION:
                 return [], "it has another version"
-            return [_entry(one) for one in content["entries"]], ""
+            return [_entry(one, names) for one in content["entries"]], ""
         except (ValueError, KeyError, TypeError) as error:
             return [], f"it is damaged ({error})"
 
 
-def _entry(one: dict[str, Any]) -> Found:
+def _entry(one: dict[str, Any], names: Mapping[Address, Object]) -> Found:
     address = int(one["index"]), int(one["subindex"])
     found = None if one["found"] is None else bytes.fromhex(one["found"])
     written = [bytes.fromhex(data) for data in one["written"]]
-    entry = cia301.TABLE.get(address) or Object(address[0], "(kept)", DataType.UNSIGNED32, address[1])
+    entry = names.get(address) or Object(address[0], "(kept)", DataType.UNSIGNED32, address[1])
     return Found(entry, found, written)
-
-
-def hexadecimal(data: bytes | None) -> str:
-    """Return the content of an object as a number: ``007E003Ch``."""
-    return "not shown" if data is None else f"{int.from_bytes(data, 'little'):0{2 * len(data)}X}h"

@@ -1,10 +1,8 @@
 """What a drive held before a run, written back in an order that the drive accepts."""
 
-from friction_hil_drivers.canopen import codes
-from friction_hil_drivers.canopen.journal import Journal
+from friction_hil_drivers.cia402.access import RefusedError
+from friction_hil_drivers.cia402.journal import Journal
 from friction_hil_drivers.cia402.objects import INTERPOLATION_EXPONENT, INTERPOLATION_PERIOD
-
-from friction_hil.errors import DriveError
 
 
 class Interpolator:
@@ -25,7 +23,7 @@ class Interpolator:
             for each in (INTERPOLATION_PERIOD, INTERPOLATION_EXPONENT)
         )
         if entry == INTERPOLATION_PERIOD and period * 10.0**exponent < 0.99e-4:
-            raise DriveError("refused", code=codes.SDO_ABORT)
+            raise RefusedError("refused")
         self.values = values
 
 

@@ -1,25 +1,70 @@
-"""PDOs, emergencies and heartbeats as bytes and as values. Pure: no bus, no clock, no state from cycle to cycle."""
+"""The cyclic image of a drive as bytes and as values. Pure: no bus, no clock, no state from cycle to cycle."""
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from friction_hil.drive import Command, DriveState, Mode, Request
 from friction_hil.drive.encoder import derived_velocity
-from friction_hil_drivers.canopen.cia301 import Frame
-from friction_hil_drivers.canopen.mapping import TARGETS, MappedPdo
-from friction_hil_drivers.canopen.units import COUNTER_BITS, PER_MILLE, CanopenUnits
 from friction_hil_drivers.cia402 import objects, profile
 from friction_hil_drivers.cia402.objects import Object
 from friction_hil_drivers.cia402.profile import drive_state
+from friction_hil_drivers.cia402.units import COUNTER_BITS, PER_MILLE, DriveUnits
 
 _HALF, _MASK = 1 << (COUNTER_BITS - 1), (1 << COUNTER_BITS) - 1
 _make = tuple.__new__  # what the constructor of a named tuple calls
 _COMMANDED = 3  # values of a command: controlword, target, torque
 
-_EMERGENCY_CODE = struct.Struct("<H")  # then the error register and 5 bytes of the manufacturer; some drives send less
-_NMT_STATE = 0x7F  # bits of a heartbeat's byte; the upper one is the toggle bit of node guarding
+FEEDBACK = (
+    (objects.STATUSWORD, objects.POSITION_ACTUAL, objects.TORQUE_ACTUAL),
+    (objects.VELOCITY_ACTUAL, objects.MODE_DISPLAY),
+)
+COMMANDS = {
+    Mode.CSP: (objects.CONTROLWORD, objects.TARGET_POSITION, objects.TORQUE_OFFSET),
+    Mode.CSV: (objects.CONTROLWORD, objects.TARGET_VELOCITY, objects.TORQUE_OFFSET),
+    Mode.CST: (objects.CONTROLWORD, objects.TARGET_TORQUE),
+}
+TARGETS = {
+    Mode.CSP: objects.TARGET_POSITION,
+    Mode.CSV: objects.TARGET_VELOCITY,
+    Mode.CST: objects.TARGET_TORQUE,
+}
+_FORMATS = {8: "b", 16: "h", 32: "i", 64: "q"}  # of `struct`, for signed integers by their width
+
+
+class Block(Protocol):
+    """Objects in bytes that are exchanged in each cycle: a PDO on CAN, a part of the process image on EtherCAT."""
+
+    @property
+    def entries(self) -> tuple[Object, ...]:
+        """Objects in the order of their bytes; of feedback those that are used, and the layout skips the others."""
+
+    @property
+    def layout(self) -> struct.Struct:
+        """Layout of the bytes, with the widths that the drive itself gives its objects."""
+
+    @property
+    def carried(self) -> Mapping[Object, bytes]:
+        """Constant content of those entries of a command that are not commanded."""
+
+
+def place(blocks: Sequence[Block], entry: Object) -> tuple[int, int]:
+    """Return the number of the block that carries an object, and the object's place in it."""
+    ((number, position),) = [
+        (n, k) for n, block in enumerate(blocks) for k, each in enumerate(block.entries) if each == entry
+    ]
+    return number, position
+
+
+def field_format(entry: Object, bits: int) -> str:
+    """Return the format character of `struct` for an object of ``bits`` bits."""
+    return _FORMATS[bits] if entry.type.is_signed else _FORMATS[bits].upper()
+
+
+def block_layout(entries: Sequence[Object], widths: Sequence[int]) -> struct.Struct:
+    """Return the layout of a block that carries ``entries``, with their widths in bits on this drive."""
+    return struct.Struct("<" + "".join(field_format(entry, bits) for entry, bits in zip(entries, widths, strict=True)))
 
 
 class Measurement(NamedTuple):
@@ -48,14 +93,14 @@ class Measurement(NamedTuple):
 
 
 class FeedbackDecoder:
-    """Decoder of the TPDOs of one drive, whatever they carry and in whatever order.
+    """Decoder of the feedback of one drive, whatever its blocks carry and in whatever order.
 
     Parameters
     ----------
-    tpdos : sequence of MappedPdo
+    blocks : sequence of Block
         Statusword and position are among their entries. A velocity that is not is derived from the position; a torque
         that is not is reported as 0; a mode that is not is taken to be the one that was set.
-    units : CanopenUnits
+    units : DriveUnits
     mode : Mode
         Mode of operation that was set.
     period_s : float
@@ -75,17 +120,17 @@ class FeedbackDecoder:
         "_without",
     )
 
-    def __init__(self, tpdos: Sequence[MappedPdo], units: CanopenUnits, mode: Mode, period_s: float) -> None:
-        self._unpack = [pdo.layout.unpack_from for pdo in tpdos]
-        together = struct.Struct("<" + "".join(pdo.layout.format.removeprefix("<") for pdo in tpdos))
+    def __init__(self, blocks: Sequence[Block], units: DriveUnits, mode: Mode, period_s: float) -> None:
+        self._unpack = [block.layout.unpack_from for block in blocks]
+        together = struct.Struct("<" + "".join(block.layout.format.removeprefix("<") for block in blocks))
         self._unpack_all, self._size = together.unpack, together.size
         self._counts_per_unit, self._velocity_per_unit = units.counts_per_unit, units.velocity_per_unit
         self._rated_torque = units.rated_torque
         self._period_s = period_s
         slots: dict[Object, int] = {}
-        # objects that no TPDO carries are read from before the values of the frames
+        # objects that no block carries are read from before the values of the blocks
         self._without = (0, int(mode))
-        for slot, entry in enumerate((entry for pdo in tpdos for entry in pdo.entries), len(self._without)):
+        for slot, entry in enumerate((entry for block in blocks for entry in block.entries), len(self._without)):
             slots.setdefault(entry, slot)
         self._has_velocity = objects.VELOCITY_ACTUAL in slots
         self._pick = itemgetter(
@@ -97,12 +142,12 @@ class FeedbackDecoder:
         )
 
     def decode(self, frames: Sequence[bytes], before: Measurement, elapsed_s: float = 0.0) -> Measurement:
-        """Decode the TPDOs of one cycle.
+        """Decode the feedback of one cycle.
 
         Parameters
         ----------
         frames : sequence of bytes
-            Data of each TPDO; what is longer than its mapping is ignored.
+            Data of each block; what is longer than its mapping is ignored.
         before : Measurement
             The one before; the position follows its counter, given that it moved by less than 2^31 since.
         elapsed_s : float
@@ -124,7 +169,7 @@ class FeedbackDecoder:
         return _make(Measurement, (state, counts, position, velocity, si_torque, mode, statusword))
 
     def _unpack_longer(self, frames: Sequence[bytes]) -> tuple[int, ...]:
-        """Return the values of TPDOs some of which are longer than their mapping."""
+        """Return the values of blocks some of which are longer than their mapping."""
         return tuple(value for unpack, data in zip(self._unpack, frames, strict=True) for value in unpack(data))
 
 
@@ -145,44 +190,45 @@ def next_controlword(state: DriveState, request: Request, before: int) -> int:
 
 
 class CommandEncoder:
-    """Encoder of the RPDOs of one drive, whatever they carry and in whatever order.
+    """Encoder of the commands to one drive, whatever its blocks carry and in whatever order.
 
     Parameters
     ----------
-    rpdos : sequence of MappedPdo
-        Controlword and the target of the mode are among their entries. A torque offset that is not is not sent.
+    blocks : mapping of int to Block
+        By where they go: the identifier of a frame, or an offset in the process image. Controlword and the target of
+        the mode are among their entries. A torque offset that is not is not sent.
     mode : Mode
-    units : CanopenUnits
+    units : DriveUnits
     """
 
-    __slots__ = ("_carried", "_cob_id", "_is_csp", "_is_csv", "_pack", "_pdos", "_units")
+    __slots__ = ("_address", "_blocks", "_carried", "_is_csp", "_is_csv", "_pack", "_units")
 
-    def __init__(self, rpdos: Sequence[MappedPdo], mode: Mode, units: CanopenUnits) -> None:
+    def __init__(self, blocks: Mapping[int, Block], mode: Mode, units: DriveUnits) -> None:
         self._is_csp, self._is_csv = mode is Mode.CSP, mode is Mode.CSV
         self._units = units
         slots = {objects.CONTROLWORD: 0, TARGETS[mode]: 1}
         if mode is not Mode.CST:
             slots[objects.TORQUE_OFFSET] = 2
-        # the values of each PDO are picked out of the commanded ones and, behind them, the constant ones of all PDOs
+        # the values of each block are picked out of the commanded ones and, behind them, the constant ones of all
         constants: list[bytes] = []
-        self._pdos = []
-        # the usual mapping: one RPDO with the commanded values in their order
-        self._cob_id, self._pack = 0, None
-        for pdo in rpdos:
+        self._blocks = []
+        # the usual mapping: one block with the commanded values in their order
+        self._address, self._pack = 0, None
+        for address, block in blocks.items():
             picked = []
-            for entry in pdo.entries:
+            for entry in block.entries:
                 if entry in slots:
                     picked.append(slots[entry])
                 else:
                     picked.append(_COMMANDED + len(constants))
-                    constants.append(pdo.carried[entry])
-            self._pdos.append((pdo.cob_id, pdo.layout.pack, _picker(picked)))
-            if len(rpdos) == 1 and picked == list(range(_COMMANDED)):
-                self._cob_id, self._pack = pdo.cob_id, pdo.layout.pack
+                    constants.append(block.carried[entry])
+            self._blocks.append((address, block.layout.pack, _picker(picked)))
+            if len(blocks) == 1 and picked == list(range(_COMMANDED)):
+                self._address, self._pack = address, block.layout.pack
         self._carried = tuple(constants)
 
-    def encode(self, controlword: int, command: Command) -> list[Frame]:
-        """Return the frames of a command, in the order of the RPDOs.
+    def encode(self, controlword: int, command: Command) -> list[tuple[int, bytes]]:
+        """Return where each block of a command goes and its bytes, in the order of the blocks.
 
         Raises
         ------
@@ -198,32 +244,11 @@ class CommandEncoder:
         else:
             target = torque
         if self._pack is not None:
-            return [(self._cob_id, self._pack(controlword, target, torque))]
+            return [(self._address, self._pack(controlword, target, torque))]
         values = (controlword, target, torque, *self._carried)
-        return [(cob_id, pack(*pick(values))) for cob_id, pack, pick in self._pdos]
+        return [(address, pack(*pick(values))) for address, pack, pick in self._blocks]
 
 
 def _picker(slots: Sequence[int]) -> Callable[[Sequence[Any]], Sequence[Any]]:
     """Return a function that picks the values at ``slots``."""
     return itemgetter(*slots) if len(slots) > 1 else itemgetter(slice(slots[0], slots[0] + 1))
-
-
-def emergency_code(data: bytes) -> int | None:
-    """Return the error code of an emergency message, None for a message too short to have one."""
-    return _EMERGENCY_CODE.unpack_from(data)[0] if len(data) >= _EMERGENCY_CODE.size else None
-
-
-def emergency_text(data: bytes) -> str:
-    """Return an emergency message in words: error code, error register, the manufacturer's bytes if there are any."""
-    code = emergency_code(data)
-    if code is None:
-        return f"emergency without an error code: {len(data)} bytes {data.hex(' ')}".rstrip()
-    text = f"emergency {profile.error_text(code)}" if code else "emergency 0000h: the drive reports no error any more"
-    if len(data) > _EMERGENCY_CODE.size:
-        text += f", error register {data[2]:02X}h"
-    return f"{text}, {data[3:].hex(' ')}" if any(data[3:]) else text
-
-
-def decode_heartbeat(data: bytes) -> int | None:
-    """Return the NMT state in a heartbeat, None for an empty message."""
-    return data[0] & _NMT_STATE if data else None

@@ -4,13 +4,13 @@ import math
 import struct
 
 import pytest
-from friction_hil_drivers.canopen.units import CanopenUnits, wrap
+from friction_hil_drivers.cia402.units import DriveUnits, wrap
 from hypothesis import given
 from hypothesis import strategies as st
 
 COUNTS = 1048576 / (2.0 * math.pi)
-UNITS = CanopenUnits(COUNTS, COUNTS, 0.64)
-INVERTED = CanopenUnits(-COUNTS, -COUNTS, -0.64)
+UNITS = DriveUnits(COUNTS, COUNTS, 0.64)
+INVERTED = DriveUnits(-COUNTS, -COUNTS, -0.64)
 both = pytest.mark.parametrize("units", [UNITS, INVERTED])
 
 
@@ -48,14 +48,14 @@ def test_a_torque_is_rounded_towards_zero(units, torque):
 
 @pytest.mark.parametrize(("torque", "rated", "per_mille"), [(0.3, 0.64, 468), (0.03, 50.0, 0), (0.0999, 50.0, 1)])
 def test_no_torque_becomes_larger_than_it_was_commanded(torque, rated, per_mille):
-    units = CanopenUnits(COUNTS, COUNTS, rated)
+    units = DriveUnits(COUNTS, COUNTS, rated)
     assert units.torque_per_mille(torque) == per_mille
     assert units.torque_per_mille(-torque) == -per_mille
 
 
 @given(st.integers(-32767, 32767), st.floats(1e-3, 1e4))
 def test_a_torque_of_whole_steps_comes_back(per_mille, rated):
-    units = CanopenUnits(COUNTS, COUNTS, rated)
+    units = DriveUnits(COUNTS, COUNTS, rated)
     assert units.torque_per_mille(units.torque(per_mille)) == per_mille
 
 

@@ -1,4 +1,4 @@
-"""Temperature of a motor or drive, in a TPDO that has room for it, else read by SDO now and then.
+"""Temperature of a motor or drive, in the feedback of a cycle that has room for it, else read now and then.
 
 Neither CiA 301 nor CiA 402 has an object for it.
 """
@@ -6,19 +6,16 @@ Neither CiA 301 nor CiA 402 has an object for it.
 import math
 import struct
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes
-from friction_hil_drivers.canopen.dialogue import Transfer, Upload
-from friction_hil_drivers.canopen.mapping import MappedPdo, place
+from friction_hil_drivers.cia402 import codes
+from friction_hil_drivers.cia402.access import ObjectReader, Reading
+from friction_hil_drivers.cia402.codec import Block, place
 from friction_hil_drivers.cia402.objects import DataType, Object
-
-if TYPE_CHECKING:
-    from friction_hil_drivers.cia402.access import ObjectReader
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 _TYPES = {
@@ -78,7 +75,7 @@ class TemperatureOptions(BaseModel):
         return number * self.scale + self.offset
 
 
-def read_first(access: "ObjectReader", options: TemperatureOptions) -> float:
+def read_first(access: ObjectReader, options: TemperatureOptions) -> float:
     """Read the temperature before the cyclic phase, deg C.
 
     Raises
@@ -100,25 +97,25 @@ def read_first(access: "ObjectReader", options: TemperatureOptions) -> float:
 
 
 class MappedTemperature:
-    """Temperature from the TPDOs of each cycle.
+    """Temperature from the feedback of each cycle.
 
     Parameters
     ----------
-    tpdos : sequence of MappedPdo
+    blocks : sequence of Block
         One of them carries the object.
     options : TemperatureOptions
     """
 
     __slots__ = ("_convert", "_number", "_place", "_unpack")
 
-    def __init__(self, tpdos: Sequence[MappedPdo], options: TemperatureOptions) -> None:
-        self._number, self._place = place(tpdos, options.entry)
-        self._unpack = tpdos[self._number].layout.unpack_from
+    def __init__(self, blocks: Sequence[Block], options: TemperatureOptions) -> None:
+        self._number, self._place = place(blocks, options.entry)
+        self._unpack = blocks[self._number].layout.unpack_from
         self._convert = options.convert
 
-    def take(self, frames: Sequence[bytes]) -> float:
-        """Return the temperature in the data of all TPDOs of a complete cycle, deg C; NaN for a float that is none."""
-        return self._convert(self._unpack(frames[self._number])[self._place])
+    def take(self, data: Sequence[bytes]) -> float:
+        """Return the temperature in all blocks of a complete cycle, deg C; NaN for a float that is none."""
+        return self._convert(self._unpack(data[self._number])[self._place])
 
 
 class TemperatureRead:
@@ -156,24 +153,24 @@ class TemperatureRead:
         if self._options is not None:
             self.due_ns = now_ns + self._interval_ns
 
-    def request(self, now_ns: int) -> Transfer | None:
-        """Return the reading that is due."""
+    def request(self, now_ns: int) -> Object | None:
+        """Return the object whose reading is due."""
         if self._options is None or now_ns < self.due_ns:
             return None
         self.due_ns = now_ns + self._interval_ns
-        return Upload(self._options.entry)
+        return self._options.entry
 
-    def take(self, transfer: Transfer, now_ns: int) -> None:
+    def take(self, reading: Reading, now_ns: int) -> None:
         """Take a reading once it is over."""
         assert self._options is not None
-        value = self._options.decode(transfer.data or b"")
+        value = self._options.decode(reading.data or b"")
         if math.isfinite(value):
             self.value, self._failed = value, 0
             return
         self._failed += 1
         if self._failed == _PATIENCE:
             self.value = math.nan
-            answer = "answers with no number" if transfer.is_accepted else "refuses it"
-            why = "does not answer" if transfer.is_silent else answer
+            answer = "answers with no number" if reading.data is not None else "refuses it"
+            why = "does not answer" if reading.is_silent else answer
             text = f"{self._options.entry} was not read {_PATIENCE} times in a row: the drive {why}"
             self.notice = coded(text, codes.OBJECT_MISSING)
