@@ -8,10 +8,10 @@ from typing import Any
 
 import can
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
-from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
+from friction_hil_drivers.canopen.simulated.eds_dictionary import eds_dictionary
 from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.node import SimulatedNode
+from friction_hil_drivers.cia402.simulated.drive import SimulatedCia402Drive
 
 from friction_hil.drive import Mode
 from friction_hil.servo.config import ServoConfig
@@ -48,7 +48,7 @@ class Bench:
         wanted = Manners.model_validate(manners or {})
         self.node = SimulatedNode(
             number,
-            Dictionary.from_eds(eds, number, missing),
+            eds_dictionary(eds, number, missing),
             lambda dictionary, emergencies: SimulatedCia402Drive(self.servo, dictionary, emergencies, modes, wanted),
             lambda can_id, data: self.sent.append((can_id, bytes(data))),
             sync_steps=STEPS_PER_MS if is_paced_by_sync else None,

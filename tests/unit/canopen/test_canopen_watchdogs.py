@@ -8,9 +8,8 @@ import struct
 import can
 import pytest
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.simulated.dictionary import SdoAbortError
 from friction_hil_drivers.canopen.watchdogs import Feeder, Watch, feeders
-from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.access import Abort, AbortError
 
 from friction_hil.config.schema import Realtime
 from friction_hil.daemon.realtime import SteppedClock
@@ -153,7 +152,7 @@ def synchronous_only(bench):
 
     def write(value):
         if value > 240:
-            raise SdoAbortError(Abort.VALUE)
+            raise AbortError(Abort.VALUE)
         accept(value)
 
     entry.on_write = write
@@ -192,7 +191,7 @@ def coarse(least_ms):
 
         def write(value):
             if 0 < value & 0xFFFF < least_ms:
-                raise SdoAbortError(Abort.VALUE)
+                raise AbortError(Abort.VALUE)
             accept(value)
 
         entry.on_write = write

@@ -10,7 +10,7 @@ import pytest
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
 from friction_hil_drivers.canopen.eds_check import compare_eds
 from friction_hil_drivers.canopen.options import CanopenOptions
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
+from friction_hil_drivers.canopen.simulated.eds_dictionary import eds_dictionary
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
@@ -83,7 +83,7 @@ def used(path):
             for mode in (Mode.CSP, Mode.CST)
             for reason in compare_eds(dictionary, mode, CanopenOptions(node=5), is_compensated=True)
         ]
-        return reasons, Dictionary.from_eds(path, 5).notes
+        return reasons, eds_dictionary(path, 5).notes
 
 
 def write(folder, text):

@@ -8,7 +8,7 @@ import canopen
 import pytest
 from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
+from friction_hil_drivers.canopen.simulated.eds_dictionary import eds_dictionary
 from friction_hil_drivers.cia402.objects import DataType
 
 from friction_hil.errors import UsageError
@@ -145,7 +145,7 @@ def test_unreadable_eds_is_a_clear_error(tmp_path: Path, name: str, text: str | 
     if text is not None:
         path.write_text(text)
     with pytest.raises(UsageError, match=message) as info:
-        Dictionary.from_eds(path, NODE)
+        eds_dictionary(path, NODE)
     assert name in str(info.value)
 
 

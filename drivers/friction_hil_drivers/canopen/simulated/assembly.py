@@ -7,11 +7,12 @@ from friction_hil.drive import Mode
 from friction_hil.errors import UsageError
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
-from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
+from friction_hil_drivers.canopen.simulated.eds_dictionary import eds_dictionary
 from friction_hil_drivers.canopen.simulated.node import SimulatedNode
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions
 from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.simulated.dictionary import Dictionary
+from friction_hil_drivers.cia402.simulated.drive import SimulatedCia402Drive
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
@@ -68,7 +69,7 @@ def _dictionary(configuration: "Configuration", number: int, simulation: Simulat
     if shown.eds is not None:
         source = configuration.source_path
         path = shown.eds if source is None else source.parent / shown.eds
-    dictionary = Dictionary.from_eds(path, number, shown.missing)
+    dictionary = eds_dictionary(path, number, shown.missing)
     for entry, value in (
         (objects.VENDOR_ID, shown.vendor_id),
         (objects.PRODUCT_CODE, shown.product_code),

@@ -4,9 +4,9 @@ import random
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
 from friction_hil_drivers.canopen.simulated.scenario import Event
 from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.simulated.dictionary import Dictionary
 from friction_hil_drivers.cia402.units import wrap
 
 _MS, _NS = 1_000_000, 1_000_000_000

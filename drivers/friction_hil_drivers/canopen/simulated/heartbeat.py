@@ -1,8 +1,8 @@
 """Error control of a simulated node: its heartbeat (1017h), those it watches (1016h), node guarding (100Ch, 100Dh)."""
 
 from friction_hil_drivers.canopen import cia301
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, Entry, SdoAbortError
-from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.access import Abort, AbortError
+from friction_hil_drivers.cia402.simulated.dictionary import Dictionary, Entry
 
 _MS = 1_000_000  # ns
 
@@ -79,10 +79,10 @@ class Consumer:
     def _write(self, entry: Entry, value: int) -> None:
         node = value >> 16
         if node > 127:
-            raise SdoAbortError(Abort.VALUE)
+            raise AbortError(Abort.VALUE)
         others = (other.value for other in self._entries if other is not entry)
         if _interval_ns(value) and any(_interval_ns(other) and other >> 16 == node for other in others):
-            raise SdoAbortError(Abort.INCOMPATIBLE)
+            raise AbortError(Abort.INCOMPATIBLE)
         for changed in (entry.value >> 16, node):
             self._deadlines_ns.pop(changed, None)
             self._missing.discard(changed)

@@ -1,16 +1,11 @@
-"""Manners of a simulated drive: how it deviates from the drive that does everything well."""
+"""Manners of a simulated node: how it deviates from the one that does everything well."""
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from friction_hil_drivers.canopen.simulated.scenario import Event
-from friction_hil_drivers.canopen.simulated.units import VelocityUnit
-
-Unsigned8 = Annotated[int, Field(ge=0, le=0xFF)]
-Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFFFFFF)]
-Index = Annotated[int, Field(ge=0x1000, le=0xFFFF)]
-Seconds = Annotated[float, Field(ge=0.0, le=3600.0, allow_inf_nan=False)]
+from friction_hil_drivers.cia402.simulated.manners import DriveManners, Index, Seconds, Unsigned8, Unsigned32
 
 
 class SdoManner(BaseModel):
@@ -33,20 +28,8 @@ class SdoManner(BaseModel):
         return index == self.index and self.subindex in (None, subindex) and self.access in ("any", access)
 
 
-class Preset(BaseModel):
-    """Value of an object at power-on."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    index: Index
-    subindex: Unsigned8 = 0
-    value: int
-
-
-class Manners(BaseModel):
-    """What real drives do differently from each other. Not given: as the own simulated drive does it."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class Manners(DriveManners):
+    """What real drives do differently from each other on CANopen. Not given: as the own simulated drive does it."""
 
     timer_at_sync_only: bool = Field(
         False,
@@ -58,37 +41,6 @@ class Manners(BaseModel):
         description="leaving Operational is a lost connection (6007h) to a powered drive; false: it goes on with its "
         "last set-points and heeds no RPDO, as CANopenNode does",
     )
-    faults_without_power: bool = Field(
-        False, description="a lost connection leads to Fault (6007h = 1) also while the drive has no power"
-    )
-    switch_on_s: Seconds = Field(0.0, description="time from the command to Switched On, s")
-    enable_s: Seconds = Field(0.0, description="time from the command to Operation Enabled, s, e.g. of a brake")
-    controlword: Literal["level", "edge", "twice"] = Field(
-        "level",
-        description="level: acts as long as it asks for a transition; edge: acts when it changes; twice: acts when it "
-        "came twice in a row",
-    )
     events: tuple[Event, ...] = Field((), description="what goes wrong, and when")
     sdo_delay_s: Seconds = Field(0.0, description="delay of every SDO answer, s, in real time")
     sdo: tuple[SdoManner, ...] = Field((), description="how some objects are answered; the first that fits counts")
-    velocity_unit: str | None = Field(
-        None,
-        description="unit of 60FFh, 606Ch, 606Bh, 60B1h, e.g. rpm, 0.1 rpm or rad/s, told by 60A9h unless that is "
-        "missing; counts/s when not given",
-    )
-    is_inverted: bool = Field(False, description="the positive direction on the bus is the servo's negative one")
-    is_reversed: bool = Field(
-        False, description="targets and offsets of velocity and torque act against the direction of the position"
-    )
-    values: tuple[Preset, ...] = Field(
-        (),
-        description="values of objects at power-on; 608Fh, 6076h, 60A9h and 6502h are only shown, so that a drive can "
-        "report what is not so",
-    )
-
-    @field_validator("velocity_unit")
-    @classmethod
-    def _check_velocity_unit(cls, text: str | None) -> str | None:
-        if text is not None:
-            VelocityUnit.parse(text)
-        return text

@@ -6,16 +6,16 @@ from functools import partial
 
 from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.cia301 import NmtCommand, NmtState
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.disturbances import DisturbedWire, ShownValues
-from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
-from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.heartbeat import Consumer, LifeGuard, Producer
 from friction_hil_drivers.canopen.simulated.manners import Manners
-from friction_hil_drivers.canopen.simulated.pdo import Rpdo, Tpdo
+from friction_hil_drivers.canopen.simulated.pdo import Rpdo, Tpdo, pdo_numbers
 from friction_hil_drivers.canopen.simulated.scenario import Event, Timeline
 from friction_hil_drivers.canopen.simulated.slow_sdo import SlowSdoServer
-from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.access import Abort, AbortError
+from friction_hil_drivers.cia402.simulated.dictionary import Dictionary
+from friction_hil_drivers.cia402.simulated.drive import SimulatedCia402Drive
+from friction_hil_drivers.cia402.simulated.emergency import Emergencies
 
 COMMUNICATION, HEARTBEAT_LOST, RPDO_TOO_SHORT, RPDO_TIMEOUT, SYNC_LOST = 0x8100, 0x8130, 0x8210, 0x8250, 0x8700
 _CONNECTION_ERRORS = (COMMUNICATION, HEARTBEAT_LOST, RPDO_TIMEOUT, SYNC_LOST)
@@ -25,10 +25,6 @@ _OPERATIONAL = NmtState.OPERATIONAL
 _POLL_NS = 1_000_000
 _LOCKED_PERIODS = 10  # without SYNC after which the drive's clock runs free again
 _S, _US = 1_000_000_000, 1_000  # ns
-
-
-def _numbers(dictionary: Dictionary, kind: type[Rpdo] | type[Tpdo]) -> list[int]:
-    return dictionary.numbers(kind.parameter_base, kind.mapping_base, cia301.PDO_COUNT)
 
 
 class SimulatedNode:
@@ -106,8 +102,12 @@ class SimulatedNode:
         self._consumer = Consumer(dictionary)
         self._guard = LifeGuard(dictionary)
         self._shown = ShownValues(dictionary, self._manners.events)
-        self._rpdos = [Rpdo(number, dictionary) for number in _numbers(dictionary, Rpdo)]
-        self._tpdos = [Tpdo(number, dictionary) for number in _numbers(dictionary, Tpdo)]
+        self._rpdos = [
+            Rpdo(number, dictionary) for number in pdo_numbers(dictionary, Rpdo.parameter_base, Rpdo.mapping_base)
+        ]
+        self._tpdos = [
+            Tpdo(number, dictionary) for number in pdo_numbers(dictionary, Tpdo.parameter_base, Tpdo.mapping_base)
+        ]
         self._sync_id = dictionary.of(cia301.SYNC_COB_ID)
         self._sync_id.on_write = self._write_sync_id
         self._sync_period = dictionary.of(cia301.COMMUNICATION_CYCLE_PERIOD)
@@ -428,11 +428,11 @@ class SimulatedNode:
 
     def _write_sync_id(self, value: int) -> None:
         if value & ~0x7FF or value == 0:  # bit 30, of a producer, is not supported
-            raise SdoAbortError(Abort.VALUE)
+            raise AbortError(Abort.VALUE)
 
     def _write_emergency_id(self, value: int) -> None:
         if not value & cia301.PDO_INVALID and (value & ~0x7FF or value == 0):
-            raise SdoAbortError(Abort.VALUE)
+            raise AbortError(Abort.VALUE)
 
     def _forget_sync(self, _: int) -> None:
         self._sync_deadline_ns = None

@@ -7,7 +7,8 @@ from pydantic import Field
 
 from friction_hil.config.trajectories import Circle, Hold, Sine, Triangle
 from friction_hil.servo.config import ServoConfig
-from friction_hil_drivers.canopen.simulated.manners import Index, Manners, Unsigned32
+from friction_hil_drivers.canopen.simulated.manners import Manners
+from friction_hil_drivers.cia402.simulated.manners import Index, Unsigned32
 
 
 class CanopenSimulation(Manners):

@@ -4,16 +4,24 @@ import struct
 from collections.abc import Sequence
 
 from friction_hil_drivers.canopen import cia301
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, Entry, SdoAbortError
-from friction_hil_drivers.canopen.simulated.wire_types import Value, WireType
-from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.access import Abort, AbortError
 from friction_hil_drivers.cia402.objects import DataType
+from friction_hil_drivers.cia402.simulated.dictionary import Dictionary, Entry
+from friction_hil_drivers.cia402.simulated.wire_types import Value, WireType
 
 _LARGEST_SYNCHRONOUS = 240
 _MOST_ENTRIES = 64
 _EVENT_DRIVEN = (254, 255)
 _DUMMIES = range(0x0002, 0x0008)  # data types that may stand for "ignore" in an RPDO
 _MS, _INHIBIT_UNIT = 1_000_000, 100_000  # ns
+
+
+def pdo_numbers(dictionary: Dictionary, parameter: int, mapping: int) -> list[int]:
+    """Return the numbers of the PDOs, counted from 0, whose records start at two indices."""
+    if not dictionary.is_foreign:
+        return list(range(cia301.PDO_COUNT))
+    found = {parameter + number for number in range(512)} & dictionary.indices
+    return sorted(index - parameter for index in found if index - parameter + mapping in dictionary.indices)
 
 
 def _is_restricted(can_id: int) -> bool:
@@ -92,7 +100,7 @@ class SimulatedPdo:
         try:
             mapping = [entry.value for entry in self._mapped[: self._count.value]]
             self._entries = [self._resolve(word, is_default=True) for word in mapping]
-        except SdoAbortError:  # the default mapping names an object that this drive lacks
+        except AbortError:  # the default mapping names an object that this drive lacks
             self._entries = []
         self._layout = _layout(self._entries)
         self.size = self._layout.size
@@ -104,33 +112,33 @@ class SimulatedPdo:
 
     def _require_disabled(self) -> None:
         if not self._cob_id.value & cia301.PDO_INVALID:
-            raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
+            raise AbortError(Abort.UNSUPPORTED_ACCESS)
 
     def _write_cob_id(self, value: int) -> None:
         if not value & cia301.PDO_INVALID:
             if self._cob_id.value & 0x1FFFFFFF != value & 0x1FFFFFFF:
                 self._require_disabled()
             if value & 0x3FFFF800 or _is_restricted(value & 0x7FF):
-                raise SdoAbortError(Abort.VALUE)
+                raise AbortError(Abort.VALUE)
         self.is_stale = True
 
     def _write_type(self, value: int) -> None:
         if value > _LARGEST_SYNCHRONOUS and value not in _EVENT_DRIVEN:
-            raise SdoAbortError(Abort.VALUE)
+            raise AbortError(Abort.VALUE)
         self.is_stale = True
 
     def _write_count(self, value: int) -> None:
         self._require_disabled()
         if value > len(self._mapped):
-            raise SdoAbortError(Abort.TOO_HIGH)
+            raise AbortError(Abort.TOO_HIGH)
         if sum(self._resolve(entry.value).type.bits for entry in self._mapped[:value]) > 64:
-            raise SdoAbortError(Abort.PDO_TOO_LONG)
+            raise AbortError(Abort.PDO_TOO_LONG)
         self.is_stale = True
 
     def _write_mapping(self, value: int) -> None:
         self._require_disabled()
         if self._count.value != 0:
-            raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
+            raise AbortError(Abort.UNSUPPORTED_ACCESS)
         if value != 0:
             self._resolve(value)
 
@@ -145,13 +153,13 @@ class SimulatedPdo:
         else:
             try:
                 entry = self._dictionary.find(index, subindex)
-            except SdoAbortError as error:
-                raise SdoAbortError(Abort.NOT_MAPPABLE) from error
+            except AbortError as error:
+                raise AbortError(Abort.NOT_MAPPABLE) from error
             may_be_mapped = entry.is_writable if self._is_receive else entry.is_readable
             if not (is_default or (entry.is_mappable and may_be_mapped)):
-                raise SdoAbortError(Abort.NOT_MAPPABLE)
+                raise AbortError(Abort.NOT_MAPPABLE)
         if bits == 0 or bits != entry.type.bits:
-            raise SdoAbortError(Abort.NOT_MAPPABLE)
+            raise AbortError(Abort.NOT_MAPPABLE)
         return entry
 
 
@@ -179,7 +187,7 @@ class Rpdo(SimulatedPdo):
         for entry, value in zip(self._entries, self._layout.unpack_from(data), strict=True):
             try:
                 entry.write(value)
-            except SdoAbortError:
+            except AbortError:
                 continue
 
 

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from friction_hil_drivers.canopen import dialogue as sdo
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, Entry, SdoAbortError
-from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.access import Abort, AbortError
+from friction_hil_drivers.cia402.simulated.dictionary import Dictionary, Entry
 
 _LARGEST = 4096  # bytes of one object: a faulty client must not fill the memory
 
@@ -63,9 +63,9 @@ class SdoServer:
             self._transfer = None
         try:
             if specifier not in self._services:  # block transfer is optional
-                raise SdoAbortError(Abort.COMMAND)
+                raise AbortError(Abort.COMMAND)
             self._services[specifier](data)
-        except SdoAbortError as error:
+        except AbortError as error:
             self._transfer = None
             self._send(sdo.abort((index, subindex), error.code))
 
@@ -95,7 +95,7 @@ class SdoServer:
         command, index, subindex = sdo.HEAD.unpack_from(data)
         entry = self._dictionary.find(index, subindex)
         if not entry.is_writable:
-            raise SdoAbortError(Abort.READ_ONLY)
+            raise AbortError(Abort.READ_ONLY)
         if command & sdo.EXPEDITED:
             size = entry.type.bits // 8 or 4
             if command & sdo.SIZE_INDICATED:
@@ -104,7 +104,7 @@ class SdoServer:
         else:
             announced = sdo.LAST_FOUR.unpack_from(data, 4)[0] if command & sdo.SIZE_INDICATED else None
             if announced is not None and entry.type.bits and announced * 8 != entry.type.bits:
-                raise SdoAbortError(Abort.LENGTH)
+                raise AbortError(Abort.LENGTH)
             self._transfer = _Transfer(entry, is_upload=False, size=announced)
         self._send(sdo.HEAD.pack(sdo.ANSWERS[sdo.DOWNLOAD], index, subindex) + bytes(4))
 
@@ -113,10 +113,10 @@ class SdoServer:
         transfer = self._expected(command, is_upload=False)
         transfer.data += data[1 : 8 - (command >> 1 & 7)]
         if len(transfer.data) > _LARGEST:
-            raise SdoAbortError(Abort.OUT_OF_MEMORY)
+            raise AbortError(Abort.OUT_OF_MEMORY)
         if command & sdo.LAST:
             if transfer.size not in (None, len(transfer.data)):
-                raise SdoAbortError(Abort.LENGTH)
+                raise AbortError(Abort.LENGTH)
             transfer.entry.download(bytes(transfer.data))
             self._transfer = None
         self._send(bytes([sdo.ANSWERS[sdo.DOWNLOAD_SEGMENT] | transfer.toggle]) + bytes(7))
@@ -126,7 +126,7 @@ class SdoServer:
         """Return the transfer that a segment belongs to; abort where it belongs to none."""
         transfer = self._transfer
         if transfer is None or transfer.is_upload is not is_upload:
-            raise SdoAbortError(Abort.COMMAND)
+            raise AbortError(Abort.COMMAND)
         if command & sdo.TOGGLE != transfer.toggle:
-            raise SdoAbortError(Abort.TOGGLE)
+            raise AbortError(Abort.TOGGLE)
         return transfer

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 from friction_hil.drive import DriveState, Mode
 from friction_hil.errors import DriveError
 from friction_hil.servo.servo import Servo
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
-from friction_hil_drivers.canopen.simulated.emergency import Emergencies
-from friction_hil_drivers.canopen.simulated.manners import Manners
-from friction_hil_drivers.canopen.simulated.setpoints import NO_MODE, Setpoints
-from friction_hil_drivers.canopen.simulated.units import SimulatedUnits, VelocityUnit
-from friction_hil_drivers.canopen.simulated.values import (
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.access import Abort, AbortError
+from friction_hil_drivers.cia402.power import requested_state
+from friction_hil_drivers.cia402.simulated.dictionary import Dictionary
+from friction_hil_drivers.cia402.simulated.emergency import Emergencies
+from friction_hil_drivers.cia402.simulated.manners import DriveManners
+from friction_hil_drivers.cia402.simulated.setpoints import NO_MODE, Setpoints
+from friction_hil_drivers.cia402.simulated.units import SimulatedUnits, VelocityUnit
+from friction_hil_drivers.cia402.simulated.values import (
     connect_live_values,
     file_resolution,
     file_velocity_unit,
     set_defaults,
 )
-from friction_hil_drivers.cia402 import objects, profile
-from friction_hil_drivers.cia402.access import Abort
-from friction_hil_drivers.cia402.power import requested_state
 
 PARAMETER_ERROR, FOLLOWING_ERROR = 0x6320, 0x8611
 _UNSUPERVISED = 0xFFFFFFFF  # following error window that switches the supervision off
@@ -44,7 +44,7 @@ class _Stop:
     give_up_ns: int
 
 
-def _units(servo: Servo, manners: Manners, dictionary: Dictionary) -> SimulatedUnits:
+def _units(servo: Servo, manners: DriveManners, dictionary: Dictionary) -> SimulatedUnits:
     """Return the units of the drive: those of the configuration, else of a vendor's file, else of the servo."""
     unit = manners.velocity_unit
     return SimulatedUnits(
@@ -69,7 +69,7 @@ class SimulatedCia402Drive:
         dictionary: Dictionary,
         emergencies: Emergencies,
         modes: Iterable[Mode] | None,
-        manners: Manners | None = None,
+        manners: DriveManners | None = None,
     ) -> None:
         self.servo = servo
         self.state = _DISABLED
@@ -80,7 +80,7 @@ class SimulatedCia402Drive:
         self._exceeded_since_ns: int | None = None
         self._has_following_error = False
         self._emergencies = emergencies
-        manners = Manners() if manners is None else manners
+        manners = DriveManners() if manners is None else manners
         self._manners = manners
         self._units = _units(servo, manners, dictionary)
         told = dictionary.given(objects.SUPPORTED_MODES)
@@ -352,8 +352,8 @@ class SimulatedCia402Drive:
 
     def _check_mode(self, value: int) -> None:
         if value not in self._accepted:
-            raise SdoAbortError(Abort.VALUE)
+            raise AbortError(Abort.VALUE)
 
     def _check_quick_stop_option(self, value: int) -> None:
         if value in (3, 4):
-            raise SdoAbortError(Abort.VALUE)
+            raise AbortError(Abort.VALUE)

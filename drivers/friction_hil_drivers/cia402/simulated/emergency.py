@@ -3,9 +3,9 @@
 import struct
 from collections.abc import Callable
 
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
 from friction_hil_drivers.cia402 import objects
-from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.access import Abort, AbortError
+from friction_hil_drivers.cia402.simulated.dictionary import Dictionary
 
 _FRAME = struct.Struct("<HB5x")
 _HISTORY_LENGTH = 8
@@ -79,10 +79,10 @@ class Emergencies:
 
     def _past(self, age: int) -> int:
         if age >= len(self._history):
-            raise SdoAbortError(Abort.NO_DATA)
+            raise AbortError(Abort.NO_DATA)
         return self._history[age]
 
     def _clear_history(self, value: int) -> None:
         if value != 0:
-            raise SdoAbortError(Abort.VALUE)
+            raise AbortError(Abort.VALUE)
         self._history.clear()

@@ -5,10 +5,10 @@ import math
 from friction_hil.drive import Mode
 from friction_hil.errors import UsageError
 from friction_hil.servo.servo import Servo
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary, SdoAbortError
-from friction_hil_drivers.canopen.simulated.units import SimulatedUnits, unwrapped
 from friction_hil_drivers.cia402 import objects
-from friction_hil_drivers.cia402.access import Abort
+from friction_hil_drivers.cia402.access import Abort, AbortError
+from friction_hil_drivers.cia402.simulated.dictionary import Dictionary
+from friction_hil_drivers.cia402.simulated.units import SimulatedUnits, unwrapped
 from friction_hil_drivers.cia402.units import wrap
 
 NO_MODE = 0
@@ -136,7 +136,7 @@ class Setpoints:
         self._set_period(mantissa, self._exponent.value)
         if not self.has_period:
             self._set_period(self._period.value, self._exponent.value)
-            raise SdoAbortError(Abort.VALUE)
+            raise AbortError(Abort.VALUE)
 
     def _set_period(self, mantissa: int, exponent: int) -> None:
         """Set the interpolation period; `has_period` is False for one that the servo does not support.

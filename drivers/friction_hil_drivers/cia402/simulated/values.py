@@ -7,9 +7,9 @@ from functools import partial
 
 from friction_hil.drive import Mode
 from friction_hil.servo.servo import Servo
-from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
-from friction_hil_drivers.canopen.simulated.units import INT16, INT32, SimulatedUnits, VelocityUnit, saturated
 from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.simulated.dictionary import Dictionary
+from friction_hil_drivers.cia402.simulated.units import INT16, INT32, SimulatedUnits, VelocityUnit, saturated
 from friction_hil_drivers.cia402.units import COUNTS_CODE, encode_unit, wrap
 
 _LEAST_RESOLUTION = 2  # counts per revolution
