@@ -93,6 +93,11 @@ class Stop:
         return "; ".join(filter(None, (self.detail, self.leftover)))
 
 
+def result_of(after: DriveState, done: str) -> str:
+    """Return the result that a state proves: ``done`` without power, else ``powered`` or ``unknown``."""
+    return done if after.is_unpowered else "powered" if after.is_powered else "unknown"
+
+
 @dataclass(frozen=True, slots=True)
 class StopReport:
     """Results for the axes of a configuration, in their order, and notes for the user."""

@@ -35,6 +35,11 @@ class DriveState(IntEnum):
         return self in (self.OPERATION_ENABLED, self.QUICK_STOP_ACTIVE, self.FAULT_REACTION_ACTIVE)
 
     @property
+    def is_unpowered(self) -> bool:
+        """True for a state that is known, and in which the drive gives no torque."""
+        return self is not DriveState.UNKNOWN and not self.is_powered
+
+    @property
     def words(self) -> str:
         """Name of the state for messages: ``switch on disabled``."""
         return self.name.lower().replace("_", " ")

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.drive.codes import coded
+from friction_hil.drive.stop import STANDSTILL_NS
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.cia301 import Frame, decode_heartbeat
@@ -14,7 +15,8 @@ from friction_hil_drivers.canopen.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.monitor import NodeCondition, NodeMonitor
 from friction_hil_drivers.canopen.notices import Notices
-from friction_hil_drivers.canopen.sdo_stop import STANDSTILL_NS, CyclicSdo
+from friction_hil_drivers.canopen.side_channel import CyclicSdo
+from friction_hil_drivers.canopen.stop import STANDSTILL_COUNTS
 from friction_hil_drivers.canopen.sync_answers import SyncAnswers
 from friction_hil_drivers.canopen.twins import TwinWatch
 from friction_hil_drivers.cia402 import profile
@@ -30,7 +32,6 @@ _LARGEST_STEP = 1 << 30  # of the position counter in a cycle; the counter is no
 _BLIND_CYCLES = 10  # without feedback after which a stop is confirmed by SDO
 _NMT_START_NS = 50_000_000  # between two attempts to bring a node back to Operational
 _STANDSTILL_PER_S = 0.01  # rad/s (m/s) that counts as standstill where a stop is watched by SDO
-_STANDSTILL_COUNTS = 2.0  # the same of an encoder's noise
 _IN_FAULT = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
 _GOOD = NodeCondition.GOOD
 _OPERATION_ENABLED = DriveState.OPERATION_ENABLED
@@ -128,7 +129,7 @@ class CanopenAxis:
             self._mapped_temperature = MappedTemperature(drive.tpdos, temperature)
             temperature = None
         self._temperature = TemperatureRead(temperature, drive.first_temperature)
-        self._sdo = CyclicSdo(node, max(_STANDSTILL_COUNTS, moved), drive.axis_number, self._temperature)
+        self._sdo = CyclicSdo(node, max(STANDSTILL_COUNTS, moved), drive.axis_number, self._temperature)
         self._notices = Notices()
         self._now_ns = self._heard_ns = self._left_ns = self._nmt_start_ns = 0
         self._decoder = FeedbackDecoder(drive.tpdos, drive.units, drive.mode, drive.period_s)

@@ -42,7 +42,6 @@ from friction_hil_drivers.canopen.passive import PassiveExchange, nothing_to_hea
 from friction_hil_drivers.canopen.pdo_journal import CanopenJournal
 from friction_hil_drivers.canopen.service import CanopenService
 from friction_hil_drivers.canopen.sidecar import SidecarDrives
-from friction_hil_drivers.canopen.stopping import has_no_power
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 from friction_hil_drivers.cia402 import codes as cia402_codes
@@ -471,12 +470,12 @@ class CanopenDrives(CanopenService):
     def _is_unpowered(self, node: int) -> bool:
         """Return True if every axis of a node says that it has no power; one that did not answer is not asked again."""
         clients = [client for name, client in self._clients.items() if self._node_of(name) == node]
-        return self._obstacle(node) is None and all(has_no_power(read_state(client)) for client in clients)
+        return self._obstacle(node) is None and all(read_state(client).is_unpowered for client in clients)
 
     def _obstacle(self, node: int) -> DriveState | None:
         """Return the state of an axis of a node that was not read back without power, None for none."""
         states = (state for name, state in self._states.items() if self._node_of(name) == node)
-        return next((state for state in states if not has_no_power(state)), None)
+        return next((state for state in states if not state.is_unpowered), None)
 
     def _stop_listening(self) -> None:
         """Take the nodes that a dry run has started out of Operational, unless somebody drives them meanwhile."""

@@ -36,7 +36,7 @@ from friction_hil_drivers.canopen.listening import (
     those_that_answer,
     would_disturb,
 )
-from friction_hil_drivers.canopen.stopping import reset_axes, stop_axes, stop_drive
+from friction_hil_drivers.canopen.stop import reset_axes, stop_axes, stop_drive
 from friction_hil_drivers.canopen.twins import SETTLE_S, ask_identity, ask_often
 from friction_hil_drivers.cia402 import objects, profile
 

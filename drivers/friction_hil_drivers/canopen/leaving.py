@@ -11,7 +11,7 @@ from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.cia301 import decode_heartbeat
 from friction_hil_drivers.canopen.conversation import PATIENCE_S, Conversation
 from friction_hil_drivers.canopen.queue_full import QueueFullError
-from friction_hil_drivers.canopen.stopping import disable_axes, has_no_power
+from friction_hil_drivers.canopen.stop import disable_axes
 from friction_hil_drivers.cia402 import objects, profile
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def switch_off(
     heard = _Heard()
     states = disable(bus, axes, meanwhile, heard.take)
     for name, node, _ in axes:
-        if states[name] is _UNKNOWN and node in heard.nodes and has_no_power(told.get(name, _UNKNOWN)):
+        if states[name] is _UNKNOWN and node in heard.nodes and told.get(name, _UNKNOWN).is_unpowered:
             states[name] = told[name]
     failure: BusError | None = None
     for node in dict.fromkeys(node for _, node, _ in axes):
@@ -115,7 +115,7 @@ def _note(frames: "LastFrames | None", states: dict[str, DriveState]) -> None:
     """Let the watchdogs trip where a drive was not read back without power."""
     if frames is not None:
         for name, state in states.items():
-            frames.note(name, is_unpowered=has_no_power(state))
+            frames.note(name, is_unpowered=state.is_unpowered)
 
 
 def send_nmt(bus: "FrameBus", command: cia301.NmtCommand, node: int) -> None:
@@ -174,7 +174,7 @@ def restore(client: "SdoClient", state: DriveState | None = None) -> list[str]:
         return []
     try:
         state = read_state(client) if state is None else state
-        if has_no_power(state):
+        if state.is_unpowered:
             return [_message(client, text) for text in journal.restore()]
         reason = "the drive does not answer" if state is DriveState.UNKNOWN else f"its state is {state.words}"
     except (DriveError, BusError) as error:

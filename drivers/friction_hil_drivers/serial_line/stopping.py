@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import DriveState, FaultCode, Request
-from friction_hil.drive.inventory import Stop, StopReport
+from friction_hil.drive.inventory import Stop, StopReport, result_of
+from friction_hil.drive.stop import DriveStop, StopState
 from friction_hil.errors import DriveError, FrictionHilError
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line.axis import ACTING, error_text, not_zero
@@ -33,7 +34,6 @@ from friction_hil_drivers.serial_line.sequences import Sequencer, disable_writes
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
 
-_STANDSTILL_S = 2.0  # longest wait for it
 _REACTION_S = 2.0  # longest wait for the end of a drive's own reaction to a fault
 _RESTART_S = 3.0  # longest wait for a drive that restarts
 _RELAPSE_S = 0.3  # in which another master would have enabled the drive again, or the fault have come back
@@ -41,7 +41,8 @@ _POLL_S = 0.02
 _PATIENCE_S = 5.0  # for a sequence as a whole; each step has its own time-out
 _REFUSALS = 3  # in succession: the drive does not take the step
 _ATTEMPTS = 2  # for a drive that may be gone
-_STANDSTILL_STEPS = 2.0  # between two polls: noise of an encoder
+_STANDSTILL_STEPS = 2.0  # noise of an encoder
+_COMMANDS = {StopState.QUICK_STOP: Request.QUICK_STOP, StopState.DISABLE: Request.DISABLE}
 _NOTHING = Plan((), (), ())
 
 
@@ -176,7 +177,7 @@ class ServicedDrive:
         All drives are halted before the first of them is awaited.
         """
         self._before = self._state()
-        if not is_halted or _has_no_power(self._before):
+        if not is_halted or self._before.is_unpowered:
             return
         description = self._description
         if self._is_silent:
@@ -194,20 +195,47 @@ class ServicedDrive:
             for write in disable_writes(self._description):  # some drives keep their switch on in a fault
                 self._write(write)
             after = self._settled()
-            return self._result(before, after, "unpowered" if _has_no_power(after) else _lacking(after), self._trouble)
-        if _has_no_power(before):
+            return self._result(before, after, result_of(after, "unpowered"), self._trouble)
+        if before.is_unpowered:
             return self._result(before, before, "unpowered")
         if self._is_silent:
             self._state(attempts=1)
             if self._is_silent:
                 return self._result(before, DriveState.UNKNOWN, "unknown", self._trouble)
         self._trouble = self._bus.scheduler.last_error = ""
-        if self._description.quick_stop or self._description.state_machine == "cia402":
-            self._take_to(Request.QUICK_STOP)
-            self._await_standstill()
-        self._take_to(Request.DISABLE)
+        self._carry_out()
         after = self._settled()
-        return self._result(before, after, "stopped" if _has_no_power(after) else _lacking(after), self._trouble)
+        return self._result(before, after, result_of(after, "stopped"), self._trouble)
+
+    def _carry_out(self) -> None:
+        """Take the drive through the states of `friction_hil.drive.stop`."""
+        is_cia402 = self._description.state_machine == "cia402"
+        noise = _STANDSTILL_STEPS * self._description.units()["position"].step
+        stop = DriveStop(noise, has_quick_stop_state=is_cia402)
+        if is_cia402 or self._description.quick_stop:
+            self._take_to(Request.QUICK_STOP)
+            stop.begin(time.monotonic_ns(), StopState.STOPPING)
+        else:
+            stop.begin(time.monotonic_ns(), StopState.DISABLE)
+        while not stop.is_over(time.monotonic_ns()):
+            step = stop.step(time.monotonic_ns())
+            if step is None or step is StopState.STANDSTILL:
+                time.sleep(_POLL_S)
+            if step in _COMMANDS:
+                self._take_to(_COMMANDS[step])
+                if self._is_silent:
+                    stop.take_silence()
+                else:
+                    stop.take_command(time.monotonic_ns())
+            elif step is StopState.STANDSTILL:
+                is_read = self._read("position")
+                stop.take_position(self._values["position"] if is_read else None, time.monotonic_ns())
+            elif step is not None:
+                state = self._state()
+                if self._is_silent:
+                    stop.take_silence()
+                else:
+                    stop.take_state(state, time.monotonic_ns())
 
     def reset(self) -> Stop:
         """Reset the drive's fault, and leave it without power; return what was read back."""
@@ -219,7 +247,7 @@ class ServicedDrive:
             return self._result(before, before, "unknown", self._trouble or "its description does not list its state")
         if before is not DriveState.FAULT:
             detail = "it has no fault" if before.is_powered else ""
-            return self._result(before, before, "powered" if before.is_powered else "unpowered", detail)
+            return self._result(before, before, result_of(before, "unpowered"), detail)
         fault = self._fault()
         has_steps = bool(self._description.reset_fault) or self._description.state_machine == "cia402"
         reboot = self._bus.protocol.reboot(self._name)
@@ -237,7 +265,7 @@ class ServicedDrive:
             after = self._settled()
         if after is DriveState.FAULT:
             return self._result(before, after, "fault", self._trouble or f"it now reports {self._fault()}", fault)
-        return self._result(before, after, "reset" if _has_no_power(after) else _lacking(after), self._trouble, fault)
+        return self._result(before, after, result_of(after, "reset"), self._trouble, fault)
 
     def _restart(self, reboot: Exchange) -> None:
         """Restart the drive, and wait until it answers again."""
@@ -251,7 +279,7 @@ class ServicedDrive:
 
     def _result(self, before: DriveState, after: DriveState, result: str, detail: str = "", fault: str = "") -> Stop:
         detail = "" if result in ("stopped", "reset", "unpowered") else detail
-        left = "; ".join(self._not_zero()) if _has_no_power(after) else ""
+        left = "; ".join(self._not_zero()) if after.is_unpowered else ""
         left = FaultCode.TORQUE_LEFT.append_to(left) if left else ""
         return Stop(None, before, after, result, detail, self._name, self._address, fault, left)
 
@@ -270,7 +298,7 @@ class ServicedDrive:
     def _leave_unwatched(self) -> None:
         """Switch a watchdog off that the reset has armed: with nobody to feed it, it would be the next fault."""
         watchdog = self._description.watchdog
-        if watchdog is None or not _has_no_power(self._state()):
+        if watchdog is None or not self._state().is_unpowered:
             return
         if any(step.write.get(watchdog.signal) for step in self._description.reset_fault):
             self._write({watchdog.signal: 0.0})
@@ -292,20 +320,6 @@ class ServicedDrive:
         if sequencer.problem and not self._trouble:
             said = self._bus.scheduler.last_error  # of a drive that refuses a request without a reply
             self._trouble = sequencer.problem + (f" ({said})" if said else "")
-
-    def _await_standstill(self) -> None:
-        """Wait until the drive stands or has no power any more, at most two seconds."""
-        step = self._description.units()["position"].step
-        before: float | None = None
-        end = time.monotonic() + _STANDSTILL_S
-        while time.monotonic() < end and not _has_no_power(self._state()):
-            if not self._read("position"):
-                return
-            position = self._values["position"]
-            if before is not None and abs(position - before) <= _STANDSTILL_STEPS * step:
-                return
-            before = position
-            time.sleep(_POLL_S)
 
     def _settled(self) -> DriveState:
         """Read the state until the drive has had time for a relapse; return the last one.
@@ -348,12 +362,3 @@ class ServicedDrive:
             self._trouble = error.detail.removeprefix(f"{self._name}: ")
             return False
         return True
-
-
-def _has_no_power(state: DriveState) -> bool:
-    return state is not DriveState.UNKNOWN and not state.is_powered
-
-
-def _lacking(state: DriveState) -> str:
-    """Return the result for a state that does not prove a stop."""
-    return "unknown" if state is DriveState.UNKNOWN else "powered"

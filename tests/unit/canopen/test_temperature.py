@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.sdo_stop import CyclicSdo
+from friction_hil_drivers.canopen.side_channel import CyclicSdo
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.temperature import TemperatureOptions, TemperatureRead
 from hypothesis import given, settings

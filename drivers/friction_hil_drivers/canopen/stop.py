@@ -1,27 +1,29 @@
-"""Stopping a drive that was left enabled, by SDO alone: it works in Pre-operational too, and needs no RPDO.
+"""Stopping drives by SDO, as `friction_hil.drive.stop` says: it works in Pre-operational too, and needs no RPDO.
 
-Quick stop, standstill or two seconds, disable voltage, and the statusword read back. A fault is reset likewise, by the
-user's word alone. Torque and velocity that would act once somebody enables the drive are set to zero. Nothing here can
-enable a drive.
+One step a cycle in a run (`SdoStop`), or as a script that waits for each answer: for a drive that was left enabled, one
+whose fault is reset, and drives at rest at the end of a run. Set-points that would act once somebody enables the drive
+are set to zero. Nothing here can enable a drive.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
 from friction_hil.drive import DriveState
 from friction_hil.drive.codes import coded
-from friction_hil.drive.inventory import Stop
+from friction_hil.drive.inventory import Stop, result_of
+from friction_hil.drive.stop import DriveStop, StopState
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.conversation import Pause, Script
 from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
 from friction_hil_drivers.cia402 import objects, profile
 from friction_hil_drivers.cia402.access import ABSENT
+from friction_hil_drivers.cia402.units import COUNTER_BITS
 
 _POLL_S = 0.02
-_STANDSTILL_POLLS = 100  # 2 s
-_READ_BACK_POLLS = 50  # 1 s
+_FAULT_POLLS = 50  # 1 s, for the end of a reaction to a fault, and of the fault
 _RELAPSE_S = 0.3  # in which a master that commands the drive still would have enabled it again
-_STANDSTILL_COUNTS = 2  # between two polls: noise of an encoder
+STANDSTILL_COUNTS = 2.0  # noise of an encoder
 _AXES = 8  # of a multi-axis node (CiA 402-3: the objects of axis k are those of axis 0 plus k * 800h)
 
 
@@ -63,9 +65,63 @@ def disable_axes(axes: Sequence[int]) -> "Script[dict[int, DriveState]]":
     """Disable some axes of a node that are at rest; return the state of each as read back, UNKNOWN where it was not."""
     states = {}
     for axis in axes:
-        yield from _command(axis, profile.DISABLE_VOLTAGE)
-        states[axis] = yield from _read_back(axis)
+        states[axis], _ = yield from _carry_out(axis, StopState.DISABLE)
     return states
+
+
+class SdoStop(DriveStop):
+    """Stop by SDO: the steps as transfers."""
+
+    __slots__ = ()
+
+    def __init__(self, standstill: float = STANDSTILL_COUNTS) -> None:
+        super().__init__(standstill, counter_range=2.0**COUNTER_BITS)
+
+    def request(self, now_ns: int) -> Transfer | None:
+        """Return the transfer that is due, None for none."""
+        step = self.step(now_ns)
+        if step is None:
+            return None
+        if step.reads_state:
+            return Upload(objects.STATUSWORD)
+        if step is StopState.STANDSTILL:
+            return Upload(objects.POSITION_ACTUAL)
+        return Download(objects.CONTROLWORD, self.word)
+
+    @property
+    def word(self) -> int:
+        """Controlword of the command that is due."""
+        return profile.QUICK_STOP if self.at is StopState.QUICK_STOP else profile.DISABLE_VOLTAGE
+
+    def take(self, transfer: Transfer, now_ns: int) -> None:
+        """Take the transfer that was due, once it is over."""
+        if transfer.is_silent:
+            self.take_silence()
+        elif self.at.reads_state:
+            self.take_state(_state(transfer), now_ns)
+        elif self.at is StopState.STANDSTILL:
+            self.take_position(transfer.value, now_ns)
+        else:
+            self.take_command(now_ns)
+
+
+def _carry_out(axis: int, at: StopState = StopState.QUICK_STOP) -> "Script[tuple[DriveState, str]]":
+    """Stop an axis; return its state as read back last, and why a command was not taken, "" if all were."""
+    stop, refused = SdoStop(), ""
+    stop.begin(time.monotonic_ns(), at)
+    while not stop.is_over(time.monotonic_ns()):
+        transfer = stop.request(time.monotonic_ns())
+        if transfer is not None:
+            transfer.entry = transfer.entry.of_axis(axis)
+            yield transfer
+            if isinstance(transfer, Download):
+                refused = _failure(transfer, f"controlword {stop.word:04X}h") or refused
+            stop.take(transfer, time.monotonic_ns())
+        if not isinstance(transfer, Download):
+            yield Pause(_POLL_S)
+    if stop.state is DriveState.UNKNOWN:  # of a drive that takes no command either
+        return (yield from _read_state(axis)), refused
+    return stop.state, refused
 
 
 def _stop_axis(node: int, axis: int, status: Upload) -> "Script[Stop]":
@@ -77,16 +133,13 @@ def _stop_axis(node: int, axis: int, status: Upload) -> "Script[Stop]":
         return _no_drive(node, status)
     if status.value is None:
         return _no_drive(node, status)
-    if has_no_power(before):
+    if before.is_unpowered:
         return Stop(node, before, before, "unpowered", leftover=(yield from _clear(axis)))
-    refused = yield from _command(axis, profile.QUICK_STOP)
-    yield from _await_standstill(axis)
-    refused = (yield from _command(axis, profile.DISABLE_VOLTAGE)) or refused
-    after = yield from _read_back(axis)
-    if has_no_power(after):
+    after, refused = yield from _carry_out(axis)
+    if after.is_unpowered:
         yield Pause(_RELAPSE_S)
         after = yield from _read_state(axis)
-    result = "unknown" if after is DriveState.UNKNOWN else "powered" if after.is_powered else "stopped"
+    result = result_of(after, "stopped")
     return Stop(node, before, after, result, _reason(result, refused), leftover=(yield from _clear(axis)))
 
 
@@ -96,20 +149,20 @@ def _reset_axis(node: int, axis: int) -> "Script[Stop]":
     if status.value is None:
         return _no_drive(node, status)
     before = _state(status)
-    for _ in range(_READ_BACK_POLLS):  # it ends in a fault by itself
+    for _ in range(_FAULT_POLLS):  # it ends in a fault by itself
         if before is not DriveState.FAULT_REACTION_ACTIVE:
             break
         yield Pause(_POLL_S)
         before = yield from _read_state(axis)
     if before is not DriveState.FAULT:
-        result = "unpowered" if has_no_power(before) else "powered" if before.is_powered else "unknown"
+        result = result_of(before, "unpowered")
         detail = {"powered": "it has no fault", "unknown": "its statusword shows no state"}.get(result, "")
         return Stop(node, before, before, result, detail, leftover=(yield from _clear_if_off(axis, before)))
     fault = yield from _fault(axis)
     refused = yield from _command(axis, profile.DISABLE_VOLTAGE)  # the drive needs a rising edge
     refused = (yield from _command(axis, profile.FAULT_RESET)) or refused
     after = yield from _read_state(axis)
-    for _ in range(_READ_BACK_POLLS):
+    for _ in range(_FAULT_POLLS):
         if after is not DriveState.FAULT:
             break
         yield Pause(_POLL_S)
@@ -123,7 +176,7 @@ def _reset_axis(node: int, axis: int) -> "Script[Stop]":
         return Stop(
             node, before, after, "fault", refused or f"after the reset it reports {now}", fault=fault, leftover=left
         )
-    result = "unknown" if after is DriveState.UNKNOWN else "powered" if after.is_powered else "reset"
+    result = result_of(after, "reset")
     return Stop(node, before, after, result, _reason(result, refused), fault=fault, leftover=left)
 
 
@@ -150,12 +203,7 @@ def _reason(result: str, refused: str) -> str:
     return "the state could not be read back"
 
 
-def has_no_power(state: DriveState) -> bool:
-    """Return True for a state that is known, and in which the drive gives no torque."""
-    return state is not DriveState.UNKNOWN and not state.is_powered
-
-
-def _state(status: Upload) -> DriveState:
+def _state(status: Transfer) -> DriveState:
     return DriveState.UNKNOWN if status.value is None else profile.drive_state(status.value)
 
 
@@ -168,7 +216,7 @@ def _command(axis: int, word: int) -> "Script[str]":
 
 def _clear_if_off(axis: int, state: DriveState) -> "Script[str]":
     """Set the acting set-points of a drive without power to zero, as `_clear` does; a moving axis keeps them."""
-    return (yield from _clear(axis)) if has_no_power(state) else ""
+    return (yield from _clear(axis)) if state.is_unpowered else ""
 
 
 def _clear(axis: int) -> "Script[str]":
@@ -199,42 +247,7 @@ def _failure(transfer: Transfer, what: str) -> str:
     return f"{what}: refused, SDO abort {transfer.abort_code:08X}h" if transfer.abort_code else ""
 
 
-def _await_standstill(axis: int) -> "Script[None]":
-    """Wait until the drive stands or has no power any more, at most two seconds."""
-    position: int | None = None
-    for _ in range(_STANDSTILL_POLLS):
-        status = Upload(objects.STATUSWORD.of_axis(axis))
-        yield status
-        if status.is_silent or has_no_power(_state(status)):
-            return
-        found = Upload(objects.POSITION_ACTUAL.of_axis(axis))
-        yield found
-        if found.value is None and found.is_silent:
-            return
-        if position is not None and found.value is not None and abs(found.value - position) <= _STANDSTILL_COUNTS:
-            return
-        position = found.value
-        yield Pause(_POLL_S)
-
-
 def _read_state(axis: int) -> "Script[DriveState]":
     status = Upload(objects.STATUSWORD.of_axis(axis))
     yield status
     return _state(status)
-
-
-def _read_back(axis: int) -> "Script[DriveState]":
-    """Read the state until it is one without power, at most for a second; twice, against an answer that is old."""
-    state = DriveState.UNKNOWN
-    confirmed = 0
-    for _ in range(_READ_BACK_POLLS):
-        status = Upload(objects.STATUSWORD.of_axis(axis))
-        yield status
-        if status.is_silent:
-            return DriveState.UNKNOWN
-        state = _state(status)
-        confirmed = confirmed + 1 if has_no_power(state) else 0
-        if confirmed == 2:
-            return state
-        yield Pause(_POLL_S if not confirmed else 0.0)
-    return state
