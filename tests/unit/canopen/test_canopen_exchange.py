@@ -283,7 +283,18 @@ def test_a_node_that_another_master_took_out_of_operational_is_brought_back_and_
 
 def test_an_ordinary_cycle_makes_few_calls(driven):
     """Each is some 50 ns of a period; what only a disturbance needs must not be computed in every cycle."""
-    of_a_cycle = {"axis", "codec", "exchange", "monitor", "notices", "side_channel", "stop", "sync_answers", "units", "watchdogs"}
+    of_a_cycle = {
+        "axis",
+        "codec",
+        "exchange",
+        "monitor",
+        "notices",
+        "side_channel",
+        "stop",
+        "sync_answers",
+        "units",
+        "watchdogs",
+    }
     calls, cycles = Counter(), 100
 
     def count(frame, event, argument):
