@@ -1,7 +1,7 @@
 """Drive port: the interface between the daemon and the drivers.
 
 `driver` has the base classes of drivers, `port` the data of each cycle, `codes` the codes of faults, `finding` the
-reports to ``friction-hil doctor``, `encoder` the unwrapping of encoder counters.
+reports to ``friction-hil doctor``, `encoder` the unwrapping of encoder counters, `stop` the states of a stop.
 """
 
 from friction_hil.drive.codes import FaultCode

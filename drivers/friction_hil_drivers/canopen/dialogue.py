@@ -1,6 +1,6 @@
 """The SDO protocol: its frames, and one transfer as bytes in and bytes out. No bus, no clock.
 
-Three drive a transfer: `sdo` waits for one node, `conversation` asks many at once, `sdo_stop` takes one step a cycle.
+Three drive a transfer: `sdo` waits for one node, `conversation` asks many at once, `side_channel` takes a step a cycle.
 Source: CiA 301, 7.2.4.3 (expedited and segmented upload and download).
 """
 

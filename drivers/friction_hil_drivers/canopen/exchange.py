@@ -4,13 +4,14 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
-from friction_hil.drive import Clock, Command, DriveState, Feedback, Request
+from friction_hil.drive import Clock, Command, Feedback, Request
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import cia301, codes
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
 from friction_hil_drivers.canopen.last_frames import LastFrames
 from friction_hil_drivers.canopen.listening import MasterAlarm
 from friction_hil_drivers.canopen.queue_full import QueueFullError
+from friction_hil_drivers.canopen.stop import HeartbeatLapse
 from friction_hil_drivers.canopen.watchdogs import Guard, feeders
 
 if TYPE_CHECKING:
@@ -21,8 +22,6 @@ _COMMAND_FRACTION = 0.25  # of the period, kept for computing and sending what a
 _OPERATIONAL = bytes([cia301.NmtState.OPERATIONAL])
 
 _PROBE_CYCLES = 50  # at least, between two cycles without SYNC
-_SDO_NS = 200_000_000  # for the stop by SDO to be answered, before the heartbeat ends
-_LAPSE_NS = 3_000_000_000  # after which the heartbeat ends in any case
 _PROBE = "SYNC was left out for a cycle, to see whether TPDOs come late"
 _LISTEN = Request.LISTEN
 _TO_POWER = (Request.ENABLE, Request.RESET_FAULT)
@@ -75,7 +74,7 @@ class CyclicExchange:
         "_is_commanding",
         "_is_complete",
         "_is_unsent",
-        "_lost_since_ns",
+        "_lapse",
         "_max_missed",
         "_next_heartbeat_ns",
         "_oldest_ns",
@@ -130,7 +129,7 @@ class CyclicExchange:
         self._is_unsent = [False] * len(axes)  # the last command to each axis
         self._oldest_ns = round(max_missed * period_s * 1e9)
         self._cycles_since_probe = 0
-        self._lost_since_ns: int | None = None  # a drive that may have power is out of reach since then
+        self._lapse = HeartbeatLapse()
         self._spare = axes[0].copy()
         self._spare_feedback, self._spare_command = Feedback(), Command(Request.ENABLE)
 
@@ -250,31 +249,13 @@ class CyclicExchange:
 
     def _feed(self, now_ns: int) -> None:
         """Send the heartbeat and the remote frames of node guarding when due, unless the drives are to miss them."""
-        if now_ns >= self._next_heartbeat_ns and not self._lets_heartbeat_lapse(now_ns):
+        if now_ns >= self._next_heartbeat_ns and not self._lapse.is_due(self._axes, now_ns):
             self._bus.send(self._heartbeat_id, _OPERATIONAL)
             self._next_heartbeat_ns = now_ns + self._heartbeat_ns
         for guard in self._guards:
-            if now_ns >= guard.next_ns and not self._lets_heartbeat_lapse(now_ns):
+            if now_ns >= guard.next_ns and not self._lapse.is_due(self._axes, now_ns):
                 self._bus.send_remote(guard.can_id, 1)
                 guard.next_ns = now_ns + guard.period_ns
-
-    def _lets_heartbeat_lapse(self, now_ns: int) -> bool:
-        """Return True if a drive that may have power can be stopped in no other way than by the lost heartbeat.
-
-        All drives watch the same heartbeat: those in reach lose their power first, and a drive that answers SDO is
-        left the time for its quick stop. After 3 s the heartbeat ends in any case.
-        """
-        lost = [axis for axis in self._axes if not axis.is_reachable and not axis.is_proved_unpowered]
-        if not lost:
-            self._lost_since_ns = None
-            return False
-        if self._lost_since_ns is None:
-            self._lost_since_ns = now_ns
-        elapsed_ns = now_ns - self._lost_since_ns
-        if elapsed_ns <= _SDO_NS or elapsed_ns > _LAPSE_NS:
-            return elapsed_ns > _LAPSE_NS
-        is_answered = all(axis.state is not DriveState.UNKNOWN for axis in lost)
-        return not is_answered and all(axis.is_proved_unpowered for axis in self._axes if axis.is_reachable)
 
     def last_frames(self) -> LastFrames | None:
         """Return what the drives wait for while they are left; None where none has begun to watch, or time stands."""

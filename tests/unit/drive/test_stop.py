@@ -1,0 +1,167 @@
+"""The stop of one drive: its table, and what must hold whatever is lost between the stop and the drive."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from friction_hil.drive import DriveState
+from friction_hil.drive.stop import DriveStop, StopState
+
+ROOT = Path(__file__).parents[3]
+MS = 1_000_000
+
+
+@dataclass
+class Drive:
+    """A drive on a ramp, in milliseconds and counts."""
+
+    speed: float = 50.0  # counts per millisecond
+    deceleration: float = 0.5
+    position: float = 0.0
+    state: DriveState = DriveState.OPERATION_ENABLED
+    obeys: bool = True
+    is_enabled_again_at: int | None = None
+
+    def pass_millisecond(self, now_ms: int) -> None:
+        """Move on."""
+        if self.state is DriveState.QUICK_STOP_ACTIVE:
+            self.speed = max(0.0, self.speed - self.deceleration)
+        self.position += self.speed
+        if now_ms == self.is_enabled_again_at:
+            self.state = DriveState.OPERATION_ENABLED
+
+    def carry_out(self, step: StopState) -> None:
+        """Take a command."""
+        if step is StopState.QUICK_STOP and self.obeys and self.state is DriveState.OPERATION_ENABLED:
+            self.state = DriveState.QUICK_STOP_ACTIVE
+        elif step is StopState.DISABLE:
+            self.state = DriveState.SWITCH_ON_DISABLED
+
+
+def follow(stop: DriveStop, drive: Drive, end_ms: int, lost=lambda _: False, latency_ms: int = 3) -> list:
+    """Run a stop against a drive; return each step with its time, and the drive's speed then."""
+    steps, under_way, until_ms = [], None, 0
+    for now_ms in range(end_ms):
+        drive.pass_millisecond(now_ms)
+        if under_way is not None and now_ms >= until_ms:
+            answer(stop, drive, under_way, now_ms, is_lost=lost(len(steps) - 1))
+            under_way = None
+        if under_way is None and (step := stop.step(now_ms * MS)) is not None:
+            steps.append((now_ms, step, drive.speed))
+            under_way, until_ms = step, now_ms + latency_ms
+    return steps
+
+
+def answer(stop: DriveStop, drive: Drive, step: StopState, now_ms: int, *, is_lost: bool) -> None:
+    if is_lost:
+        stop.take_silence()
+    elif step.reads_state:
+        stop.take_state(drive.state, now_ms * MS)
+    elif step is StopState.STANDSTILL:
+        stop.take_position(drive.position, now_ms * MS)
+    else:
+        drive.carry_out(step)
+        stop.take_command(now_ms * MS)
+
+
+def first(steps: list, wanted: StopState) -> tuple[int, float]:
+    return next((time, speed) for time, step, speed in steps if step is wanted)
+
+
+def test_a_moving_drive_comes_to_rest_before_it_is_disabled() -> None:
+    stop, drive = DriveStop(2.0), Drive()
+    steps = follow(stop, drive, 400)
+    assert steps[0][1] is StopState.QUICK_STOP
+    at_ms, speed = first(steps, StopState.DISABLE)
+    assert speed == 0.0
+    assert 150 <= at_ms <= 100 + 50 + 12  # 100 ms of ramp, 50 ms at rest, and the steps between
+    assert stop.is_proved
+    assert stop.state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_a_drive_that_ignores_the_quick_stop_is_disabled_after_a_tenth_of_a_second() -> None:
+    steps = follow(DriveStop(2.0), drive := Drive(obeys=False), 400)
+    assert 100 < first(steps, StopState.DISABLE)[0] < 110
+    assert drive.state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_one_that_shows_no_quick_stop_is_waited_for_by_its_position() -> None:
+    drive = Drive(speed=0.0, obeys=False)
+    steps = follow(DriveStop(2.0, has_quick_stop_state=False), drive, 400)
+    assert 50 <= first(steps, StopState.DISABLE)[0] < 70
+
+
+def test_one_that_does_not_come_to_rest_is_disabled_after_two_seconds() -> None:
+    steps = follow(DriveStop(2.0), Drive(deceleration=0.0), 2300)
+    assert 2000 < first(steps, StopState.DISABLE)[0] <= 2004
+
+
+def test_noise_and_a_counter_that_begins_anew_are_no_motion() -> None:
+    stop = DriveStop(2.0, counter_range=2.0**32)
+    stop.begin(0, StopState.STANDSTILL)
+    edge = 2**31
+    for k, position in enumerate((edge - 1, -edge, edge - 1, -edge + 1, edge - 1, edge - 1)):
+        stop.at = StopState.STANDSTILL
+        stop.take_position(position, 10 * k * MS)
+    assert stop.at is StopState.DISABLE
+
+
+def test_a_drive_that_is_enabled_again_is_disabled_again_and_not_called_off_meanwhile() -> None:
+    stop, drive = DriveStop(2.0), Drive(speed=0.0, is_enabled_again_at=400)
+    follow(stop, drive, 390)
+    assert stop.is_proved
+    follow(stop, drive, 700)
+    assert stop.is_proved
+    stop.take_state(DriveState.OPERATION_ENABLED, 1000 * MS)
+    assert not stop.is_proved
+    assert stop.step(1000 * MS) is StopState.DISABLE
+
+
+def test_a_command_ends_after_two_readings_without_power_or_two_steps_without_an_answer() -> None:
+    stop = DriveStop(2.0)
+    stop.begin(0, StopState.DISABLE)
+    stop.take_command(1 * MS)
+    stop.take_state(DriveState.SWITCH_ON_DISABLED, 2 * MS)
+    assert not stop.is_over(2000 * MS)
+    stop.take_state(DriveState.SWITCH_ON_DISABLED, 102 * MS)
+    assert stop.is_over(102 * MS)
+    stop.begin(0)
+    stop.take_silence()
+    assert not stop.is_over(0)
+    stop.take_silence()
+    assert stop.is_over(0)
+
+
+def test_a_command_waits_a_second_for_the_power_to_go_however_slow_the_answers_are() -> None:
+    stop = DriveStop(2.0)
+    stop.begin(0)
+    stop.take_command(3000 * MS)
+    assert stop.step(3000 * MS) is StopState.DISABLE
+    assert not stop.is_over(3000 * MS)
+    stop.take_command(6000 * MS)
+    stop.take_state(DriveState.OPERATION_ENABLED, 6900 * MS)
+    assert not stop.is_over(6900 * MS)
+    assert stop.is_over(7001 * MS)
+
+
+@given(st.lists(st.booleans(), max_size=60), st.integers(1, 40), st.booleans())
+def test_whatever_is_lost_power_is_taken_in_time_and_only_a_reading_proves_it(lost, latency_ms, obeys) -> None:
+    stop, drive = DriveStop(2.0), Drive(obeys=obeys)
+    steps = follow(stop, drive, 6000, lambda k: k < len(lost) and lost[k], latency_ms)
+    assert steps[0][1] is StopState.QUICK_STOP
+    assert drive.state is DriveState.SWITCH_ON_DISABLED
+    assert stop.is_proved
+    disabled = [at for at, step, _ in steps if step is StopState.DISABLE]
+    assert all(step is not StopState.QUICK_STOP for at, step, _ in steps if at > disabled[0])
+    stop.take_silence()
+    assert not stop.is_proved
+    assert stop.state is DriveState.UNKNOWN
+
+
+@pytest.mark.parametrize("state", StopState)
+def test_the_page_has_a_row_for_each_state(state) -> None:
+    page = (ROOT / "drivers/friction_hil_drivers/canopen/stopping.md").read_text()
+    assert f"\n| {state.name} | " in page
