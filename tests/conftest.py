@@ -6,6 +6,7 @@ import signal
 import sys
 import tempfile
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.examples import EXAMPLES, PROFILES
@@ -38,16 +39,12 @@ for name in PROFILES:
 settings.load_profile("short")
 
 
-def pytest_sessionstart() -> None:
-    """Let each of several workers compile its share of the models, instead of each of them all, as far as they need."""
-    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
-    if not worker:
-        return
-    from friction_hil import models
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Before several workers start, compile what many of them need."""
+    if workers := getattr(session.config.option, "numprocesses", None):
+        from tests.kernels import compile_kernels
 
-    workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
-    for name in models.names()[int(worker.removeprefix("gw")) :: workers]:
-        models.create(name, **models.describe(name).example).simulate_with_gradient([0.1], 1e-3)
+        compile_kernels(workers)
 
 
 def pytest_collection_finish() -> None:

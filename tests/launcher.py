@@ -285,7 +285,7 @@ def _serve(control: socket.socket) -> list[str] | None:
             os.close(descriptor)
 
 
-def _load_kernels() -> None:
+def load_kernels() -> None:
     """Set up an axis and move a servo, so that no command has to load what they call."""
     from friction_hil import config
     from friction_hil.daemon.axis import AxisLoop
@@ -320,7 +320,7 @@ def _main() -> int:
     from numba.core.registry import cpu_target
 
     cpu_target.target_context.refresh()  # else done with the first kernel
-    _load_kernels()
+    load_kernels()
     arguments = _serve(socket.socket(fileno=int(sys.argv[1])))
     if arguments is None:
         return 0

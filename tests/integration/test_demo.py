@@ -69,6 +69,7 @@ def test_compensation_takes_the_friction_out_of_the_circle(outcome):
         assert after["rms"] > 1e-6  # wrong parameters cannot do better than this
 
 
+@pytest.mark.deep
 def test_learning_lowers_what_the_model_as_given_leaves(outcome):
     result = json.loads(outcome.done.stdout)
     for name, axis in result["axes"].items():
@@ -80,6 +81,7 @@ def test_learning_lowers_what_the_model_as_given_leaves(outcome):
         assert learned["error_after"] == pytest.approx(axis["learned"]["rms"], rel=0.05)
 
 
+@pytest.mark.deep
 def test_json_has_its_shape(outcome):
     result = json.loads(outcome.done.stdout)
     assert list(result) == ["axes", "loop", "learning", "report", "recording"]
@@ -102,6 +104,7 @@ def test_json_has_its_shape(outcome):
     assert Path(result["recording"]) == outcome.output / "recording.mcap"
 
 
+@pytest.mark.deep
 def test_files_are_there_and_nothing_else(outcome):
     assert sorted(path.name for path in outcome.output.iterdir()) == [
         "circularity.png",
@@ -112,10 +115,12 @@ def test_files_are_there_and_nothing_else(outcome):
     assert (outcome.output / "report.html").read_text().endswith("</html>\n")
 
 
+@pytest.mark.deep
 def test_no_process_is_left(outcome):
     assert marked(outcome.mark) == []
 
 
+@pytest.mark.deep
 def test_the_recording_gives_the_same_figures_and_replays(outcome):
     recordings = read_all(outcome.output / "recording.mcap")
     circularity = analyse(recordings)
@@ -128,6 +133,7 @@ def test_the_recording_gives_the_same_figures_and_replays(outcome):
         assert not any(recording["compensation"][recording["is_enabled"] == 0.0][:1000])
 
 
+@pytest.mark.deep
 def test_progress_is_on_stderr(outcome):
     assert outcome.done.stderr.splitlines() == [
         "starting the simulated drives ...",
@@ -137,6 +143,7 @@ def test_progress_is_on_stderr(outcome):
     ]
 
 
+@pytest.mark.deep
 def test_a_former_demo_may_be_replaced_and_nothing_else(outcome, tmp_path):
     demo.claim(outcome.output)
     for name in (demo.REPORT, demo.PICTURE, demo.RECORDING):
@@ -297,6 +304,7 @@ def test_a_busy_computer_gets_its_circle_in_simulated_time_and_is_reported(
     assert "in simulated time" in (tmp_path / demo.REPORT).read_text()
 
 
+@pytest.mark.deep
 def test_real_time_means_real_time(busy_computer, tmp_path, capsys):
     assert main(["demo", "--pace", "real", "--output", str(tmp_path)]) == 1
     assert busy_computer == ["real"]

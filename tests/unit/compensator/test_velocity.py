@@ -128,9 +128,8 @@ def test_noise_of_the_drive_s_velocity_goes_through_the_filter():
     assert np.std(one.feed(0.0 * own, drive=own)) == pytest.approx(one.estimator.noise, rel=0.05)
 
 
-@compiled
 def _riccati(F, Q, R, cycles):
-    """Covariance before a measurement, by the plain recursion."""
+    """Covariance before a measurement, by the plain recursion; it is too short to be worth compiling."""
     P = Q.copy()
     P[0, 0] += 1e6 * R
     for _ in range(cycles):
