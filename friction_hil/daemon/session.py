@@ -211,8 +211,8 @@ def _prepare(
     path = _recording_path(configuration, settings, started_ns)
     if path is not None:
         prepare(path, overwrite=settings.is_overwrite_allowed)  # report a wrong path before any drive is touched
-    make_drives = load_driver(only_driver(configuration))
-    drives: Drives = make_drives(configuration, configuration.axes, clock, dry_run=settings.dry_run)
+    driver = load_driver(only_driver(configuration))
+    drives = driver.drives_for(configuration, configuration.axes, clock, dry_run=settings.dry_run)
     stack.callback(_close, drives, report)
     facts = drives.connect()
     for fact in facts:

@@ -113,6 +113,13 @@ class Driver(Drives):
         """Take the axes; nothing is opened before `connect`."""
 
     @classmethod
+    def drives_for(
+        cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", clock: Clock, *, dry_run: bool
+    ) -> Drives:
+        """Return the drives of some axes, which may be others where another controller moves them."""
+        return cls(configuration, axes, clock, dry_run=dry_run)
+
+    @classmethod
     def check_files(
         cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]"
     ) -> "Iterable[tuple[str, str, FrictionHilError]]":

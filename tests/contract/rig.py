@@ -228,8 +228,7 @@ class InstalledRig(Rig):
 
     def make_drives(self, *, dry_run: bool = False) -> Drives:
         config = self.configuration
-        drives: Drives = self._driver(config, config.axes, self.clock, dry_run=dry_run)
-        return drives
+        return self._driver.drives_for(config, config.axes, self.clock, dry_run=dry_run)
 
     def stop_axes(self) -> tuple[Stop, ...]:
         """Stop all drives without a run."""

@@ -8,9 +8,9 @@ import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback
+from friction_hil.drive import AxisFacts, Clock, Command, Drives, DriveState, Feedback
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
 from friction_hil_drivers.canopen import cia301, codes, interfaces
@@ -147,11 +147,13 @@ class CanopenDrives(CanopenService):
         )
         yield from trial.run()
 
-    def __new__(cls, configuration: "Configuration", *arguments: Any, **options: Any) -> Any:
-        """Return the drives, or where another controller moves them (``bus.role: sidecar``) those of a sidecar."""
-        if configuration.bus is not None and configuration.bus.role == "sidecar":
-            return SidecarDrives(configuration, *arguments, **options)
-        return super().__new__(cls)
+    @classmethod
+    def drives_for(
+        cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", clock: Clock, *, dry_run: bool
+    ) -> Drives:
+        """Return the drives; with ``bus.role: sidecar`` those that another controller moves."""
+        is_sidecar = configuration.bus is not None and configuration.bus.role == "sidecar"
+        return (SidecarDrives if is_sidecar else cls)(configuration, axes, clock, dry_run=dry_run)
 
     def __init__(
         self,

@@ -89,7 +89,7 @@ def installed(monkeypatch):
 
 def test_what_a_driver_lacks_has_its_default():
     driver = load_driver("OldDriver")
-    drives = driver(None, {"x": None}, None, dry_run=True)
+    drives = driver.drives_for(None, {"x": None}, None, dry_run=True)
     assert isinstance(drives, OldDriver)
     assert isinstance(drives, Drives)
     assert (drives.is_passive, drives.is_follower, drives.phase_lock) == (True, False, None)
