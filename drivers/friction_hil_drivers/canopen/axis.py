@@ -14,7 +14,6 @@ from friction_hil_drivers.canopen.cia301 import Frame, decode_heartbeat
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.monitor import NodeCondition, NodeMonitor
-from friction_hil_drivers.canopen.notices import Notices
 from friction_hil_drivers.canopen.side_channel import CyclicSdo
 from friction_hil_drivers.canopen.stop import STANDSTILL_COUNTS
 from friction_hil_drivers.canopen.sync_answers import SyncAnswers
@@ -22,6 +21,7 @@ from friction_hil_drivers.canopen.twins import TwinWatch
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.cia402.codec import CommandEncoder, FeedbackDecoder, Measurement, next_controlword
 from friction_hil_drivers.cia402.load_encoder import LoadEncoder
+from friction_hil_drivers.cia402.notices import Notices
 from friction_hil_drivers.cia402.profile import emergency_code
 from friction_hil_drivers.cia402.temperature import MappedTemperature, TemperatureRead
 

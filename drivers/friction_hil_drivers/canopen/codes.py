@@ -10,11 +10,7 @@ NODE_LOCKED = "FH-204"
 LOCK_FAILED = "FH-205"
 NO_ANSWER = "FH-206"
 ANSWER_LOST = "FH-207"
-WRONG_IDENTITY = "FH-211"
-MODE_NOT_SUPPORTED = "FH-212"
 WRONG_EDS = "FH-213"
-ALREADY_POWERED = "FH-215"
-PERIOD_NOT_EXPRESSIBLE = "FH-216"
 NO_WATCHDOG = "FH-217"
 BUS_OVERLOAD = "FH-218"
 MAPPING_NOT_KEPT = "FH-219"
@@ -23,7 +19,6 @@ NOTHING_TO_HEAR = "FH-221"
 NOT_RESTORED = "FH-222"
 NO_MAPPING = "FH-227"
 UNKNOWN_ENTRY = "FH-228"
-NO_TORQUE_OFFSET = "FH-229"
 HEARTBEAT_LOST = "FH-230"
 NODE_RESTARTED = "FH-231"
 NOT_OPERATIONAL = "FH-232"
@@ -80,30 +75,10 @@ EXPLANATIONS = codes.EXPLANATIONS | {
         "drive switched off or reset meanwhile, frames lost",
         "check supply and wires",
     ),
-    WRONG_IDENTITY: Explanation(
-        "... says 1018h ..., but the configuration's identity demands ...",
-        "another drive under this number",
-        "correct `node` or `identity`",
-    ),
-    MODE_NOT_SUPPORTED: Explanation(
-        "... does not support mode ..., supports none of csp, csv, cst",
-        "6502h does not list it",
-        "a mode from the message; `is_mode_check_required: false` if 6502h is wrong",
-    ),
     WRONG_EDS: Explanation(
         "this EDS is not this drive's",
         "EDS of another type or firmware",
         "the matching EDS, or none",
-    ),
-    ALREADY_POWERED: Explanation(
-        "node ... is in state operation enabled already",
-        "another master, or one that ended without disabling",
-        "`friction-hil stop CONFIG`, once no other master runs",
-    ),
-    PERIOD_NOT_EXPRESSIBLE: Explanation(
-        "a drive cannot be given a period of ..., 60C2h stays at ...",
-        "60C2h holds 1 to 255 times a power of ten, or is read-only",
-        "another `period_s`, e.g. 1e-3 or 2e-3",
     ),
     NO_WATCHDOG: Explanation(
         "node ... cannot watch the daemon",
@@ -144,11 +119,6 @@ EXPLANATIONS = codes.EXPLANATIONS | {
         "... has a fixed mapping, which carries ... too",
         "its value cannot be read, so that nothing harmless can be sent in its place",
         "take that object out of the mapping with the vendor's tool",
-    ),
-    NO_TORQUE_OFFSET: Explanation(
-        "... lacks object 60B2h torque offset",
-        "csp and csv are compensated by it",
-        "mode `cst`, or `compensation: {enabled: false}`",
     ),
     HEARTBEAT_LOST: Explanation(
         "no heartbeat from node ...",

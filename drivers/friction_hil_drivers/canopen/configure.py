@@ -15,10 +15,17 @@ from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import NOT_WATCHED, Watch, arm
 from friction_hil_drivers.cia402 import objects, profile
-from friction_hil_drivers.cia402.access import RefusedError
-from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK
 from friction_hil_drivers.cia402.load_encoder import LoadEncoderOptions, require_object, with_scale
 from friction_hil_drivers.cia402.objects import Object
+from friction_hil_drivers.cia402.preparation import (
+    OPTIONAL_FEEDBACK,
+    check_mode,
+    command_objects,
+    feedback_objects,
+    identify,
+    prepare_mode,
+    require_unpowered,
+)
 from friction_hil_drivers.cia402.scales import (
     polarity_notes,
     read_scales,
@@ -35,13 +42,6 @@ if TYPE_CHECKING:
     from friction_hil_drivers.canopen.sdo import SdoClient
 
 _SYNC_BITS = 0x600007FF  # of 1005h: identifier, 29 bits, and that the drive itself sends SYNC; the others are its own
-_STAY_IN_QUICK_STOP = 6  # 605Ah
-# Feedback that a drive may lack, in the order in which it is done without, and what follows
-_WITHOUT = {
-    objects.MODE_DISPLAY: "that it takes the mode is not confirmed",
-    objects.TORQUE_ACTUAL: "no torque is recorded, so nothing can be identified from it",
-    objects.VELOCITY_ACTUAL: "the velocity is derived from the position, and has its resolution per period",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,10 +103,10 @@ def configure(
     options = canopen_options(axis)
     mode = Mode[axis.mode.upper()]
     taken = set() if taken is None else taken
-    identity = _identify(access, options)
-    notes = _check_mode(access, mode, options)
-    feedback, absent = _feedback_objects(access)
-    commands, without = _command_objects(access, mode, is_compensated=axis.compensation.enabled)
+    identity = identify(access, options.identity)
+    notes = check_mode(access, mode, is_required=options.is_mode_check_required)
+    feedback, absent = feedback_objects(access)
+    commands, without = command_objects(access, mode, is_compensated=axis.compensation.enabled)
     notes += absent + without
     load_encoder = options.load_encoder
     if load_encoder is not None:
@@ -127,7 +127,7 @@ def configure(
     rpdos: tuple[MappedPdo, ...] = ()
     watch = NOT_WATCHED
     if not dry_run:
-        _require_unpowered(access, state)
+        require_unpowered(access, state)
     before_writing()
     if not access.is_read_only:
         notes += _set_sync_id(access, sync_id)
@@ -189,77 +189,6 @@ def _setpoint_delay_cycles(options: CanopenOptions, mode: Mode, rpdos: Sequence[
     return delays.SETPOINT_CYCLES[mode] - earlier
 
 
-def _identify(access: "SdoClient", options: CanopenOptions) -> str:
-    """Read 1018h and compare it with the identity in the configuration."""
-    vendor = access.read(objects.VENDOR_ID)
-    product = access.find(objects.PRODUCT_CODE) or 0
-    serial = access.find(objects.SERIAL_NUMBER)
-    for entry, found, wanted in (
-        (objects.VENDOR_ID, vendor, options.identity.vendor_id),
-        (objects.PRODUCT_CODE, product, options.identity.product_code),
-    ):
-        if wanted is not None and wanted != found:
-            text = (
-                f"{access.axis}: {access.where} says {entry} = {found:#x}, but the configuration's identity "
-                f"demands {wanted:#x}"
-            )
-            raise DriveError(text, code=codes.WRONG_IDENTITY)
-    text = f"vendor {vendor:#x}, product {product:#x}"
-    return text if serial is None else f"{text}, serial number {serial}"
-
-
-def _check_mode(access: "SdoClient", mode: Mode, options: CanopenOptions) -> list[str]:
-    """Refuse a mode that the drive does not support; return a note where that is not known."""
-    bits = access.find(objects.SUPPORTED_MODES)
-    if bits is None:
-        return [
-            f"the drive has no {objects.SUPPORTED_MODES}: a mode {mode.name} that it lacks shows when it is enabled"
-        ]
-    if mode in profile.supported_modes(bits):
-        return []
-    names = ", ".join(profile.mode_names(bits)) or "no mode of the profile at all"
-    text = f"does not support mode {mode.name.lower()}; it supports {names}"
-    if not profile.supported_modes(bits):
-        text = f"supports none of csp, csv, cst, one of which is needed for cyclic commands; it supports {names}"
-    if options.is_mode_check_required:
-        raise DriveError(f"{access.axis}: {access.where} {text}", code=codes.MODE_NOT_SUPPORTED)
-    return [f"the drive says that it {text} ({objects.SUPPORTED_MODES}); it is tried, as is_mode_check_required says"]
-
-
-def _feedback_objects(access: "SdoClient") -> tuple[list[Object], list[str]]:
-    """Return the objects for the TPDOs that the drive has, and what it means that it lacks others."""
-    notes = []
-    entries = [entry for group in FEEDBACK for entry in group]
-    for entry, consequence in _WITHOUT.items():
-        if access.width(entry) is None:
-            entries.remove(entry)
-            notes.append(f"the drive has no {entry}: {consequence}")
-    return entries, notes
-
-
-def _command_objects(access: "SdoClient", mode: Mode, *, is_compensated: bool) -> tuple[list[Object], list[str]]:
-    """Return the objects for the RPDOs.
-
-    Raises
-    ------
-    DriveError
-        The drive lacks the torque offset, and the configuration wants a compensation.
-    """
-    entries = list(COMMANDS[mode])
-    offset = objects.TORQUE_OFFSET
-    if mode is Mode.CST or access.width(offset) or access.hidden_width(offset):
-        return entries, []
-    if is_compensated:
-        text = (
-            f"{access.axis}: {access.where} lacks object {objects.TORQUE_OFFSET}, by which mode {mode.name.lower()} is "
-            "compensated: take mode cst, which compensates without it, or let the axis run without compensation "
-            "(compensation: {enabled: false})"
-        )
-        raise DriveError(text, code=codes.NO_TORQUE_OFFSET)
-    entries.remove(objects.TORQUE_OFFSET)
-    return entries, [f"the drive has no {objects.TORQUE_OFFSET}: it runs without compensation"]
-
-
 def _check_eds(options: CanopenOptions, access: "SdoClient", entries: Sequence[Object]) -> None:
     """Compare the widths in the EDS with those that the drive has."""
     assert options.eds is not None
@@ -279,15 +208,6 @@ def _check_eds(options: CanopenOptions, access: "SdoClient", entries: Sequence[O
                 "this EDS is not this drive's"
             )
             raise DriveError(text, code=codes.WRONG_EDS)
-
-
-def _require_unpowered(access: "SdoClient", state: DriveState) -> None:
-    if state.is_powered:
-        text = (
-            f"{access.axis}: {access.where} is in state {state.words} already: another master is driving it, or a "
-            "former one left it enabled; stop that master, or take the drive's power by friction-hil stop CONFIG"
-        )
-        raise DriveError(text, code=codes.ALREADY_POWERED)
 
 
 def _set_sync_id(access: "SdoClient", sync_id: int) -> list[str]:
@@ -327,7 +247,7 @@ def _set_up_commands(
     taken: set[int],
 ) -> tuple[tuple[MappedPdo, ...], Watch, list[str]]:
     """Prepare the mode, map the RPDOs, switch the others off, set the watchdogs; return RPDOs, watchdogs and notes."""
-    notes = _prepare_mode(access, mode, period_s)
+    notes = prepare_mode(access, mode, period_s)
     negotiator = PdoNegotiator(access, is_receive=True, node=options.node, axis=options.axis_number, taken=taken)
     values = {objects.MODE: int(mode).to_bytes(1, "little")}
     result = negotiator.negotiate(entries, values=values)
@@ -382,90 +302,8 @@ def _negotiate_feedback(
         count = len(grouped(entries, bits))
         if len(grouped((*entries, spare), bits)) == count:
             identifiers = set(taken)
-            result = negotiated((*entries, spare), (spare, *_WITHOUT), identifiers)
+            result = negotiated((*entries, spare), (spare, *OPTIONAL_FEEDBACK), identifiers)
             if len(result.pdos) <= count:
                 taken |= identifiers
                 return result
-    return negotiated(entries, tuple(_WITHOUT), taken)
-
-
-def ensure(access: "SdoClient", entry: Object, value: int, bits: int | None = None) -> None:
-    """Write an object; a refusal is no obstacle where the drive holds the value already.
-
-    Raises
-    ------
-    DriveError
-        It refuses and holds another value, or does not answer.
-    """
-    try:
-        access.write(entry, value, bits)
-    except RefusedError:
-        if access.find(entry) != value:
-            raise
-
-
-def _prepare_mode(access: "SdoClient", mode: Mode, period_s: float) -> list[str]:
-    """Set zero torque, the present position as target, the mode and the interpolation period; return notes."""
-    access.write(objects.CONTROLWORD, profile.DISABLE_VOLTAGE)
-    notes = _set_interpolation_period(access, mode, period_s)
-    for entry in (objects.TARGET_TORQUE, objects.TORQUE_OFFSET, objects.TARGET_VELOCITY):
-        bits = access.width(entry) or access.hidden_width(entry)
-        if bits is not None:
-            ensure(access, entry, 0, bits)
-    if mode is Mode.CSP:
-        access.write(objects.TARGET_POSITION, access.read(objects.POSITION_ACTUAL))
-    ensure(access, objects.MODE, mode)
-    # where the drive can: it holds its position after a quick stop, until the loop has seen standstill
-    access.try_write(objects.QUICK_STOP_OPTION, _STAY_IN_QUICK_STOP)
-    return notes
-
-
-def _set_interpolation_period(access: "SdoClient", mode: Mode, period_s: float) -> list[str]:
-    """Set 60C2h, where the drive has it; return a note where it stays different.
-
-    Raises
-    ------
-    DriveError
-        The drive would interpolate the positions of csp with another period.
-    """
-    found = access.find(objects.INTERPOLATION_PERIOD)
-    if found is None:
-        return []
-    value, exponent = _interpolation_period(access.axis, period_s)
-    try:
-        ensure(access, objects.INTERPOLATION_EXPONENT, exponent)
-        ensure(access, objects.INTERPOLATION_PERIOD, value)
-    except RefusedError as error:
-        found = _with_present_exponent(access, period_s)
-        power = access.find(objects.INTERPOLATION_EXPONENT)
-        present_s = found * 10.0 ** (-3 if power is None else power)
-        if math.isclose(present_s, period_s):
-            return []
-        text = f"{objects.INTERPOLATION_PERIOD} stays at {present_s:g} s and not {period_s:g} s: {error.detail}"
-        if mode is Mode.CSP:
-            fix = f"take period_s: {present_s:g}, or mode csv or cst" if present_s > 0.0 else "take mode csv or cst"
-            raise DriveError(f"{access.axis}: {text}", fix, code=codes.PERIOD_NOT_EXPRESSIBLE) from error
-        return [text]
-    return []
-
-
-def _with_present_exponent(access: "SdoClient", period_s: float) -> int:
-    """Write the value of 60C2h that fits the exponent in it, if one does; return the value in it then."""
-    power = access.find(objects.INTERPOLATION_EXPONENT)
-    value = period_s * 10.0 ** -(-3 if power is None else power)
-    if 1.0 <= round(value) <= 255.0 and abs(value - round(value)) < 1e-6:
-        access.try_write(objects.INTERPOLATION_PERIOD, round(value))
-    return access.read(objects.INTERPOLATION_PERIOD)
-
-
-def _interpolation_period(axis: str, period_s: float) -> tuple[int, int]:
-    """Return value and exponent of 60C2h: value times 10^exponent seconds."""
-    for exponent in (-3, -4, -5, -6):
-        value = period_s * 10.0**-exponent
-        if 1.0 <= round(value) <= 255.0 and abs(value - round(value)) < 1e-6:
-            return round(value), exponent
-    text = (
-        f"{axis}: a drive cannot be given a period of {period_s:g} s ({objects.INTERPOLATION_PERIOD} is 1 to 255 "
-        "times a power of ten)"
-    )
-    raise DriveError(text, code=codes.PERIOD_NOT_EXPRESSIBLE)
+    return negotiated(entries, tuple(OPTIONAL_FEEDBACK), taken)

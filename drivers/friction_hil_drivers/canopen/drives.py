@@ -278,7 +278,7 @@ class CanopenDrives(CanopenService):
             if self._looks[name].refusal
         ]
         if refusals and not self._dry_run:
-            raise DriveError("; ".join(refusals), code=codes.ALREADY_POWERED)
+            raise DriveError("; ".join(refusals), code=cia402_codes.ALREADY_POWERED)
         self.is_passive = self._dry_run and bool(refusals or self._others.words)
         self._refuse_other_masters()
 

@@ -5,8 +5,13 @@ from friction_hil.drive.codes import Explanation
 SDO_ABORT = "FH-208"
 OBJECT_MISSING = "FH-209"
 OBJECT_SIZE = "FH-210"
+WRONG_IDENTITY = "FH-211"
+MODE_NOT_SUPPORTED = "FH-212"
 UNIT_UNKNOWN = "FH-214"
+ALREADY_POWERED = "FH-215"
+PERIOD_NOT_EXPRESSIBLE = "FH-216"
 JOURNAL_FILE = "FH-223"
+NO_TORQUE_OFFSET = "FH-229"
 UNITS_CONTRADICT = "FH-240"
 UNIT_AMBIGUOUS = "FH-241"
 
@@ -26,6 +31,16 @@ EXPLANATIONS = {
         "value too large; object narrower than in the standard",
         "another mode",
     ),
+    WRONG_IDENTITY: Explanation(
+        "... says 1018h ..., but the configuration's identity demands ...",
+        "another drive under this number",
+        "correct `node` or `identity`",
+    ),
+    MODE_NOT_SUPPORTED: Explanation(
+        "... does not support mode ..., supports none of csp, csv, cst",
+        "6502h does not list it",
+        "a mode from the message; `is_mode_check_required: false` if 6502h is wrong",
+    ),
     UNIT_UNKNOWN: Explanation(
         (
             "... does not report its encoder resolution, its rated torque; velocity in an unknown unit, or (csv) in "
@@ -34,10 +49,25 @@ EXPLANATIONS = {
         "object missing or empty; 60A9h aborted as not readable now",
         "`counts_per_unit`, `rated_torque`, `velocity_unit`",
     ),
+    ALREADY_POWERED: Explanation(
+        "node ... is in state operation enabled already",
+        "another master, or one that ended without disabling",
+        "`friction-hil stop CONFIG`, once no other master runs",
+    ),
+    PERIOD_NOT_EXPRESSIBLE: Explanation(
+        "a drive cannot be given a period of ..., 60C2h stays at ...",
+        "60C2h holds 1 to 255 times a power of ten, or is read-only",
+        "another `period_s`, e.g. 1e-3 or 2e-3",
+    ),
     JOURNAL_FILE: Explanation(
         "what the drive held before cannot be kept",
         "disk full, or no permission in the folder for temporary files",
         "make room; remove the file that the message names",
+    ),
+    NO_TORQUE_OFFSET: Explanation(
+        "... lacks object 60B2h torque offset",
+        "csp and csv are compensated by it",
+        "mode `cst`, or `compensation: {enabled: false}`",
     ),
     UNITS_CONTRADICT: Explanation(
         "... says ..., but node ... says ...: a factor of ...",

@@ -20,7 +20,14 @@ from friction_hil_drivers.cia402.codec import (
 from friction_hil_drivers.cia402.journal import Journal
 from friction_hil_drivers.cia402.load_encoder import LoadEncoderOptions, require_object, with_scale
 from friction_hil_drivers.cia402.objects import DataType, Object
-from friction_hil_drivers.cia402.options import DriveOptions
+from friction_hil_drivers.cia402.options import DriveOptions, Identity
+from friction_hil_drivers.cia402.preparation import (
+    check_mode,
+    command_objects,
+    feedback_objects,
+    identify,
+    prepare_mode,
+)
 from friction_hil_drivers.cia402.scales import read_units
 from friction_hil_drivers.cia402.simulated.dictionary import Dictionary, Entry
 from friction_hil_drivers.cia402.simulated.drive import SimulatedCia402Drive
@@ -95,8 +102,12 @@ class InMemory(ObjectClient):
         self.device.update(self.ms * 1_000_000)
 
     def begin_cycle(self) -> None:
-        """Set the mode, read the scales, and lay the process image out: two parts for commands, two for feedback."""
-        self.write(objects.MODE, self.mode)
+        """Prepare the drive, read its scales and lay out its process image: two parts in each direction."""
+        assert identify(self, Identity(vendor_id=0x123)) == "vendor 0x123, product 0x0, serial number 7"
+        assert check_mode(self, self.mode, is_required=True) == []
+        assert feedback_objects(self) == ([entry for group in FEEDBACK for entry in group], [])
+        assert command_objects(self, self.mode, is_compensated=True) == (list(COMMANDS[self.mode]), [])
+        assert prepare_mode(self, self.mode, PERIOD_S) == []
         units = read_units(self, DriveOptions(), "rotary")
         self.inputs = [Part(group) for group in FEEDBACK]
         first, *rest = COMMANDS[self.mode]
@@ -152,9 +163,11 @@ def test_a_drive_is_enabled_pushed_and_stopped_through_a_process_image(mode: Mod
     if mode is Mode.CST:
         assert drive.measured.position > 0.0
         assert drive.measured.velocity > 0.0
-    passed = drive.until(Request.QUICK_STOP, DriveState.SWITCH_ON_DISABLED, 2000)
-    assert passed[1] is DriveState.QUICK_STOP_ACTIVE
+    assert drive.until(Request.QUICK_STOP, DriveState.QUICK_STOP_ACTIVE, 2)
+    for _ in range(500):
+        assert drive.cycle(Request.QUICK_STOP) is DriveState.QUICK_STOP_ACTIVE  # 605Ah: it holds its position
     assert drive.servo.is_at_rest
+    assert drive.until(Request.DISABLE, DriveState.SWITCH_ON_DISABLED, 2)
     assert drive.emergencies == []
 
 
