@@ -78,27 +78,11 @@ def configure(
 
     A dry run reads, and sets up TPDOs; nothing else is written.
 
-    Parameters
-    ----------
-    access : SdoClient
-    name : str
-        Name of the axis.
-    axis : AxisConfig
-    period_s : float
-        Period of the cycle, s.
-    times : WatchdogTimes
-    dry_run : bool
-    taken : set of int, optional
-        Identifiers that PDOs of other axes have; those of this axis are added.
-    before_writing : callable, optional
-        Called when everything has been read and compared, before the first write.
-    sync_id : int, optional
-        Identifier of SYNC.
+    ``name``: name of the axis. ``period_s``: period of the cycle, s. ``taken``: identifiers that PDOs of other axes
+    have; those of this axis are added. ``before_writing``: called when everything has been read and compared, before
+    the first write. ``sync_id``: identifier of SYNC.
 
-    Raises
-    ------
-    DriveError
-        Something is missing or not as configured; nothing has been enabled then.
+    Raises `DriveError`: something is missing or not as configured; nothing has been enabled then.
     """
     options = canopen_options(axis)
     mode = Mode[axis.mode.upper()]
@@ -213,10 +197,7 @@ def _check_eds(options: CanopenOptions, access: "SdoClient", entries: Sequence[O
 def _set_sync_id(access: "SdoClient", sync_id: int) -> list[str]:
     """Let the drive take SYNC by its identifier; return a note where the drive does not show which one it takes.
 
-    Raises
-    ------
-    DriveError
-        It takes another one, and refuses this one.
+    Raises `DriveError`: it takes another one, and refuses this one.
     """
     found = access.find(cia301.SYNC_COB_ID)
     if found is None:

@@ -23,50 +23,24 @@ _LARGEST_LOAD = 0.9  # of the period; the rest is for SDO, heartbeats and emerge
 
 @dataclass(frozen=True, slots=True)
 class MappedPdo:
-    """One PDO in force: its identifier on the bus and the layout of its bytes.
+    """One PDO in force: its identifier on the bus and the layout of its bytes."""
 
-    Attributes
-    ----------
-    cob_id : int
-        Identifier of its frames.
-    entries : tuple of Object
-        Objects in the order of their bytes. Of a TPDO those that are used; its layout skips the others.
-    layout : struct.Struct
-    number : int
-        Number of the PDO in the drive, from 0.
-    is_synchronous : bool
-        An RPDO takes effect at the next SYNC; False: at once.
-    carried : mapping of Object to bytes
-        Constant content of those entries of an RPDO that are not commanded.
-    """
-
-    cob_id: int
-    entries: tuple[Object, ...]
+    cob_id: int  # identifier of its frames
+    entries: tuple[Object, ...]  # in the order of their bytes; of a TPDO those that are used: its layout skips others
     layout: struct.Struct
-    number: int = 0
-    is_synchronous: bool = True
-    carried: Mapping[Object, bytes] = field(default_factory=dict)
+    number: int = 0  # of the PDO in the drive, from 0
+    is_synchronous: bool = True  # an RPDO takes effect at the next SYNC; False: at once
+    carried: Mapping[Object, bytes] = field(default_factory=dict)  # constants in an RPDO, which are not commanded
 
 
 @dataclass(frozen=True, slots=True)
 class PdoRecord:
-    """Objects that configure one PDO of an axis.
-
-    Attributes
-    ----------
-    is_receive : bool
-    number : int
-        Number of the PDO, from 0, separately for each direction and axis.
-    node : int
-    axis : int
-        Number of the axis in a node with several (CiA 402-2): its objects of the profile stand 800h higher for each
-        axis, its PDOs 64 higher.
-    """
+    """Objects that configure one PDO of an axis."""
 
     is_receive: bool
-    number: int
+    number: int  # of the PDO, from 0, separately for each direction and axis
     node: int
-    axis: int = 0
+    axis: int = 0  # in a node with several (CiA 402-2): its profile stands 800h higher for each axis, its PDOs 64
 
     @property
     def name(self) -> str:
@@ -161,10 +135,7 @@ def wire_time_s(bitrate: int, pdos: Sequence[MappedPdo]) -> float:
 def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[MappedPdo]) -> str:
     """Return the load of the bus in words, if a cycle fits with room for SDO, heartbeats and emergencies.
 
-    Raises
-    ------
-    DriveError
-        It does not; the message has the calculation.
+    Raises `DriveError` with the calculation if it does not.
     """
     needed = wire_time_s(bitrate, pdos)
     if needed > _LARGEST_LOAD * period_s:

@@ -31,41 +31,21 @@ _ZEROED = (objects.TARGET_TORQUE, objects.TARGET_VELOCITY, objects.TORQUE_OFFSET
 
 @dataclass(frozen=True, slots=True)
 class FoundPdo:
-    """A PDO as the drive has it.
-
-    Attributes
-    ----------
-    record : PdoRecord
-    cob_id : int
-        Content of its COB-ID entry, with the bits 31 (invalid), 30 (no RTR) and 29 (29-bit identifier).
-    transmission_type : int or None
-        None where the drive has no such entry.
-    words : tuple of int
-        Its mapping: index, sub-index and width of each entry.
-    """
+    """A PDO as the drive has it."""
 
     record: PdoRecord
-    cob_id: int
-    transmission_type: int | None
-    words: tuple[int, ...]
+    cob_id: int  # content of the entry, with the bits 31 (invalid), 30 (no RTR) and 29 (29-bit identifier)
+    transmission_type: int | None  # None where the drive has no such entry
+    words: tuple[int, ...]  # index, sub-index and width of each entry
 
 
 @dataclass(frozen=True, slots=True)
 class Negotiated:
-    """PDOs in force, and those that are not used.
-
-    Attributes
-    ----------
-    pdos : tuple of MappedPdo
-    unused : tuple of FoundPdo
-        Still as they were found.
-    notes : tuple of str
-        What is kept because the drive does not let it be changed.
-    """
+    """PDOs in force, and those that are not used."""
 
     pdos: tuple[MappedPdo, ...]
-    unused: tuple[FoundPdo, ...]
-    notes: tuple[str, ...] = ()
+    unused: tuple[FoundPdo, ...]  # still as they were found
+    notes: tuple[str, ...] = ()  # what is kept because the drive does not let it be changed
 
 
 # Decisions
@@ -119,11 +99,7 @@ def _is_whole(words: Sequence[int]) -> bool:
 def kept_layout(pdo: FoundPdo, entries: Collection[Object]) -> tuple[tuple[Object, ...], str]:
     """Return the entries of a mapping that stays as it is, and the format of its bytes for `struct`.
 
-    Parameters
-    ----------
-    pdo : FoundPdo
-    entries : collection of Object
-        Objects that are used. Other entries of a TPDO are skipped by the format; of an RPDO they are bytes.
+    ``entries``: objects that are used. Other entries of a TPDO are skipped by the format; of an RPDO they are bytes.
     """
     used, code = [], "<"
     by_address = {pdo.record.address(entry): entry for entry in entries}
@@ -153,10 +129,7 @@ def _carried_object(record: PdoRecord, word: int, position: int) -> Object:
 def free_identifier(pdo: FoundPdo, taken: Collection[int]) -> int:
     """Return an identifier for a PDO: that of the pre-defined connection set, else its own, else a free one of the set.
 
-    Raises
-    ------
-    ValueError
-        All of them are taken.
+    Raises `ValueError`: all of them are taken.
     """
     record, own = pdo.record, pdo.cob_id & 0x7FF
     candidates = [own] if own and not pdo.cob_id & cia301.PDO_EXTENDED else []
@@ -195,14 +168,8 @@ def read_pdos(access: "SdoClient", *, is_receive: bool, node: int, axis: int = 0
 class PdoNegotiator:
     """Sets up the PDOs of one direction of a drive.
 
-    Parameters
-    ----------
-    access : SdoClient
-    is_receive : bool
-    node, axis : int
-        Node number, and number of the axis in a node with several.
-    taken : set of int
-        Identifiers of other PDOs; those of the PDOs set up here are added.
+    ``node``, ``axis``: node number, and number of the axis in a node with several. ``taken``: identifiers of other
+    PDOs; those of the PDOs set up here are added.
     """
 
     def __init__(
@@ -228,19 +195,12 @@ class PdoNegotiator:
         A mapping that is there already is kept. Otherwise it is written; where the drive refuses that, mappings that it
         has are kept if they contain what is needed, else it is tried with fewer entries a PDO.
 
-        Parameters
-        ----------
-        entries : sequence of Object
-            In the order of the bytes.
-        optional : collection of Object
-            Objects among them that are left out, with a note, if no PDO of the drive takes them; the first ones first.
-        values : mapping of Object to bytes, optional
-            Content of objects in a kept RPDO that are not to be read from the drive.
+        ``entries``: in the order of the bytes. ``optional``: objects among them that are left out, with a note, if no
+        PDO of the drive takes them; the first ones first. ``values``: content of objects in a kept RPDO that are not to
+        be read from the drive.
 
-        Raises
-        ------
-        DriveError
-            The drive lacks an object or has no PDO for it, or a fixed mapping has an entry whose value is not known.
+        Raises `DriveError`: the drive lacks an object or has no PDO for it, or a fixed mapping has an entry whose value
+        is not known.
         """
         self._values = dict(values or {})
         bits = self._widths(entries)
@@ -343,10 +303,7 @@ class PdoNegotiator:
     def _switch_on(self, pdo: FoundPdo) -> int:
         """Make a PDO synchronous, give it an identifier and switch it on; return its COB-ID.
 
-        Raises
-        ------
-        DriveError
-            The drive refuses, and what it has cannot be used either.
+        Raises `DriveError`: the drive refuses, and what it has cannot be used either.
         """
         access, record = self._access, pdo.record
         identifier = free_identifier(pdo, self._taken)

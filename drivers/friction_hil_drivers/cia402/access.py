@@ -77,27 +77,16 @@ class Reading(Protocol):
 
 
 class ObjectReader(ABC):
-    """Objects of one node.
+    """Objects of one drive."""
 
-    Attributes
-    ----------
-    axis : str
-        Name of the axis, for messages.
-    where : str
-        Node and bus (or log), for messages.
-    """
-
-    axis: str
-    where: str
+    axis: str  # its name, for messages
+    where: str  # node and bus (or log), for messages
 
     @abstractmethod
     def bytes_of(self, entry: Object) -> bytes | None:
         """Return the content of an object as on the wire, None where the drive has no such object.
 
-        Raises
-        ------
-        DriveError
-            The drive does not answer, or refuses.
+        Raises `DriveError`: the drive does not answer, or refuses.
         """
 
     def why_absent(self, entry: Object) -> str:

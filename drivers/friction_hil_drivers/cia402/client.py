@@ -21,50 +21,25 @@ from friction_hil_drivers.cia402.objects import Address, Object
 class ObjectClient(ObjectReader):
     """Reads and writes the objects of one drive; a bus has `read_object` and `write_object`.
 
-    Parameters
-    ----------
-    axis : str
-        Name of the axis, for messages.
-    where : str
-        Node and bus, for messages.
-
-    Attributes
-    ----------
-    axis_number : int
-        Number of the axis in a node with several: objects of the profile are those of this axis.
-    notes : list of str
-        For the user: objects that the drive refuses to show, and what the bus has to tell.
-    refusals : dict
-        By index and sub-index: why the drive refused to show an object, where it did not say that it has none.
-    journal : Journal or None
-        Keeps what the drive holds before it is written to.
-    write_refusals : dict
-        By address: why an object does not hold what was written last.
-    is_read_only : bool
-        True: every write is refused, as if by the drive, and nothing is sent.
+    ``axis`` and ``where``, which is node and bus, are for messages.
     """
 
     def __init__(self, axis: str, where: str) -> None:
         self.axis = axis
         self.where = where
-        self.axis_number = 0
-        self.notes: list[str] = []
-        self.refusals: dict[Address, str] = {}
-        self.write_refusals: dict[Address, str] = {}
+        self.axis_number = 0  # in a node with several: objects of the profile are those of this axis
+        self.notes: list[str] = []  # objects that the drive refuses to show, and what the bus has to tell
+        self.refusals: dict[Address, str] = {}  # why an object is not shown, unless the drive says that it has none
+        self.write_refusals: dict[Address, str] = {}  # why an object does not hold what was written last
         self._hidden: set[Address] = set()
-        self.journal: Journal | None = None
-        self.is_read_only = False
+        self.journal: Journal | None = None  # keeps what the drive holds before it is written to
+        self.is_read_only = False  # True: every write is refused, as if by the drive, and nothing is sent
 
     @abstractmethod
     def read_object(self, entry: Object) -> bytes:
         """Return the content of an object as on the wire.
 
-        Raises
-        ------
-        AbortError
-            The drive refuses.
-        DriveError
-            It does not answer.
+        Raises `AbortError`: the drive refuses. Raises `DriveError`: it does not answer.
         """
 
     @abstractmethod
@@ -106,10 +81,7 @@ class ObjectClient(ObjectReader):
     def write(self, entry: Object, value: int, bits: int | None = None) -> None:
         """Write an integer object, with the width that its type has or ``bits``.
 
-        Raises
-        ------
-        DriveError
-            The drive does not answer, or refuses; the message has the value.
+        Raises `DriveError`: the drive does not answer, or refuses; the message has the value.
         """
         low, high = entry.type.bounds
         if not low <= value <= high:
@@ -120,10 +92,7 @@ class ObjectClient(ObjectReader):
     def write_bytes(self, entry: Object, data: bytes, shown: str = "") -> None:
         """Write the content of an object; ``shown`` is its value in messages.
 
-        Raises
-        ------
-        DriveError
-            The drive does not answer, or refuses.
+        Raises `DriveError`: the drive does not answer, or refuses.
         """
         entry = entry.of_axis(self.axis_number)
         if self.is_read_only:
@@ -146,10 +115,7 @@ class ObjectClient(ObjectReader):
     def peek(self, entry: Object) -> bytes | None:
         """Return the content of an object, None where the drive does not show it for whatever reason; without a note.
 
-        Raises
-        ------
-        DriveError
-            The drive does not answer.
+        Raises `DriveError`: the drive does not answer.
         """
         try:
             return self.read_object(entry)
@@ -161,10 +127,7 @@ class ObjectClient(ObjectReader):
 
         One that the drive does not show is left alone: it could be neither read back nor restored.
 
-        Raises
-        ------
-        DriveError
-            The drive does not answer.
+        Raises `DriveError`: the drive does not answer.
         """
         address = entry.of_axis(self.axis_number).address
         if self.find(entry) is None and address in self.refusals:

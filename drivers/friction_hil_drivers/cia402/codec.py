@@ -68,43 +68,23 @@ def block_layout(entries: Sequence[Object], widths: Sequence[int]) -> struct.Str
 
 
 class Measurement(NamedTuple):
-    """Feedback of one complete cycle, SI.
-
-    Attributes
-    ----------
-    state : DriveState
-    counts : int or None
-        Position counter without its wraps; None before the first complete cycle.
-    position, velocity, torque : float
-        rad, rad/s, N m (m, m/s, N on a linear axis).
-    mode : int
-        Mode of operation that the drive reports (6061h); the one that was set where it reports none.
-    statusword : int
-        6041h.
-    """
+    """Feedback of one complete cycle, SI."""
 
     state: DriveState = DriveState.UNKNOWN
-    counts: int | None = None
-    position: float = 0.0
+    counts: int | None = None  # position counter without its wraps; None before the first complete cycle
+    position: float = 0.0  # rad (m), and so on
     velocity: float = 0.0
     torque: float = 0.0
-    mode: int = 0
-    statusword: int = 0
+    mode: int = 0  # that the drive reports (6061h); the one that was set where it reports none
+    statusword: int = 0  # 6041h
 
 
 class FeedbackDecoder:
     """Decoder of the feedback of one drive, whatever its blocks carry and in whatever order.
 
-    Parameters
-    ----------
-    blocks : sequence of Block
-        Statusword and position are among their entries. A velocity that is not is derived from the position; a torque
-        that is not is reported as 0; a mode that is not is taken to be the one that was set.
-    units : DriveUnits
-    mode : Mode
-        Mode of operation that was set.
-    period_s : float
-        Period of the cycle, s.
+    ``blocks``: statusword and position are among their entries. A velocity that is not is derived from the position; a
+    torque that is not is reported as 0; a mode that is not is taken to be the one that was set. ``mode``: mode of
+    operation that was set. ``period_s``: period of the cycle, s.
     """
 
     __slots__ = (
@@ -144,14 +124,8 @@ class FeedbackDecoder:
     def decode(self, frames: Sequence[bytes], before: Measurement, elapsed_s: float = 0.0) -> Measurement:
         """Decode the feedback of one cycle.
 
-        Parameters
-        ----------
-        frames : sequence of bytes
-            Data of each block; what is longer than its mapping is ignored.
-        before : Measurement
-            The one before; the position follows its counter, given that it moved by less than 2^31 since.
-        elapsed_s : float
-            Time since then, s.
+        ``frames``: data of each block; what is longer than its mapping is ignored. ``before``: the one before; the
+        position follows its counter, given that it moved by less than 2^31 since. ``elapsed_s``: time since then, s.
         """
         data = b"".join(frames)
         values = self._unpack_all(data) if len(data) == self._size else self._unpack_longer(frames)
@@ -176,13 +150,8 @@ class FeedbackDecoder:
 def next_controlword(state: DriveState, request: Request, before: int) -> int:
     """Return the controlword that takes a drive one transition towards ``request``.
 
-    Parameters
-    ----------
-    state : DriveState
-        State that the drive reported last.
-    request : Request
-    before : int
-        Controlword of the cycle before: a fault is reset by a rising edge.
+    ``state``: state that the drive reported last. ``before``: controlword of the cycle before: a fault is reset by a
+    rising edge.
     """
     if request is Request.RESET_FAULT:
         return profile.reset_controlword(state, before)
@@ -192,13 +161,8 @@ def next_controlword(state: DriveState, request: Request, before: int) -> int:
 class CommandEncoder:
     """Encoder of the commands to one drive, whatever its blocks carry and in whatever order.
 
-    Parameters
-    ----------
-    blocks : mapping of int to Block
-        By where they go: the identifier of a frame, or an offset in the process image. Controlword and the target of
-        the mode are among their entries. A torque offset that is not is not sent.
-    mode : Mode
-    units : DriveUnits
+    ``blocks``: by where they go: the identifier of a frame, or an offset in the process image. Controlword and the
+    target of the mode are among their entries. A torque offset that is not is not sent.
     """
 
     __slots__ = ("_address", "_blocks", "_carried", "_is_csp", "_is_csv", "_pack", "_units")
@@ -230,10 +194,7 @@ class CommandEncoder:
     def encode(self, controlword: int, command: Command) -> list[tuple[int, bytes]]:
         """Return where each block of a command goes and its bytes, in the order of the blocks.
 
-        Raises
-        ------
-        ValueError
-            A value is not finite.
+        Raises `ValueError`: a value is not finite.
         """
         units = self._units
         torque = units.torque_per_mille(command.torque)

@@ -45,22 +45,12 @@ class Access(Protocol):
 
 @dataclass(slots=True)
 class Found:
-    """One object: what it held, and what was written to it since.
-
-    Attributes
-    ----------
-    entry : Object
-    found : bytes or None
-        None: the drive did not show it.
-    written : list of bytes
-    is_taken : bool
-        The drive has taken the last one.
-    """
+    """One object: what it held, and what was written to it since."""
 
     entry: Object
-    found: bytes | None
+    found: bytes | None  # None: the drive did not show it
     written: list[bytes] = field(default_factory=list)
-    is_taken: bool = False
+    is_taken: bool = False  # the drive has taken the last one
 
     def is_ours(self, present: bytes | None) -> bool:
         """Return True if ``present`` is what was found or written, or is not shown, so that nobody else changed it."""
@@ -91,11 +81,8 @@ def number_of(data: bytes | None) -> int:
 class Journal:
     """Values found in one drive; each bus adds what belongs together on it.
 
-    Parameters
-    ----------
-    access : Access
-    path_of : callable
-        Returns the path of the file, given the identity of the drive in hexadecimal numbers, and the user's number.
+    ``path_of``: returns the path of the file, given the identity of the drive in hexadecimal numbers, and the user's
+    number.
     """
 
     names: Mapping[Address, Object] = objects.TABLE  # what is known of objects that a file has
@@ -113,10 +100,7 @@ class Journal:
     def leave_at_zero(self, entry: Object, size: int) -> None:
         """Keep that a set-point of so many bytes is to be zero once the drive is left.
 
-        Raises
-        ------
-        DriveError
-            It cannot be kept on disk.
+        Raises `DriveError`: it cannot be kept on disk.
         """
         self._open()
         self._found[entry.address] = Found(entry, bytes(size))
@@ -125,10 +109,7 @@ class Journal:
     def before(self, entry: Object, data: bytes) -> None:
         """Keep what the drive holds, before ``data`` is written to an object.
 
-        Raises
-        ------
-        DriveError
-            It cannot be kept on disk.
+        Raises `DriveError`: it cannot be kept on disk.
         """
         if not is_kept(entry):
             return
@@ -198,10 +179,7 @@ class Journal:
 
         The caller has made sure that the drive has no power. The file stays as long as something is to be restored.
 
-        Raises
-        ------
-        DriveError
-            The drive does not answer any more; then everything stays in the file.
+        Raises `DriveError`: the drive does not answer any more; then everything stays in the file.
         """
         refused = [group for group in self._restoration() if not self._restore_group(group)]
         for group in refused:  # e.g. a value of 60C2h that is too short a time with the exponent of this run

@@ -45,10 +45,7 @@ class LoadEncoderOptions(BaseModel):
 def require_object(access: ObjectReader, options: LoadEncoderOptions) -> Object:
     """Return the object, which the drive has.
 
-    Raises
-    ------
-    DriveError
-        The drive lacks it, or it has not 32 bits.
+    Raises `DriveError`: the drive lacks it, or it has not 32 bits.
     """
     entry = options.entry
     bits = access.width(entry)
@@ -68,10 +65,7 @@ def with_scale(access: ObjectReader, options: LoadEncoderOptions, kind: Kind) ->
     default that says nothing, a metre does not follow from it, and a gear (60E8h over 60EDh) leaves open on which side
     of it the encoder turns.
 
-    Raises
-    ------
-    DriveError
-        Neither the options nor the drive give one.
+    Raises `DriveError`: neither the options nor the drive give one.
     """
     per = "m" if kind == "linear" else "rad"
     reported = _reported(access, options) if kind == "rotary" else None
@@ -107,11 +101,7 @@ def _reported(access: ObjectReader, options: LoadEncoderOptions) -> float | None
 class LoadEncoder:
     """Position of the load from the feedback of each cycle, counted on when the counter wraps.
 
-    Parameters
-    ----------
-    blocks : sequence of Block
-        One of them carries the object.
-    options : LoadEncoderOptions
+    ``blocks``: one of them carries the object.
     """
 
     __slots__ = ("_counts", "_number", "_place", "_scale", "_unpack", "position")

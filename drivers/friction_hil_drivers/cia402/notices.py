@@ -14,18 +14,12 @@ _BIT_TEXTS = (  # (bit, value that is told, text)
 
 
 class Notices:
-    """Notices of one axis, each kept once, but emergencies each time.
-
-    Attributes
-    ----------
-    waiting : list of str
-        Not handed over yet.
-    """
+    """Notices of one axis, each kept once, but emergencies each time."""
 
     __slots__ = ("_bits", "_known", "waiting")
 
     def __init__(self) -> None:
-        self.waiting: list[str] = []
+        self.waiting: list[str] = []  # not handed over yet
         self._known: set[str] = set()
         self._bits: int | None = None  # of the statusword in Operation enabled
 

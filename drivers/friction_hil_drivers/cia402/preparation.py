@@ -71,10 +71,7 @@ def feedback_objects(access: ObjectClient) -> tuple[list[Object], list[str]]:
 def command_objects(access: ObjectClient, mode: Mode, *, is_compensated: bool) -> tuple[list[Object], list[str]]:
     """Return the objects of a command.
 
-    Raises
-    ------
-    DriveError
-        The drive lacks the torque offset, and the configuration wants a compensation.
+    Raises `DriveError`: the drive lacks the torque offset, and the configuration wants a compensation.
     """
     entries = list(COMMANDS[mode])
     offset = objects.TORQUE_OFFSET
@@ -104,10 +101,7 @@ def require_unpowered(access: ObjectClient, state: DriveState) -> None:
 def _ensure(access: ObjectClient, entry: Object, value: int, bits: int | None = None) -> None:
     """Write an object; a refusal is no obstacle where the drive holds the value already.
 
-    Raises
-    ------
-    DriveError
-        It refuses and holds another value, or does not answer.
+    Raises `DriveError`: it refuses and holds another value, or does not answer.
     """
     try:
         access.write(entry, value, bits)
@@ -135,10 +129,7 @@ def prepare_mode(access: ObjectClient, mode: Mode, period_s: float) -> list[str]
 def _set_interpolation_period(access: ObjectClient, mode: Mode, period_s: float) -> list[str]:
     """Set 60C2h, where the drive has it; return a note where it stays different.
 
-    Raises
-    ------
-    DriveError
-        The drive would interpolate the positions of csp with another period.
+    Raises `DriveError`: the drive would interpolate the positions of csp with another period.
     """
     found = access.find(objects.INTERPOLATION_PERIOD)
     if found is None:

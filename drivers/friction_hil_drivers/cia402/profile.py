@@ -98,11 +98,8 @@ def next_controlword(state: DriveState, request: Request) -> int:
     None of these resets a fault: that is the user's explicit decision (`reset_controlword`). A drive in Quick Stop
     Active is enabled through Switch On Disabled, because few drives support the direct transition 16.
 
-    Raises
-    ------
-    ValueError
-        ``request`` is `Request.LISTEN`, for which no controlword is written, or `Request.RESET_FAULT`, which depends
-        on the controlword before.
+    Raises `ValueError`: ``request`` is `Request.LISTEN`, for which no controlword is written, or `Request.RESET_FAULT`,
+    which depends on the controlword before.
     """
     if request not in _STEPS:
         raise ValueError(f"no controlword follows from {request.name} and the drive's state alone")

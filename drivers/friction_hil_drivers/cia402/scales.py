@@ -63,27 +63,13 @@ class Reported:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """One scale of a drive.
+    """One scale of a drive."""
 
-    Attributes
-    ----------
-    value : float
-        Counts per rad (m), increments per rad/s (m/s), or N m (N) at 1000 per mille.
-    text : str
-        The same in words, with its unit.
-    source : str
-        Where it comes from.
-    confirmation : str
-        What agrees with it.
-    contradiction : str
-        What the drive says instead; empty if it agrees, or says nothing.
-    """
-
-    value: float
-    text: str
-    source: str
-    confirmation: str
-    contradiction: str = ""
+    value: float  # counts per rad (m), increments per rad/s (m/s), or N m (N) at 1000 per mille
+    text: str  # the same in words, with its unit
+    source: str  # where it comes from
+    confirmation: str  # what agrees with it
+    contradiction: str = ""  # what the drive says instead; empty if it agrees, or says nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +97,7 @@ def read_units(access: ObjectReader, options: DriveOptions, kind: Kind) -> Drive
 def read_scales(access: ObjectReader, options: DriveOptions, kind: Kind) -> Scales:
     """Return the scales of a drive.
 
-    Raises
-    ------
-    DriveError
-        Neither the options nor the drive give one of them, or the drive's objects leave it open.
+    Raises `DriveError`: neither the options nor the drive give one of them, or the drive's objects leave it open.
     """
     position = _position(access, options, kind)
     return Scales(position, _velocity(access, options, kind, position.value), _torque(access, options, kind))
@@ -123,10 +106,7 @@ def read_scales(access: ObjectReader, options: DriveOptions, kind: Kind) -> Scal
 def require_velocity_unit(access: ObjectReader, options: DriveOptions) -> None:
     """Refuse to assume a unit for velocity targets where the drive has one, but does not show it.
 
-    Raises
-    ------
-    DriveError
-        60A9h could not be read, and the configuration does not give the unit.
+    Raises `DriveError`: 60A9h could not be read, and the configuration does not give the unit.
     """
     hidden = access.why_hidden(objects.VELOCITY_UNIT)
     if hidden and options.velocity_unit is None:
@@ -140,10 +120,7 @@ def require_velocity_unit(access: ObjectReader, options: DriveOptions) -> None:
 def require_agreement(access: ObjectReader, options: DriveOptions, scales: Scales) -> None:
     """Refuse a configuration that contradicts the drive, unless `DriveOptions.trust` names the key.
 
-    Raises
-    ------
-    DriveError
-        With both numbers, for the first contradiction.
+    Raises `DriveError` with both numbers for the first contradiction.
     """
     for key, scale in (
         ("counts_per_unit", scales.position),

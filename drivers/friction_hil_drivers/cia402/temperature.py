@@ -78,10 +78,7 @@ class TemperatureOptions(BaseModel):
 def read_first(access: ObjectReader, options: TemperatureOptions) -> float:
     """Read the temperature before the cyclic phase, deg C.
 
-    Raises
-    ------
-    DriveError
-        The drive has no such object, or one of another size.
+    Raises `DriveError`: the drive has no such object, or one of another size.
     """
     data = access.bytes_of(options.entry)
     if data is None:
@@ -99,11 +96,7 @@ def read_first(access: ObjectReader, options: TemperatureOptions) -> float:
 class MappedTemperature:
     """Temperature from the feedback of each cycle.
 
-    Parameters
-    ----------
-    blocks : sequence of Block
-        One of them carries the object.
-    options : TemperatureOptions
+    ``blocks``: one of them carries the object.
     """
 
     __slots__ = ("_convert", "_number", "_place", "_unpack")
@@ -119,24 +112,7 @@ class MappedTemperature:
 
 
 class TemperatureRead:
-    """Readings in the cyclic phase, one each `TemperatureOptions.interval_s`.
-
-    Parameters
-    ----------
-    options : TemperatureOptions or None
-        None: there is nothing to read.
-    first : float
-        Temperature that was read before, deg C.
-
-    Attributes
-    ----------
-    value : float
-        Last temperature, deg C; NaN where the last readings failed.
-    due_ns : int
-        Time of the next reading.
-    notice : str
-        For the user, to be taken once; empty in most cycles.
-    """
+    """Readings in the cyclic phase, one each `TemperatureOptions.interval_s`; without options there is none."""
 
     __slots__ = ("_failed", "_interval_ns", "_options", "due_ns", "notice", "value")
 
@@ -144,9 +120,9 @@ class TemperatureRead:
         self._options = options
         self._interval_ns = 0 if options is None else round(options.interval_s * 1e9)
         self._failed = 0
-        self.value = first
-        self.due_ns = NEVER_NS
-        self.notice = ""
+        self.value = first  # deg C; NaN where the last readings failed
+        self.due_ns = NEVER_NS  # of the next reading
+        self.notice = ""  # for the user, to be taken once
 
     def start(self, now_ns: int) -> None:
         """Begin to count the time of the readings."""

@@ -24,24 +24,12 @@ _ROUNDING = 1e-12  # relative error of the conversions
 
 @dataclass(frozen=True, slots=True)
 class DriveUnits:
-    """Scales of one drive; negative ones invert its direction.
+    """Scales of one drive; negative ones invert its direction."""
 
-    Attributes
-    ----------
-    counts_per_unit : float
-        Position counts per rad (m).
-    velocity_per_unit : float
-        Increments of 606Ch and 60FFh per rad/s (m/s).
-    rated_torque : float
-        Torque at 1000 per mille, N m (N).
-    command_sign : float
-        -1 where a torque that is sent acts in the other direction than the same one that is reported.
-    """
-
-    counts_per_unit: float
-    velocity_per_unit: float
-    rated_torque: float
-    command_sign: float = 1.0
+    counts_per_unit: float  # counts of position per rad (m)
+    velocity_per_unit: float  # increments of 606Ch and 60FFh per rad/s (m/s)
+    rated_torque: float  # torque at 1000 per mille, N m (N)
+    command_sign: float = 1.0  # -1: a torque that is sent acts in the other direction than one that is reported
 
     def position_counts(self, position: float) -> int:
         """Return the counts of a position, wrapped to 32 bits as drives wrap theirs."""
@@ -102,20 +90,11 @@ class Measure(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit of position, or of velocity (then per second).
+    """A unit of position, or of velocity (then per second)."""
 
-    Attributes
-    ----------
-    scale : float
-        Counts, rad or m (per s) of one increment.
-    measure : Measure
-    text : str
-        The unit in words, e.g. ``0.1 rpm``.
-    """
-
-    scale: float
+    scale: float  # counts, rad or m (per s) of one increment
     measure: Measure
-    text: str
+    text: str  # the unit in words, e.g. ``0.1 rpm``
 
 
 COUNTS_CODE = 0xB5
@@ -141,10 +120,7 @@ VELOCITY_UNITS = tuple(_NAMES)
 def decode_position_unit(code: int) -> Unit | None:
     """Decode object 60A8h; None for 0, which says nothing.
 
-    Raises
-    ------
-    ValueError
-        The code is not known.
+    Raises `ValueError`: the code is not known.
     """
     return _decode(code, is_velocity=False)
 
@@ -152,10 +128,7 @@ def decode_position_unit(code: int) -> Unit | None:
 def decode_velocity_unit(code: int) -> Unit | None:
     """Decode object 60A9h; None for 0, which says nothing.
 
-    Raises
-    ------
-    ValueError
-        The code is not known.
+    Raises `ValueError`: the code is not known.
 
     Examples
     --------
@@ -187,10 +160,7 @@ def encode_unit(exponent: int, numerator: int, denominator: int = 0) -> int:
 def parse_velocity_unit(text: str) -> Unit:
     """Return the unit of a text like ``rpm``, ``0.1 rpm``, ``counts/s`` or ``0.001 deg/s``.
 
-    Raises
-    ------
-    ValueError
-        The text is not a unit of velocity; the message lists them.
+    Raises `ValueError`: the text is not a unit of velocity; the message lists them.
     """
     number, _, name = text.strip().rpartition(" ")
     try:

@@ -23,19 +23,11 @@ _UNICODE_STRING, _DOMAIN = 0x0B, 0x0F
 def eds_dictionary(path: Path, node: int, missing: Iterable[int] = ()) -> Dictionary:
     """Build the dictionary that an EDS describes, at its defaults.
 
-    Parameters
-    ----------
-    path : Path
-        EDS of the entries that SDO and PDO find. Others that the device uses come from the EDS of this package.
-    node : int
-        For the entries that depend on the node's number.
-    missing : iterable of int
-        Indices in the EDS that SDO and PDO do not find.
+    ``path``: EDS of the entries that SDO and PDO find. Others that the device uses come from the EDS of this package.
+    ``node``: for the entries that depend on the node's number. ``missing``: indices in the EDS that SDO and PDO do not
+    find.
 
-    Raises
-    ------
-    UsageError
-        The file is not an EDS.
+    Raises `UsageError`: the file is not an EDS.
     """
     own = {(entry.index, entry.subindex): copy.copy(entry) for entry in _own_entries(node)}
     lacking = frozenset(missing)

@@ -106,16 +106,9 @@ class Entry:
 class Dictionary:
     """Entries by index and sub-index.
 
-    Parameters
-    ----------
-    entries : iterable of Entry
-        Every entry that the device uses.
-    hidden : iterable of (index, sub-index)
-        Entries that SDO and PDO do not find; the device uses their defaults.
-    shown : iterable of Entry
-        Entries that SDO and PDO find in the place of those that the device uses.
-    is_foreign : bool
-        It follows a vendor's file.
+    ``entries``: every entry that the device uses. ``hidden``: entries that SDO and PDO do not find; the device uses
+    their defaults. ``shown``: entries that SDO and PDO find in the place of those that the device uses. ``is_foreign``:
+    it follows a vendor's file.
     """
 
     def __init__(
@@ -187,10 +180,7 @@ class Dictionary:
     def preset(self, index: int, subindex: int, value: int) -> None:
         """Set the default of any entry.
 
-        Raises
-        ------
-        UsageError
-            There is no such entry of integers, or the value does not fit its type.
+        Raises `UsageError`: there is no such entry of integers, or the value does not fit its type.
         """
         entry = self.check(index, subindex, value)
         entry.default = entry.value = value

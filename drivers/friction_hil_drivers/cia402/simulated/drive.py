@@ -154,10 +154,7 @@ class SimulatedCia402Drive:
     def advance(self, steps: int) -> None:
         """Let time pass.
 
-        Raises
-        ------
-        DriveError
-            The simulated servo left all bounds.
+        Raises `DriveError`: the simulated servo left all bounds.
         """
         self.servo.advance(steps)
         if not math.isfinite(self.servo.true_position):

@@ -23,12 +23,8 @@ def _register_bit(code: int) -> int:
 class Emergencies:
     """Errors that are present, and the emergency messages that report them.
 
-    Parameters
-    ----------
-    dictionary : Dictionary
-        Its entries 1001h, 1003h and 603Fh mirror the errors.
-    send : callable
-        Called with the eight bytes of each emergency message.
+    ``dictionary``: its entries 1001h, 1003h and 603Fh mirror the errors. ``send``: called with the eight bytes of each
+    emergency message.
     """
 
     def __init__(self, dictionary: Dictionary, send: Callable[[bytes], None]) -> None:

@@ -37,28 +37,17 @@ def unwrapped(position: int, near: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class VelocityUnit:
-    """Unit of 606Bh, 606Ch, 60B1h and 60FFh, by object 60A9h (CiA 402-2 with the codes of CiA 303-2).
+    """Unit of 606Bh, 606Ch, 60B1h and 60FFh, by object 60A9h (CiA 402-2 with the codes of CiA 303-2)."""
 
-    Attributes
-    ----------
-    exponent : int
-        Power of ten.
-    numerator, denominator : int
-        Codes, e.g. B5h counts and 03h second.
-    """
-
-    exponent: int = 0
-    numerator: int = _COUNTS
+    exponent: int = 0  # a power of ten
+    numerator: int = _COUNTS  # code, e.g. B5h counts; 03h second for the denominator
     denominator: int = 0x03
 
     @classmethod
     def parse(cls, text: str) -> "VelocityUnit":
         """Return the unit of a text like ``rpm``, ``0.1 rpm`` or ``counts/s``.
 
-        Raises
-        ------
-        ValueError
-            The text is none of these.
+        Raises `ValueError`: the text is none of these.
         """
         number, _, name = text.strip().rpartition(" ")
         known = _NAMES.get(name)
@@ -85,12 +74,7 @@ class VelocityUnit:
     def increments(self, counts: float, revolution: float) -> float:
         """Return the increments of a velocity of 1 rad/s (m/s).
 
-        Parameters
-        ----------
-        counts : float
-            Counts per rad (m).
-        revolution : float
-            rad (m) of a revolution.
+        ``counts``: counts per rad (m). ``revolution``: rad (m) of a revolution.
         """
         numerator = counts if self.numerator == _COUNTS else _PER_TURN[self.numerator] / revolution
         scale = _SECONDS[self.denominator] * 10.0**-self.exponent
@@ -103,18 +87,9 @@ class SimulatedUnits:
     A revolution is one turn of a rotary axis and one metre of a linear one. The rated torque is rounded to whole
     mN m (mN), the unit of object 6076h, so that both sides of the bus use the same scale.
 
-    Parameters
-    ----------
-    servo : Servo
-        The motor and its encoder.
-    resolution : Fraction, optional
-        Counts of 6064h for a revolution; those of the encoder when not given.
-    rated_torque : int, optional
-        Torque at 1000 per mille, mN m (mN); the motor's when not given.
-    velocity : VelocityUnit, optional
-        counts/s when not given.
-    is_inverted : bool
-        The positive direction on the bus is the servo's negative one.
+    ``servo``: the motor and its encoder. ``resolution``: counts of 6064h for a revolution; those of the encoder when
+    not given. ``rated_torque``: torque at 1000 per mille, mN m (mN); the motor's when not given. ``velocity``: counts/s
+    when not given. ``is_inverted``: the positive direction on the bus is the servo's negative one.
     """
 
     def __init__(

@@ -9,19 +9,10 @@ Value = int | float | bytes
 
 @dataclass(frozen=True, slots=True)
 class WireType:
-    """One data type.
+    """One data type."""
 
-    Attributes
-    ----------
-    bits : int
-        Width on the wire; 0 for strings, domains and types that are not known, whose values are bytes.
-    code : str
-        Format character of `struct`, to be used with ``<``; empty where it has none.
-    is_signed, is_real : bool
-    """
-
-    bits: int
-    code: str = ""
+    bits: int  # on the wire; 0 for strings, domains and types that are not known, whose values are bytes
+    code: str = ""  # format character of `struct`, to be used with ``<``; empty where it has none
     is_signed: bool = False
     is_real: bool = False
 
