@@ -1,5 +1,6 @@
 """The order in which settings of a drive are restored, after CiA 301, and what other users' runs have kept."""
 
+import json
 import os
 import shutil
 import tempfile
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from friction_hil_drivers.canopen.pdo_journal import CanopenJournal, restoration
+from friction_hil_drivers.cia402.access import RefusedError
 from friction_hil_drivers.cia402.journal import Found
 from friction_hil_drivers.cia402.objects import DataType, Object
 
@@ -55,6 +57,58 @@ class Shown:
 
     def download(self, entry, data):
         raise AssertionError("nothing is written here")
+
+
+KEPT = """{"version": 1, "entries": [
+ {"index": 4118, "subindex": 1, "found": "00000000", "written": ["14007e00"]},
+ {"index": 24668, "subindex": 0, "found": "0100", "written": ["0000"]},
+ {"index": 24672, "subindex": 0, "found": "06", "written": ["08"]},
+ {"index": 5120, "subindex": 1, "found": "05020000", "written": ["05020080", "05020000"]},
+ {"index": 5632, "subindex": 0, "found": "01", "written": ["00", "02"]},
+ {"index": 5632, "subindex": 1, "found": "10004060", "written": ["10004160"]},
+ {"index": 4119, "subindex": 0, "found": "e803", "written": ["1400"]}]}"""  # as version 0.2 writes it
+
+
+class Node:
+    """A node that holds what a killed run has left, and takes everything but a heartbeat time."""
+
+    axis, where = "x", "node 5 on can0"
+
+    def __init__(self):
+        self.taken = []
+        self.values = {
+            (each["index"], each["subindex"]): bytes.fromhex(each["written"][-1])
+            for each in json.loads(KEPT)["entries"]
+        }
+
+    def peek(self, entry):
+        return self.values.get(entry.address)
+
+    def download(self, entry, data):
+        if entry.index == 0x1017:
+            raise RefusedError("refused")
+        self.values[entry.address] = data
+        self.taken.append((entry.index, entry.subindex, data.hex()))
+
+
+def test_what_an_older_version_has_kept_is_restored_in_order_and_named(tmp_path):
+    path, node = tmp_path / "kept.json", Node()
+    path.write_text(KEPT)
+    journal = CanopenJournal(node, lambda _: path)
+    journal.before(Object(0x605C, "disable operation option code", DataType.INTEGER16), b"\0\0")
+    assert "7 objects" in journal.notes[0]
+    assert journal.restore() == ["1017h producer heartbeat time was 03E8h and stays 0014h"]
+    assert node.taken == [
+        (0x1016, 1, "00000000"),
+        (0x1400, 1, "05020080"),
+        (0x1600, 0, "00"),
+        (0x1600, 1, "10004060"),
+        (0x1600, 0, "01"),
+        (0x1400, 1, "05020000"),
+        (0x6060, 0, "06"),
+        (0x605C, 0, "0100"),
+    ]
+    assert [each["index"] for each in json.loads(path.read_text())["entries"]] == [0x1017]
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
