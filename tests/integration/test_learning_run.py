@@ -56,6 +56,7 @@ def test_parameters_are_handed_over_and_every_bit_is_reproduced(done):
     assert (result.is_verified, result.reason, result.tolerance) == (True, "", 0.0)
 
 
+@pytest.mark.deep
 def test_the_uncertainty_of_what_was_handed_over_is_recorded(done):
     found, recording = done[0]["x"], done[1]["x"]
     uncertainty, change = recording["compensation_uncertainty"], recording["change"]
@@ -64,6 +65,7 @@ def test_the_uncertainty_of_what_was_handed_over_is_recorded(done):
     assert 0.2 * expected < np.median(uncertainty[change == 1.0]) < 5.0 * expected
 
 
+@pytest.mark.deep
 def test_an_axis_that_only_proposes_says_so_and_stays_as_it_is(done):
     found, recording = done[0]["y"], done[1]["y"]
     notice = next(event.text for event in recording.events if event.name == "notice" and event.text.startswith("y:"))

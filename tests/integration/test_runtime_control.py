@@ -138,7 +138,6 @@ def controlled(tmp_path_factory):
     return found
 
 
-@pytest.mark.deep
 def test_nothing_is_enabled_before_somebody_starts_it_and_again_after_a_stop(controlled):
     assert controlled["waiting"]["axes"]["x"]["drive_state"] == "switch on disabled"
     assert (controlled["started"], controlled["stopped"], controlled["reset"], controlled["again"]) == (0, 0, 0, 0)

@@ -40,10 +40,12 @@ def test_json_is_the_facts_by_model_and_nothing_else(outcome):
     assert facts["lugre"]["reversal_reduction_by_lugre"] > facts["lugre"]["reversal_reduction_by_coulomb"] > 1.0
 
 
+@pytest.mark.deep
 def test_it_is_silent_where_there_is_no_terminal(outcome):
     assert outcome[1].stderr == ""
 
 
+@pytest.mark.deep
 def test_the_report_is_there_and_nothing_else(outcome):
     folder, _ = outcome
     assert [path.name for path in folder.iterdir()] == ["report.html"]

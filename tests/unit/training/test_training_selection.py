@@ -90,6 +90,7 @@ def test_a_network_learns_what_depends_on_the_position(learned):
     assert np.sqrt(np.mean((with_network + offset - wanted) ** 2)) < np.sqrt(np.mean((base + offset - wanted) ** 2))
 
 
+@pytest.mark.deep
 def test_where_nothing_was_learned_the_physical_model_remains(learned):
     """Slower than the encoder resolves, faster and farther than the recording went."""
     base, model, slowest = learned.base.friction_model, learned.model, learned.network.least_speed

@@ -68,6 +68,7 @@ def test_a_fit_that_swings_in_the_loop_is_not_tried(experiment, found) -> None:
     assert set(own) == {*MOTIONS, "triangle"}
 
 
+@pytest.mark.deep
 def test_fits_whose_errors_refer_to_other_rows_are_not_rehearsed(experiment, found) -> None:
     """A family whose refinement failed is left with its fit to ordinary records: how likely it is, does not compare."""
     config, recording = experiment
