@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import friction_hil as fh
-from tests.examples import most_of_what_is_thorough
+from tests.examples import most_for_families
 from tests.friction_models import again, decades, level_bound, level_of, mirrored, models, motions
 
 checked = settings(  # one function serves all subclasses; the first example may compile
-    max_examples=most_of_what_is_thorough(), deadline=None, suppress_health_check=[HealthCheck.differing_executors]
+    max_examples=most_for_families(), deadline=None, suppress_health_check=[HealthCheck.differing_executors]
 )
 
 

@@ -28,7 +28,7 @@ _claims = st.sampled_from(
 _patches = st.binary(min_size=1, max_size=9) | _claims
 _changes = st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), _patches), min_size=1, max_size=4)
 _quick = settings(  # one function serves all subclasses, and overwrites the file of its one fixture
-    max_examples=15,
+    max_examples=25,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.differing_executors],
     deadline=None,
 )

@@ -416,7 +416,7 @@ def test_random_frames_to_an_enabled_drive_break_nothing(frames: list[Frame]) ->
         assert abs(bench.servo.torque_demand) <= bench.servo.config.motor.peak_torque
 
 
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=25)
 @given(st.lists(st.sampled_from([(0x205, struct.pack("<Hhh", 0x0F, 30, 0)), (0x080, b""), (MASTER, b"\x05")])))
 def test_paced_by_sync_everything_is_a_function_of_the_frames(frames: list[Frame]) -> None:
     runs = []

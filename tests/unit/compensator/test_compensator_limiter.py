@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from friction_hil.compensator.limiter import limit_torque
-from tests.examples import most_of_what_is_thorough
+from tests.examples import THOROUGH
 
-thorough = settings(max_examples=most_of_what_is_thorough())
+thorough = settings(max_examples=THOROUGH)
 
 PERIOD_S = 1e-3
 any_float = st.floats(allow_nan=True, allow_infinity=True)

@@ -91,7 +91,7 @@ def test_what_counts_is_steady_motion_in_whole_periods(baseline_s, duration_s, s
 
 
 @given(baseline_s=st.floats(1.25, 2.4), duration_s=st.floats(3.6, 5.0))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_of_a_periodic_error_the_figures_do_not_depend_on_the_duration(baseline_s, duration_s):
     cycles = conditions(baseline_s, duration_s)
     time = np.arange(len(cycles)) * T
@@ -127,7 +127,7 @@ def test_an_interrupted_operation_settles_anew():
 
 
 @given(baseline_s=st.floats(0.5, 2.5), motion_s=st.sampled_from([PERIOD_S, math.inf]), seed=st.integers(0, 1000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_the_end_of_a_time_without_compensation_is_news_once_with_its_figures(baseline_s, motion_s, seed):
     """A thousandth of a second into a fade, not after it: a run that ends then has had them."""
     cycles = conditions(baseline_s, 5.0)
@@ -175,7 +175,7 @@ def hinted(figures, **changes):
 
 
 @given(frequency=st.sampled_from([0.2, 0.5, 1.0, 4.0]), ramp_s=st.floats(0.1, 3.0))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_the_baseline_that_is_suggested_is_long_enough(frequency, ramp_s):
     some = ConditionFigures(1.0, 2.0, 3, 0)
     text = hinted((None, some), trajectory={**SINE, "frequency": frequency, "ramp_s": ramp_s})

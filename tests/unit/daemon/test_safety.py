@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from friction_hil.daemon.safety import MAX_STALE_CYCLES, REQUESTS, FaultReset, LoopState, SafetyLimits, Supervisor
 from friction_hil.drive import DriveState, Feedback, Request
-from tests.examples import most_of_what_is_thorough
+from tests.examples import THOROUGH
 
-thorough = settings(max_examples=most_of_what_is_thorough())
+thorough = settings(max_examples=THOROUGH)
 
 PERIOD_S = 1e-3
 ENABLED = DriveState.OPERATION_ENABLED

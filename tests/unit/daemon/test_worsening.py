@@ -48,7 +48,7 @@ def test_an_error_that_is_larger_at_the_same_velocities_is_found_after_two_windo
 
 
 @given(st.floats(-1.05, 1.05), st.floats(0.0, 5e-4), st.integers(0, 99))
-@settings(max_examples=20)
+@settings(max_examples=25)
 def test_compensation_that_helps_or_does_nothing_is_left_whatever_the_noise(compensated, noise, seed):
     assert judged(friction(compensated, noise), seed=seed) is None
 

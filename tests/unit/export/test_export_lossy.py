@@ -21,7 +21,7 @@ from friction_hil.models.files import load_model_file, model_from_argument
 
 LUGRE = "lugre:sigma0=1800,sigma1=0.1,sigma2=2e-3,coulomb=0.07,static=0.105,stribeck_velocity=0.22"
 STRIBECK = "stribeck:coulomb=0.07,static=0.105,stribeck_velocity=0.22,viscous=2e-3"
-checked = settings(max_examples=15, deadline=None)
+checked = settings(max_examples=25, deadline=None)
 
 
 def written(tmp_path, **content):

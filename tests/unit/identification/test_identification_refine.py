@@ -269,7 +269,7 @@ def sines(frequencies: list[float], seconds: float = 4.0, fine: int = 12) -> tup
     return position(PERIOD_S * np.arange(samples)), velocity
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.lists(st.floats(0.5, 300.0), min_size=1, max_size=4))
 def test_bands_keep_a_clean_signal(frequencies: list[float]) -> None:
     position, velocity = sines(frequencies)

@@ -28,7 +28,7 @@ def test_the_model_at_the_origin_is_the_model_of_the_file(model):
 
 @pytest.mark.parametrize("model", [LUGRE, DIRECTED, *(MODELS[name] for name in ("gms", "table", SHARED))], ids=str)
 @given(seed=st.integers(0, 1000))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_slopes_are_the_derivatives_of_the_parameters(model, seed):
     found = coordinates_of(model, {})
     x = np.random.default_rng(seed).uniform(-0.2, 0.2, len(found.names))
@@ -41,7 +41,7 @@ def test_slopes_are_the_derivatives_of_the_parameters(model, seed):
 
 @pytest.mark.parametrize("name", [SHARED, "lugre"])
 @given(x=st.lists(st.floats(-8.0, 8.0), min_size=10, max_size=10))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_any_coordinates_are_those_of_a_model(name, x):
     found = coordinates_of(MODELS[name], {})
     x = np.array(x[: len(found.names)])

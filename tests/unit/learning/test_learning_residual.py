@@ -85,7 +85,7 @@ def test_a_model_with_the_layer_has_its_torque_beside_the_own(axis):
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_every_layer_is_linear_in_its_amplitudes_and_within_its_bound(seed):
     random = np.random.default_rng(seed)
     features = (*LAYER.features, *pairs("reversal", (1e-4, 1e-3)), *pairs("speed", (0.1, 1.0)))

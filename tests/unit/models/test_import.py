@@ -15,7 +15,7 @@ from friction_hil.models import foreign
 from friction_hil.models.files import load_model_file
 from friction_hil.models.model_file import ModelFile
 
-checked = settings(max_examples=20, deadline=None)
+checked = settings(max_examples=25, deadline=None)
 levels = st.floats(1e-3, 1e3)
 
 MJCF = """<mujoco>
@@ -56,7 +56,7 @@ def test_an_exported_level_and_coefficient_come_back(tmp_path_factory, coulomb, 
     )
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(levels, st.floats(1.05, 3.0), st.floats(0.05, 0.5), st.floats(1e2, 1e6), st.floats(0.0, 2 * math.pi))
 def test_lugre_and_cogging_come_back_from_mujoco(tmp_path_factory, coulomb, ratio, velocity, stiffness, phase):
     parameters = {"sigma0": stiffness, "sigma1": 0.5, "sigma2": 0.01 * coulomb, "coulomb": coulomb}

@@ -37,7 +37,7 @@ def test_a_unit_that_is_not_ours_is_converted_and_said_unless_a_factor_is_given(
         assert not any("deg" in problem for problem in given.problems)
 
 
-@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(noise=st.binary(max_size=300))
 def test_other_bytes_in_a_format_that_is_only_read_end_in_a_sentence(tmp_path: Path, noise: bytes) -> None:
     path = tmp_path / "x.mdf"

@@ -296,7 +296,7 @@ def test_half_the_step_leaves_a_quarter_of_the_error_of_a_swinging_arm_at_most(a
 
 @example(2.5, 8.0, 5.235382e-5, 0.5)
 @example(2.0, 5.0, 7.9e-5, 0.5)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.floats(0.2, 2.8), st.floats(1.0, 8.0), st.floats(0.0, 8e-5), st.floats(0.0, 0.5))
 def test_a_swinging_arm_of_varying_inertia_keeps_its_energy(angle, order, swing, spring):
     parts = {"spring": {"stiffness": spring}} if spring > 0.01 else {}

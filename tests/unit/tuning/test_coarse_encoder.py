@@ -148,7 +148,7 @@ def test_an_inertia_that_is_not_determined_leaves_the_former_one() -> None:
     ModelFile.model_validate(content)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(speed=st.floats(5.0, 80.0), phase=st.floats(0.0, 1.0))
 def test_between_the_counts_of_a_slow_motion_there_is_no_staircase(speed: float, phase: float) -> None:
     """A steady motion of some counts a second: its velocity is known from the times of the counts."""

@@ -171,7 +171,7 @@ def test_the_run_without_compensation_is_the_same_motion() -> None:
     }
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(own=own_motions, bounds=experiments)
 def test_the_announcement_of_a_trial_says_how_far_and_how_fast(own, bounds) -> None:
     """The numbers in the text are those of the set-points that the daemon would send."""
