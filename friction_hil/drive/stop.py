@@ -121,14 +121,14 @@ class DriveStop:
 
     def take_command(self, now_ns: int) -> None:
         """Take that the drive has answered a command, whether it accepts or refuses it."""
-        self._is_heard, self._unanswered = True, 0
+        self._note_answer()
         if self.at is StopState.DISABLE and self._disabled_ns is None:
             self._disabled_ns = now_ns
         self.at = StopState.STOPPING if self.at is StopState.QUICK_STOP else StopState.DISABLING
 
     def take_state(self, state: DriveState, now_ns: int) -> None:
         """Take the state that was read."""
-        self._is_heard, self._unanswered = True, 0
+        self._note_answer()
         self.state = state
         if state.is_unpowered:
             self._readings += 1
@@ -147,7 +147,7 @@ class DriveStop:
 
     def take_position(self, position: float | None, now_ns: int) -> None:
         """Take the position that was read; None where the drive does not tell it."""
-        self._is_heard, self._unanswered = True, 0
+        self._note_answer()
         if position is None:
             is_standing = now_ns - self._began_ns > _BLIND_NS
         elif self._is_moved(position):
@@ -156,6 +156,9 @@ class DriveStop:
         else:
             is_standing = now_ns - self._standing_since_ns >= STANDSTILL_NS
         self.at = StopState.DISABLE if is_standing else StopState.STOPPING
+
+    def _note_answer(self) -> None:
+        self._is_heard, self._unanswered = True, 0
 
     def _is_moved(self, position: float) -> bool:
         if self._rested_at is None:

@@ -135,6 +135,19 @@ def test_a_command_ends_after_two_readings_without_power_or_two_steps_without_an
     assert stop.is_over(0)
 
 
+def test_a_quick_stop_that_was_answered_has_its_two_seconds_although_nothing_follows() -> None:
+    stop = DriveStop(2.0)
+    stop.begin(0)
+    stop.take_command(10 * MS)
+    assert not stop.is_over(1999 * MS)
+    stop.take_silence()
+    assert stop.step(1999 * MS) is StopState.QUICK_STOP
+    stop.take_command(1999 * MS)
+    stop.take_silence()
+    assert not stop.is_over(1999 * MS)  # one step in a row
+    assert stop.step(2001 * MS) is StopState.DISABLE
+
+
 def test_a_command_waits_a_second_for_the_power_to_go_however_slow_the_answers_are() -> None:
     stop = DriveStop(2.0)
     stop.begin(0)
