@@ -2,9 +2,9 @@
 
 import struct
 
-from friction_hil_drivers.canopen.axis import CanopenAxis
-from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.mapping import MappedPdo
+from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
+from friction_hil_drivers.canopen.connect.mapping import MappedPdo
+from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
 from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK
 from friction_hil_drivers.cia402.units import DriveUnits
 

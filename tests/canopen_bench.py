@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import can
-from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
+from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO
 from friction_hil_drivers.canopen.simulated.eds_dictionary import eds_dictionary
 from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.node import SimulatedNode

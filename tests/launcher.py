@@ -42,7 +42,7 @@ _PRELOADED = (
     "friction_hil.daemon.session",
     "friction_hil.models",
     "friction_hil_drivers.ascii.simulated",
-    "friction_hil_drivers.canopen.multicast",
+    "friction_hil_drivers.canopen.wire.multicast",
     "friction_hil_drivers.canopen.simulated.assembly",
     "friction_hil_drivers.canopen.simulated.drives",
     "friction_hil_drivers.modbus.simulated",

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
+from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO
 
 INTEGER32 = "0x0004"
 CSP, CSV, CST = 0x80, 0x100, 0x200

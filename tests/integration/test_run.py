@@ -5,7 +5,7 @@ import struct
 
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen import cia301
+from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402 import objects, profile
 
 import friction_hil as fh

@@ -11,7 +11,7 @@ import can
 import numpy as np
 import pytest
 import yaml
-from friction_hil_drivers.canopen import cia301
+from friction_hil_drivers.canopen.wire import cia301
 
 import friction_hil as fh
 from friction_hil.config import load

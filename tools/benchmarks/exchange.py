@@ -12,10 +12,11 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from friction_hil_drivers.canopen import CanopenDrives, cia301
-from friction_hil_drivers.canopen.cia301 import Frame
-from friction_hil_drivers.canopen.frames import FrameBus
+from friction_hil_drivers.canopen import CanopenDrives
 from friction_hil_drivers.canopen.simulated import SimulatedCanopenDrives
+from friction_hil_drivers.canopen.wire import cia301
+from friction_hil_drivers.canopen.wire.cia301 import Frame
+from friction_hil_drivers.canopen.wire.frames import FrameBus
 
 from friction_hil import config
 from friction_hil.compensator import Compensator

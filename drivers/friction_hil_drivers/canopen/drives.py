@@ -13,16 +13,13 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import AxisFacts, Clock, Command, Drives, DriveState, Feedback
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
-from friction_hil_drivers.canopen import cia301, codes, interfaces
-from friction_hil_drivers.canopen.axis import CanopenAxis
-from friction_hil_drivers.canopen.checks import check_bus, check_connection
-from friction_hil_drivers.canopen.configure import configure, with_notes
-from friction_hil_drivers.canopen.eds_check import compare_axis, read_eds
-from friction_hil_drivers.canopen.exchange import CyclicExchange
-from friction_hil_drivers.canopen.exclusive import AxisLock, state_path
-from friction_hil_drivers.canopen.interfaces import bus_name
-from friction_hil_drivers.canopen.leaving import read_state, restore, send_nmt, switch_off, watchdog_frames
-from friction_hil_drivers.canopen.listening import (
+from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.commands.new_keys import new_keys
+from friction_hil_drivers.canopen.commands.service import CanopenService
+from friction_hil_drivers.canopen.connect.checks import check_bus, check_connection
+from friction_hil_drivers.canopen.connect.configure import configure, with_notes
+from friction_hil_drivers.canopen.connect.eds_check import compare_axis, read_eds
+from friction_hil_drivers.canopen.connect.listening import (
     LISTEN_S,
     Look,
     MasterAlarm,
@@ -34,16 +31,20 @@ from friction_hil_drivers.canopen.listening import (
     require_one_node,
     would_disturb,
 )
-from friction_hil_drivers.canopen.mapping import check_bus_load
-from friction_hil_drivers.canopen.new_keys import new_keys
-from friction_hil_drivers.canopen.nmt_state import ask_nmt_state, kept_out_of_operational, unknown_nmt_state
+from friction_hil_drivers.canopen.connect.mapping import check_bus_load
+from friction_hil_drivers.canopen.connect.nmt_state import ask_nmt_state, kept_out_of_operational, unknown_nmt_state
+from friction_hil_drivers.canopen.connect.pdo_journal import CanopenJournal
+from friction_hil_drivers.canopen.connect.watchdog_times import WatchdogTimes
+from friction_hil_drivers.canopen.connect.watchdogs import watchdog_pdos
+from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
+from friction_hil_drivers.canopen.cycle.exchange import CyclicExchange
+from friction_hil_drivers.canopen.cycle.passive import PassiveExchange, nothing_to_hear, passive_exchange
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
-from friction_hil_drivers.canopen.passive import PassiveExchange, nothing_to_hear, passive_exchange
-from friction_hil_drivers.canopen.pdo_journal import CanopenJournal
-from friction_hil_drivers.canopen.service import CanopenService
-from friction_hil_drivers.canopen.sidecar import SidecarDrives
-from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
-from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
+from friction_hil_drivers.canopen.sidecar.drives import SidecarDrives
+from friction_hil_drivers.canopen.stop.leaving import read_state, restore, send_nmt, switch_off, watchdog_frames
+from friction_hil_drivers.canopen.wire import cia301, interfaces
+from friction_hil_drivers.canopen.wire.exclusive import AxisLock, state_path
+from friction_hil_drivers.canopen.wire.interfaces import bus_name
 from friction_hil_drivers.cia402 import codes as cia402_codes
 from friction_hil_drivers.cia402 import objects
 
@@ -51,8 +52,8 @@ if TYPE_CHECKING:
     import can
 
     from friction_hil.config import AxisConfig, Configuration
-    from friction_hil_drivers.canopen.frames import FrameBus
-    from friction_hil_drivers.canopen.sdo import SdoClient, SdoNetwork
+    from friction_hil_drivers.canopen.sdo.client import SdoClient, SdoNetwork
+    from friction_hil_drivers.canopen.wire.frames import FrameBus
 
 _OF_MAPPING = (
     cia402_codes.SDO_ABORT,
@@ -126,7 +127,7 @@ class CanopenDrives(CanopenService):
 
     def _try_watchdogs(self, name: str) -> Iterator[Finding]:
         # imported here: python-can takes 0.5 s, and reading a configuration does not need it
-        from friction_hil_drivers.canopen.watchdog_trial import WatchdogTrial
+        from friction_hil_drivers.canopen.connect.watchdog_trial import WatchdogTrial
 
         [axis], options = self._axes, canopen_options(self._configs[name])
         if not axis.watch.means:
@@ -192,8 +193,8 @@ class CanopenDrives(CanopenService):
     def connect(self) -> Sequence[AxisFacts]:
         """Configure every drive; nothing is enabled. See `friction_hil.drive.Drives.connect`."""
         # imported here: python-can and canopen take 0.5 s each, and reading a configuration needs neither
-        from friction_hil_drivers.canopen.bus import open_frame_bus
-        from friction_hil_drivers.canopen.sdo import SdoNetwork
+        from friction_hil_drivers.canopen.sdo.client import SdoNetwork
+        from friction_hil_drivers.canopen.wire.bus import open_frame_bus
 
         config = self._configuration.bus
         assert config is not None  # the driver's options have checked it

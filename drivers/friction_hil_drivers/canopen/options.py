@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from friction_hil.drive.driver import OptionChecks
-from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
-from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes, contradictions, watchdog_times
+from friction_hil_drivers.canopen.connect.watchdog_times import WatchdogTimes, contradictions, watchdog_times
+from friction_hil_drivers.canopen.sidecar.options import SidecarOptions
 from friction_hil_drivers.cia402.options import DriveOptions
 
 if TYPE_CHECKING:

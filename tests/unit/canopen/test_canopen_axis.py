@@ -6,10 +6,10 @@ import struct
 from dataclasses import fields
 
 import pytest
-from friction_hil_drivers.canopen import cia301
-from friction_hil_drivers.canopen.axis import CanopenAxis
-from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.mapping import MappedPdo
+from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
+from friction_hil_drivers.canopen.connect.mapping import MappedPdo
+from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
+from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.codec import COMMANDS, CommandEncoder, FeedbackDecoder, Measurement
 from friction_hil_drivers.cia402.units import DriveUnits, wrap

@@ -8,12 +8,12 @@ import struct
 from collections import deque
 
 import pytest
-from friction_hil_drivers.canopen.axis import CanopenAxis
-from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.exchange import CyclicExchange
-from friction_hil_drivers.canopen.mapping import MappedPdo
-from friction_hil_drivers.canopen.queue_full import QueueFullError
-from friction_hil_drivers.canopen.watchdogs import NOT_WATCHED, Watch
+from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
+from friction_hil_drivers.canopen.connect.mapping import MappedPdo
+from friction_hil_drivers.canopen.connect.watchdogs import NOT_WATCHED, Watch
+from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
+from friction_hil_drivers.canopen.cycle.exchange import CyclicExchange
+from friction_hil_drivers.canopen.wire.queue_full import QueueFullError
 from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK
 
 from friction_hil.drive import AxisFacts, Command, Feedback, Mode, Request

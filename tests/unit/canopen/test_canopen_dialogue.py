@@ -1,7 +1,7 @@
 """SDO transfers of ``friction-hil drives``: bytes of CiA 301, written here by hand."""
 
 import pytest
-from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload, describe
+from friction_hil_drivers.canopen.sdo.dialogue import Download, Transfer, Upload, describe
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.access import Abort
 

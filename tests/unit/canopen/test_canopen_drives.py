@@ -4,8 +4,8 @@ import struct
 
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.drives import CanopenDrives
+from friction_hil_drivers.canopen.wire import cia301
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request

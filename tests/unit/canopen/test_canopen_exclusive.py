@@ -5,9 +5,9 @@ import signal
 import tempfile
 
 import pytest
-from friction_hil_drivers.canopen.exclusive import AxisLock
-from friction_hil_drivers.canopen.frames import FrameBus
-from friction_hil_drivers.canopen.inventory import CanopenInventory
+from friction_hil_drivers.canopen.commands.inventory import CanopenInventory
+from friction_hil_drivers.canopen.wire.exclusive import AxisLock
+from friction_hil_drivers.canopen.wire.frames import FrameBus
 
 from friction_hil.config.bus import BusConfig
 from friction_hil.errors import DriveError

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import msgpack
 import pytest
-from friction_hil_drivers.canopen.frames import FrameBus, frame_bus
-from friction_hil_drivers.canopen.queue_full import QueueFullError
+from friction_hil_drivers.canopen.wire.frames import FrameBus, frame_bus
+from friction_hil_drivers.canopen.wire.queue_full import QueueFullError
 
 from friction_hil.config import BusConfig
 from friction_hil.errors import BusError

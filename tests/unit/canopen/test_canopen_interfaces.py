@@ -3,9 +3,9 @@
 import json
 
 import pytest
-from friction_hil_drivers.canopen import interfaces
-from friction_hil_drivers.canopen.bus import open_bus
-from friction_hil_drivers.canopen.interfaces import Link, check_interface, check_machine, parse
+from friction_hil_drivers.canopen.wire import interfaces
+from friction_hil_drivers.canopen.wire.bus import open_bus
+from friction_hil_drivers.canopen.wire.interfaces import Link, check_interface, check_machine, parse
 
 from friction_hil.config import BusConfig
 from friction_hil.errors import BusError

@@ -4,9 +4,9 @@ import tempfile
 import time
 
 import pytest
-from friction_hil_drivers.canopen import cia301
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.exclusive import AxisLock
+from friction_hil_drivers.canopen.wire import cia301
+from friction_hil_drivers.canopen.wire.exclusive import AxisLock
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import BusError

@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterator
 
 import can
 import pytest
-from friction_hil_drivers.canopen import cia301
-from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
-from friction_hil_drivers.canopen.mapping import PdoRecord, check_bus_load, frame_bits, switch_off, wire_time_s
-from friction_hil_drivers.canopen.negotiation import PdoNegotiator
-from friction_hil_drivers.canopen.sdo import SdoNetwork
+from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO
+from friction_hil_drivers.canopen.connect.mapping import PdoRecord, check_bus_load, frame_bits, switch_off, wire_time_s
+from friction_hil_drivers.canopen.connect.negotiation import PdoNegotiator
+from friction_hil_drivers.canopen.sdo.client import SdoNetwork
+from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK
 

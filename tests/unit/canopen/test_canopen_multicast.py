@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import can
 import msgpack
 import pytest
-from friction_hil_drivers.canopen.bus import open_bus, open_frame_bus
-from friction_hil_drivers.canopen.multicast import LocalSources
+from friction_hil_drivers.canopen.wire.bus import open_bus, open_frame_bus
+from friction_hil_drivers.canopen.wire.multicast import LocalSources
 
 from friction_hil.config import BusConfig
 

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from friction_hil_drivers.canopen.pdo_journal import CanopenJournal, restoration
+from friction_hil_drivers.canopen.connect.pdo_journal import CanopenJournal, restoration
 from friction_hil_drivers.cia402.access import RefusedError
 from friction_hil_drivers.cia402.journal import Found
 from friction_hil_drivers.cia402.objects import DataType, Object

@@ -6,10 +6,10 @@ import time
 
 import can
 import pytest
-from friction_hil_drivers.canopen import cia301
-from friction_hil_drivers.canopen.dialogue import Download, Upload
-from friction_hil_drivers.canopen.frames import FrameBus
-from friction_hil_drivers.canopen.sdo import PATIENCE_S, SdoNetwork
+from friction_hil_drivers.canopen.sdo.client import PATIENCE_S, SdoNetwork
+from friction_hil_drivers.canopen.sdo.dialogue import Download, Upload
+from friction_hil_drivers.canopen.wire import cia301
+from friction_hil_drivers.canopen.wire.frames import FrameBus
 from friction_hil_drivers.cia402 import objects
 
 from friction_hil.errors import DriveError

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import canopen
 from canopen.sdo import SdoClient, SdoServer
-from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload, abort
-from friction_hil_drivers.canopen.frames import FrameBus
-from friction_hil_drivers.canopen.sdo import SdoNetwork
+from friction_hil_drivers.canopen.sdo.client import SdoNetwork
+from friction_hil_drivers.canopen.sdo.dialogue import Download, Transfer, Upload, abort
+from friction_hil_drivers.canopen.wire.frames import FrameBus
 from friction_hil_drivers.cia402.access import Abort
 from friction_hil_drivers.cia402.objects import DataType, Object
 from hypothesis import given

@@ -2,9 +2,9 @@
 
 import can
 import pytest
-from friction_hil_drivers.canopen import cia301
+from friction_hil_drivers.canopen.cycle.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
+from friction_hil_drivers.canopen.wire import cia301
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Feedback

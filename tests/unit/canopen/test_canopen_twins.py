@@ -4,9 +4,9 @@ import random
 
 import can
 import pytest
+from friction_hil_drivers.canopen.commands.inventory import CanopenInventory
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.frames import FrameBus
-from friction_hil_drivers.canopen.inventory import CanopenInventory
+from friction_hil_drivers.canopen.wire.frames import FrameBus
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, Feedback, Request

@@ -4,10 +4,10 @@ import struct
 
 import can
 import pytest
-from friction_hil_drivers.canopen.conversation import Conversation
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.frames import FrameBus
-from friction_hil_drivers.canopen.stop import stop_drive
+from friction_hil_drivers.canopen.sdo.conversation import Conversation
+from friction_hil_drivers.canopen.stop.by_sdo import stop_drive
+from friction_hil_drivers.canopen.wire.frames import FrameBus
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request

@@ -5,9 +5,9 @@ import re
 from pathlib import Path
 
 import pytest
+from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO, load_eds
+from friction_hil_drivers.canopen.connect.eds_check import compare_eds, necessary_keys
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
-from friction_hil_drivers.canopen.eds_check import compare_eds, necessary_keys
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.cia402 import objects
 

@@ -1,7 +1,7 @@
 """Times of watchdogs: longer than what the loop bridges, and not much longer."""
 
 import pytest
-from friction_hil_drivers.canopen.watchdog_times import contradictions, watchdog_times
+from friction_hil_drivers.canopen.connect.watchdog_times import contradictions, watchdog_times
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -7,8 +7,8 @@ import struct
 
 import can
 import pytest
+from friction_hil_drivers.canopen.connect.watchdogs import Feeder, Watch, feeders
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.watchdogs import Feeder, Watch, feeders
 from friction_hil_drivers.cia402.access import Abort, AbortError
 
 from friction_hil.config.schema import Realtime

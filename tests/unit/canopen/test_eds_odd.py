@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
-from friction_hil_drivers.canopen.eds_check import compare_eds
+from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO, load_eds
+from friction_hil_drivers.canopen.connect.eds_check import compare_eds
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.simulated.eds_dictionary import eds_dictionary
 from hypothesis import HealthCheck, example, given, settings

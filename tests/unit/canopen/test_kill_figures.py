@@ -17,7 +17,7 @@ from typing import Any
 import can
 import pytest
 from friction_hil_drivers.canopen import CanopenDrives
-from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
+from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO
 
 from friction_hil.config import from_dict
 from friction_hil.drive import Command, DriveState, Feedback, Request

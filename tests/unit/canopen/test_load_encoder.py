@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from friction_hil_drivers.canopen.connect.mapping import MappedPdo
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.cia402.load_encoder import LoadEncoder, LoadEncoderOptions, with_scale
 from hypothesis import given
 from hypothesis import strategies as st

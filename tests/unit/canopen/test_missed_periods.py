@@ -5,9 +5,9 @@ import struct
 
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen.axis import CanopenAxis
-from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.mapping import MappedPdo
+from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
+from friction_hil_drivers.canopen.connect.mapping import MappedPdo
+from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.codec import COMMANDS
 from friction_hil_drivers.serial_line.axis import SerialAxis, make_scales

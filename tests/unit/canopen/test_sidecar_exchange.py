@@ -4,11 +4,11 @@ import itertools
 import random
 
 import pytest
-from friction_hil_drivers.canopen.heard_pdos import HeardPdos
-from friction_hil_drivers.canopen.queue_full import QueueFullError
-from friction_hil_drivers.canopen.sidecar_axis import SidecarAxis
-from friction_hil_drivers.canopen.sidecar_exchange import SidecarExchange
-from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
+from friction_hil_drivers.canopen.connect.heard_pdos import HeardPdos
+from friction_hil_drivers.canopen.sidecar.axis import SidecarAxis
+from friction_hil_drivers.canopen.sidecar.exchange import SidecarExchange
+from friction_hil_drivers.canopen.sidecar.options import SidecarOptions
+from friction_hil_drivers.canopen.wire.queue_full import QueueFullError
 from friction_hil_drivers.cia402.units import DriveUnits
 
 from friction_hil.daemon.pacing import LockedPacer

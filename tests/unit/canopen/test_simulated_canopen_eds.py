@@ -6,9 +6,9 @@ from typing import Any
 
 import canopen
 import pytest
-from friction_hil_drivers.canopen import cia301
-from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
+from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO, load_eds
 from friction_hil_drivers.canopen.simulated.eds_dictionary import eds_dictionary
+from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402.objects import DataType
 
 from friction_hil.errors import UsageError

@@ -11,7 +11,7 @@ import can
 import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402
-from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
+from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO
 
 from friction_hil.drive import DriveState
 from tests.canopen_bench import NODE, Bench

@@ -10,7 +10,7 @@ import tty
 
 import pytest
 import yaml
-from friction_hil_drivers.canopen.exclusive import AxisLock
+from friction_hil_drivers.canopen.wire.exclusive import AxisLock
 from friction_hil_drivers.serial_line import ports
 
 from friction_hil.cli import main

@@ -9,10 +9,10 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen import cia301, frame_log
-from friction_hil_drivers.canopen.axis import CanopenAxis
-from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.mapping import MappedPdo
+from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
+from friction_hil_drivers.canopen.connect.mapping import MappedPdo
+from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
+from friction_hil_drivers.canopen.wire import cia301, frame_log
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK, block_layout
 from friction_hil_drivers.cia402.objects import Object

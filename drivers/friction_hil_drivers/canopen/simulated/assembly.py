@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import Mode
 from friction_hil.errors import UsageError
 from friction_hil.servo.servo import Servo
-from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
+from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO
 from friction_hil_drivers.canopen.simulated.eds_dictionary import eds_dictionary
 from friction_hil_drivers.canopen.simulated.node import SimulatedNode
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from friction_hil.drive import AxisFacts, Mode, SimulatedDriver
 from friction_hil.errors import BusError
-from friction_hil_drivers.canopen.delays import ACTUATION_CYCLES, SETPOINT_CYCLES
-from friction_hil_drivers.canopen.interfaces import bus_name
+from friction_hil_drivers.canopen.cycle.delays import ACTUATION_CYCLES, SETPOINT_CYCLES
 from friction_hil_drivers.canopen.options import canopen_options
-from friction_hil_drivers.canopen.presence import Presence
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions
+from friction_hil_drivers.canopen.wire.interfaces import bus_name
+from friction_hil_drivers.canopen.wire.presence import Presence
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
-    from friction_hil_drivers.canopen.frames import FrameBus
     from friction_hil_drivers.canopen.simulated.master import StandInMaster
     from friction_hil_drivers.canopen.simulated.node import SimulatedNode
+    from friction_hil_drivers.canopen.wire.frames import FrameBus
 
 _IDLE_TIMEOUT_S = 2.5e-4  # between frames time passes this often, so that little is left to integrate at a SYNC
 _SYNC_TIMEOUT_S = 0.1
@@ -110,8 +110,8 @@ class SimulatedCanopenDrives(SimulatedDriver):
         """
         # imported here: python-can, canopen and numba take a second, and reading a configuration needs none of them
         from friction_hil.config.simulation import simulated_servos
-        from friction_hil_drivers.canopen.bus import open_frame_bus
         from friction_hil_drivers.canopen.simulated.assembly import compile_servo, make_node
+        from friction_hil_drivers.canopen.wire.bus import open_frame_bus
 
         config = self._configuration.bus
         assert config is not None  # the driver's options have checked it

@@ -8,9 +8,9 @@ from typing import Any
 
 from canopen.objectdictionary import ODArray, ODVariable
 
-from friction_hil_drivers.canopen import cia301
-from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, compact_arrays, load_eds
+from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO, compact_arrays, load_eds
 from friction_hil_drivers.canopen.simulated.pdo import pdo_numbers
+from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.objects import Address, DataType
 from friction_hil_drivers.cia402.simulated.dictionary import Dictionary, Entry, is_integer

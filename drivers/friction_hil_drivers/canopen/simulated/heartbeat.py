@@ -1,6 +1,6 @@
 """Error control of a simulated node: its heartbeat (1017h), those it watches (1016h), node guarding (100Ch, 100Dh)."""
 
-from friction_hil_drivers.canopen import cia301
+from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402.access import Abort, AbortError
 from friction_hil_drivers.cia402.simulated.dictionary import Dictionary, Entry
 

@@ -22,15 +22,16 @@ from friction_hil.motion.trajectory import (
     still_path,
     triangle_path,
 )
-from friction_hil_drivers.canopen import cia301, codes
-from friction_hil_drivers.canopen.cia301 import NmtCommand, NmtState
-from friction_hil_drivers.canopen.conversation import Conversation
-from friction_hil_drivers.canopen.dialogue import Download
-from friction_hil_drivers.canopen.interfaces import bus_name
-from friction_hil_drivers.canopen.mapping import SYNCHRONOUS, PdoRecord
+from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.connect.mapping import SYNCHRONOUS, PdoRecord
 from friction_hil_drivers.canopen.options import canopen_options
-from friction_hil_drivers.canopen.sidecar_options import SidecarPdo, mapping_words
+from friction_hil_drivers.canopen.sdo.conversation import Conversation
+from friction_hil_drivers.canopen.sdo.dialogue import Download
+from friction_hil_drivers.canopen.sidecar.options import SidecarPdo, mapping_words
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions
+from friction_hil_drivers.canopen.wire import cia301
+from friction_hil_drivers.canopen.wire.cia301 import NmtCommand, NmtState
+from friction_hil_drivers.canopen.wire.interfaces import bus_name
 from friction_hil_drivers.cia402 import objects, profile
 from friction_hil_drivers.cia402.access import RefusedError
 from friction_hil_drivers.cia402.objects import Object
@@ -39,7 +40,7 @@ from friction_hil_drivers.cia402.units import COUNTER_BITS, wrap
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
     from friction_hil.config.trajectories import Trajectory as Motion
-    from friction_hil_drivers.canopen.frames import FrameBus
+    from friction_hil_drivers.canopen.wire.frames import FrameBus
 
 MASTER_NODE = 127
 _EVENT_DRIVEN = 255
@@ -212,7 +213,7 @@ class StandInMaster:
 
     def run(self, is_stopping: Callable[[], bool]) -> None:
         """Set the drives up, move them until ``is_stopping()``, then bring them to rest and disable them."""
-        from friction_hil_drivers.canopen.bus import open_frame_bus
+        from friction_hil_drivers.canopen.wire.bus import open_frame_bus
 
         self._bus = open_frame_bus(self._config)
         try:

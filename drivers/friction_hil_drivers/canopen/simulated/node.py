@@ -4,14 +4,14 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from friction_hil_drivers.canopen import cia301
-from friction_hil_drivers.canopen.cia301 import NmtCommand, NmtState
 from friction_hil_drivers.canopen.simulated.disturbances import DisturbedWire, ShownValues
 from friction_hil_drivers.canopen.simulated.heartbeat import Consumer, LifeGuard, Producer
 from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.pdo import Rpdo, Tpdo, pdo_numbers
 from friction_hil_drivers.canopen.simulated.scenario import Event, Timeline
 from friction_hil_drivers.canopen.simulated.slow_sdo import SlowSdoServer
+from friction_hil_drivers.canopen.wire import cia301
+from friction_hil_drivers.canopen.wire.cia301 import NmtCommand, NmtState
 from friction_hil_drivers.cia402.access import Abort, AbortError
 from friction_hil_drivers.cia402.simulated.dictionary import Dictionary
 from friction_hil_drivers.cia402.simulated.drive import SimulatedCia402Drive

@@ -3,7 +3,7 @@
 import struct
 from collections.abc import Sequence
 
-from friction_hil_drivers.canopen import cia301
+from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402.access import Abort, AbortError
 from friction_hil_drivers.cia402.objects import DataType
 from friction_hil_drivers.cia402.simulated.dictionary import Dictionary, Entry

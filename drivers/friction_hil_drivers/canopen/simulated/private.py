@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from friction_hil.config import BusConfig
 from friction_hil.errors import UsageError
-from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.options import canopen_options
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions
+from friction_hil_drivers.canopen.wire.interfaces import bus_name
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration

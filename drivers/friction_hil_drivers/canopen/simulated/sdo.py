@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from friction_hil_drivers.canopen import dialogue as sdo
+from friction_hil_drivers.canopen.sdo import dialogue as sdo
 from friction_hil_drivers.cia402.access import Abort, AbortError
 from friction_hil_drivers.cia402.simulated.dictionary import Dictionary, Entry
 

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from friction_hil_drivers.canopen.dialogue import DOWNLOAD, FRAME_BYTES, HEAD, SPECIFIER, UPLOAD, abort
+from friction_hil_drivers.canopen.sdo.dialogue import DOWNLOAD, FRAME_BYTES, HEAD, SPECIFIER, UPLOAD, abort
 from friction_hil_drivers.canopen.simulated.manners import SdoManner
 from friction_hil_drivers.canopen.simulated.sdo import SdoServer
 from friction_hil_drivers.cia402.simulated.dictionary import Dictionary

@@ -1,0 +1,198 @@
+"""Everything that a drive says of itself, for ``friction-hil drives show``: read, not written."""
+
+from typing import Any
+
+from friction_hil_drivers.canopen.sdo.conversation import Script
+from friction_hil_drivers.canopen.sdo.dialogue import Upload
+from friction_hil_drivers.canopen.wire import cia301
+from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402.objects import DataType, Object
+from friction_hil_drivers.cia402.scales import polarity_text
+
+_MODES = {1: "pp", 2: "vl", 3: "pv", 4: "tq", 6: "hm", 7: "ip", 8: "csp", 9: "csv", 10: "cst", 11: "cstca"}
+_SYNCHRONOUS = 240  # largest synchronous transmission type
+_REACTIONS = {0: "none", 1: "fault", 2: "disable voltage", 3: "quick stop"}  # 6007h
+_NODE_GUARDING = (
+    Object(0x100C, "guard time", DataType.UNSIGNED16),
+    Object(0x100D, "life time factor", DataType.UNSIGNED8),
+)
+_FEED = Object(0x6092, "feed", DataType.UNSIGNED32, 1)
+_RATED_CURRENT = Object(0x6075, "motor rated current", DataType.UNSIGNED32)
+
+
+def mode_name(mode: int) -> str:
+    """Return the abbreviation of a mode of operation, its number where the standard has none."""
+    return _MODES.get(mode, "none" if mode == 0 else str(mode))
+
+
+def mode_names(bits: int) -> list[str]:
+    """Return the abbreviations of the modes in object 6502h: mode n has bit n - 1."""
+    return [name for mode, name in _MODES.items() if bits >> (mode - 1) & 1]
+
+
+def describe(node: int, nmt: str) -> "Script[dict[str, Any]]":
+    """Read a drive; return its description by section. What it lacks is None."""
+    pdos = yield from _pdos()
+    watchdogs = yield from _watchdogs(pdos)
+    return {
+        "node": node,
+        "identity": (yield from _identity()),
+        "state": {"nmt": nmt or None, **(yield from _state())},
+        "units": (yield from _units()),
+        "mapping": pdos,
+        "watchdogs": watchdogs,
+        "compensation": (yield from _compensation(pdos)),
+    }
+
+
+def _read(entry: Object) -> "Script[int | None]":
+    upload = Upload(entry)
+    yield upload
+    return upload.value
+
+
+def _text(entry: Object) -> "Script[str | None]":
+    upload = Upload(entry)
+    yield upload
+    return None if upload.data is None else upload.data.decode("latin-1").rstrip("\0 ")
+
+
+def _identity() -> "Script[dict[str, Any]]":
+    device = yield from _read(objects.DEVICE_TYPE)
+    return {
+        "name": (yield from _text(objects.DEVICE_NAME)),
+        "hardware": (yield from _text(objects.HARDWARE_VERSION)),
+        "software": (yield from _text(objects.SOFTWARE_VERSION)),
+        "profile": None if device is None else device & 0xFFFF,
+        "vendor_id": (yield from _read(objects.VENDOR_ID)),
+        "product_code": (yield from _read(objects.PRODUCT_CODE)),
+        "revision": (yield from _read(objects.REVISION_NUMBER)),
+        "serial": (yield from _read(objects.SERIAL_NUMBER)),
+    }
+
+
+def _state() -> "Script[dict[str, Any]]":
+    status = yield from _read(objects.STATUSWORD)
+    mode = yield from _read(objects.MODE_DISPLAY)
+    modes = yield from _read(objects.SUPPORTED_MODES)
+    error = yield from _read(objects.ERROR_CODE)
+    state = None if status is None else profile.drive_state(status)
+    return {
+        "drive": None if state is None else state.words,
+        "is_powered": None if state is None else state.is_powered,
+        "error": profile.error_text(error) if error else None,
+        "mode": None if mode is None else mode_name(mode),
+        "modes": None if modes is None else mode_names(modes),
+    }
+
+
+def _units() -> "Script[dict[str, Any]]":
+    increments = yield from _read(objects.ENCODER_INCREMENTS)
+    revolutions = yield from _read(objects.MOTOR_REVOLUTIONS)
+    torque = yield from _read(objects.RATED_TORQUE)
+    velocity = yield from _read(objects.VELOCITY_UNIT)
+    polarity = yield from _read(objects.POLARITY)
+    value = yield from _read(objects.INTERPOLATION_PERIOD)
+    exponent = yield from _read(objects.INTERPOLATION_EXPONENT)
+    known = {objects.COUNTS_PER_SECOND: "counts/s", objects.REVOLUTIONS_PER_MINUTE: "1/min"}
+    return {
+        "counts_per_revolution": increments / (revolutions or 1) if increments else None,
+        "gear": [
+            (yield from _read(objects.GEAR_MOTOR_REVOLUTIONS)),
+            (yield from _read(objects.GEAR_SHAFT_REVOLUTIONS)),
+        ],
+        "feed": (yield from _read(_FEED)),
+        "velocity_unit": None if velocity is None else known.get(velocity, f"{velocity:08X}h"),
+        "polarity": None if polarity is None else polarity_text(polarity),
+        "rated_torque_Nm": None if torque is None else torque / 1000.0,
+        "rated_current_mA": (yield from _read(_RATED_CURRENT)),
+        "interpolation_period_s": value * 10.0**exponent if value is not None and exponent is not None else None,
+    }
+
+
+def _pdos() -> "Script[list[dict[str, Any]]]":
+    found: list[dict[str, Any]] = []
+    for kind, parameter, mapping in (
+        ("RPDO", cia301.RPDO_PARAMETER, cia301.RPDO_MAPPING),
+        ("TPDO", cia301.TPDO_PARAMETER, cia301.TPDO_MAPPING),
+    ):
+        for number in range(cia301.PDO_COUNT):
+            pdo = yield from _pdo(f"{kind} {number + 1}", parameter + number, mapping + number)
+            if pdo is not None:
+                found.append(pdo)
+    return found
+
+
+def _pdo(name: str, parameter: int, mapping: int) -> "Script[dict[str, Any] | None]":
+    cob_id = yield from _read(Object(parameter, "COB-ID", DataType.UNSIGNED32, cia301.PDO_COB_ID))
+    if cob_id is None:
+        return None
+    kind = yield from _read(Object(parameter, "type", DataType.UNSIGNED8, cia301.PDO_TRANSMISSION_TYPE))
+    timer = yield from _read(Object(parameter, "event timer", DataType.UNSIGNED16, cia301.PDO_EVENT_TIMER))
+    count = (yield from _read(Object(mapping, "count", DataType.UNSIGNED8))) or 0
+    entries = []
+    for position in range(1, min(count, 8) + 1):
+        word = yield from _read(Object(mapping, "entry", DataType.UNSIGNED32, position))
+        if word is not None:
+            entries.append(_entry(word))
+    return {
+        "pdo": name,
+        "cob_id": cob_id & 0x7FF,
+        "is_valid": not cob_id & cia301.PDO_INVALID,
+        "transmission_type": kind,
+        "event_timer_ms": timer,
+        "entries": entries,
+    }
+
+
+def _entry(word: int) -> dict[str, Any]:
+    index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+    known = cia301.TABLE.get((index, subindex))
+    return {"index": index, "subindex": subindex, "bits": bits, "name": known.name if known else None}
+
+
+def _watchdogs(pdos: list[dict[str, Any]]) -> "Script[dict[str, Any]]":
+    consumer = yield from _read(cia301.CONSUMER_HEARTBEAT)
+    reaction = yield from _read(objects.ABORT_CONNECTION_OPTION)
+    guard, factor = (yield from _read(_NODE_GUARDING[0])), (yield from _read(_NODE_GUARDING[1]))
+    timers = [
+        {"pdo": pdo["pdo"], "ms": pdo["event_timer_ms"], "needs_sync": (pdo["transmission_type"] or 0) <= _SYNCHRONOUS}
+        for pdo in pdos
+        if pdo["pdo"].startswith("RPDO") and pdo["is_valid"] and pdo["event_timer_ms"]
+    ]
+    return {
+        "heartbeat_consumer": None if consumer is None else {"node": consumer >> 16 & 0x7F, "ms": consumer & 0xFFFF},
+        "heartbeat_producer_ms": (yield from _read(cia301.PRODUCER_HEARTBEAT)),
+        "node_guarding_ms": None if guard is None or factor is None else guard * factor,
+        "rpdo_timers": timers,  # needs_sync: some drives look at it only when a SYNC comes
+        "reaction": None if reaction is None else _REACTIONS.get(reaction, str(reaction)),
+        "communication_error_behaviour": (yield from _read(cia301.COMMUNICATION_ERROR_BEHAVIOUR)),
+        "quick_stop_option": (yield from _read(objects.QUICK_STOP_OPTION)),
+    }
+
+
+def _compensation(pdos: list[dict[str, Any]]) -> "Script[dict[str, Any]]":
+    """Say how a torque could reach the drive beside its loops: an object that exists, and an RPDO that has it now."""
+    modes = yield from _read(objects.SUPPORTED_MODES)
+    ways: dict[str, Any] = {}
+    for names, entry in ((("csp", "csv"), objects.TORQUE_OFFSET), (("cst",), objects.TARGET_TORQUE)):
+        upload = Upload(entry)
+        yield upload
+        carriers = [
+            pdo["pdo"]
+            for pdo in pdos
+            if pdo["pdo"].startswith("RPDO") and any(each["index"] == entry.index for each in pdo["entries"])
+        ]
+        for name in names:
+            is_supported = None if modes is None else name in mode_names(modes)
+            if upload.data is None:
+                ways[name] = {"is_supported": is_supported, "object": None, "bits": None, "mapped_in": []}
+            else:
+                bits = 8 * len(upload.data)
+                ways[name] = {
+                    "is_supported": is_supported,
+                    "object": str(entry),
+                    "bits": bits,
+                    "mapped_in": carriers,
+                }
+    return ways

@@ -1,0 +1,1 @@
+"""What happens in each cycle with drives that the daemon moves, or only listens to."""

@@ -1,0 +1,341 @@
+"""The cyclic phase: SYNC, feedback of every drive, command to every drive, in one thread."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+from friction_hil.drive import Clock, Command, Feedback, Request
+from friction_hil.errors import DriveError
+from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.connect.listening import MasterAlarm
+from friction_hil_drivers.canopen.connect.watchdogs import Guard, feeders
+from friction_hil_drivers.canopen.cycle.axis import CanopenAxis, Handler
+from friction_hil_drivers.canopen.stop.by_sdo import HeartbeatLapse
+from friction_hil_drivers.canopen.stop.last_frames import LastFrames
+from friction_hil_drivers.canopen.wire import cia301
+from friction_hil_drivers.canopen.wire.queue_full import QueueFullError
+
+if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.wire.cia301 import Frame
+    from friction_hil_drivers.canopen.wire.frames import FrameBus
+
+_COMMAND_FRACTION = 0.25  # of the period, kept for computing and sending what acts from the next SYNC on
+_OPERATIONAL = bytes([cia301.NmtState.OPERATIONAL])
+
+_PROBE_CYCLES = 50  # at least, between two cycles without SYNC
+_PROBE = "SYNC was left out for a cycle, to see whether TPDOs come late"
+_LISTEN = Request.LISTEN
+_TO_POWER = (Request.ENABLE, Request.RESET_FAULT)
+
+# In simulated time nothing but these would ever end a run without drives.
+STEPPED_TIMEOUT_S = 10.0
+STEPPED_TIMEOUTS = 3  # in a row
+_STEPPED_RETURN_S = 0.05  # for a drive that is out of reach
+
+
+class CyclicExchange:
+    """Frames of every cycle between the daemon and its drives.
+
+    Parameters
+    ----------
+    bus : FrameBus
+        Nothing else may read or write it during the cyclic phase.
+    axes : sequence of CanopenAxis
+    clock : Clock
+    period_s : float
+        Period of the cycle, s.
+    heartbeat_s : float
+        Period of the daemon's heartbeat, s.
+    master_node : int
+        Node number under which the daemon sends it.
+    dry_run : bool
+        Send SYNC and nothing else.
+    max_missed : int, optional
+        Periods after which a command is too old to be sent, and missed exchanges in a row that are bridged.
+    alarm : MasterAlarm, optional
+        Tells of another master that appears.
+    sync_id : int, optional
+        Identifier of SYNC.
+    """
+
+    __slots__ = (
+        "_alarm",
+        "_axes",
+        "_bus",
+        "_clock",
+        "_cycles_since_probe",
+        "_dry_run",
+        "_feeders",
+        "_guards",
+        "_handlers",
+        "_has_new_words",
+        "_heartbeat_id",
+        "_heartbeat_ns",
+        "_is_alarm_told",
+        "_is_commanding",
+        "_is_complete",
+        "_is_unsent",
+        "_lapse",
+        "_max_missed",
+        "_next_heartbeat_ns",
+        "_oldest_ns",
+        "_pairs",
+        "_reserve_ns",
+        "_sampled_ns",
+        "_spare",
+        "_spare_command",
+        "_spare_feedback",
+        "_sync_id",
+        "_timeouts",
+        "_unsent",
+    )
+
+    def __init__(
+        self,
+        bus: "FrameBus",
+        axes: Sequence[CanopenAxis],
+        clock: Clock,
+        *,
+        period_s: float,
+        heartbeat_s: float,
+        master_node: int,
+        dry_run: bool,
+        max_missed: int = 10,
+        alarm: MasterAlarm | None = None,
+        sync_id: int = cia301.SYNC_ID,
+    ) -> None:
+        self._bus = bus
+        self._sync_id = sync_id
+        self._axes = axes
+        self._clock = clock
+        self._dry_run = dry_run
+        self._reserve_ns = round(_COMMAND_FRACTION * period_s * 1e9)
+        self._handlers = _join_handlers(axes)
+        self._alarm = alarm or MasterAlarm()
+        self._handlers |= self._alarm.handlers
+        self._heartbeat_id = cia301.HEARTBEAT_BASE + master_node
+        half_ns = round(0.5e9 * period_s)  # a cycle that comes a little early sends it all the same
+        self._heartbeat_ns = round(heartbeat_s * 1e9) - half_ns
+        self._next_heartbeat_ns = self._sampled_ns = 0  # the second one: time of the last feedback
+        self._feeders = feeders([axis.watch for axis in axes])
+        self._pairs = list(zip(axes, self._feeders, strict=True))
+        # commanding: from the first command on; before, the loop may pause, and no drive has power
+        # new words: a controlword that was sent is not in force yet; complete: every axis has answered every SYNC
+        self._is_commanding = self._has_new_words = self._is_complete = self._is_alarm_told = False
+        guarded = {axis.node: axis.watch.beat_s for axis in axes if axis.watch.is_guarded}
+        self._guards = [Guard(node, round(beat_s * 1e9) - half_ns) for node, beat_s in guarded.items()]
+        self._max_missed = max_missed
+        # in a row: cycles in which the bus took no frames, and incomplete ones in simulated time
+        self._unsent = self._timeouts = 0
+        self._is_unsent = [False] * len(axes)  # the last command to each axis
+        self._oldest_ns = round(max_missed * period_s * 1e9)
+        self._cycles_since_probe = 0
+        self._lapse = HeartbeatLapse()
+        self._spare = axes[0].copy()
+        self._spare_feedback, self._spare_command = Feedback(), Command(Request.ENABLE)
+
+    def start(self) -> None:
+        """Begin the cyclic phase. The drives watch the daemon from its first command on."""
+        now = self._clock.now_ns()
+        for axis in self._axes:
+            axis.start(now, is_real=self._clock.is_real)
+
+    def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
+        """Send SYNC and collect the feedback of every drive until it is complete, or too late for this cycle.
+
+        Parameters
+        ----------
+        feedback : sequence of Feedback
+            Overwritten, one for each axis.
+        end_ns : int
+            Time of the next SYNC.
+        """
+        frame = self._bus.receive(0.0)
+        if frame is not None:
+            self._take_waiting_frames(frame)
+        now_ns = self._sampled_ns = self._clock.now_ns()
+        self._cycles_since_probe += 1
+        why_no_sync = _PROBE if not self._is_complete and self._is_probe_due() else self._send_sync()
+        for axis in self._axes:
+            axis.begin_cycle(now_ns, why_no_sync)
+        self._is_complete = self._collect(end_ns - self._reserve_ns)
+        if not self._clock.is_real:
+            self._require_answers()
+        alarm = self._alarm.message
+        is_none_taken = bool(why_no_sync)  # drives take RPDOs over at SYNC
+        for axis, target, is_unsent in zip(self._axes, feedback, self._is_unsent, strict=True):
+            axis.report(target, now_ns)
+            target.is_setpoint_lost = is_unsent or is_none_taken
+            if alarm and not target.message:
+                target.message = alarm
+            elif alarm and not self._is_alarm_told:  # beside what it may have caused, e.g. a restart
+                target.notices.append(alarm)
+        self._is_alarm_told = bool(alarm)
+
+    def _send_sync(self) -> str:
+        """Send SYNC, at which drives take over what their RPDOs carried; return why it was not sent, "" if it was."""
+        try:
+            self._bus.send(self._sync_id, b"")
+        except QueueFullError as error:
+            return f"SYNC was not sent: {error}"
+        if self._has_new_words:
+            self._has_new_words = False
+            for feeder in self._feeders:
+                feeder.taken_over()
+        return ""
+
+    def _is_probe_due(self) -> bool:
+        """Return True if SYNC is to be left out, to see whether TPDOs are late (see `sync_answers`)."""
+        if self._cycles_since_probe < _PROBE_CYCLES or not self._clock.is_real:
+            return False
+        if not any(axis.is_doubtful for axis in self._axes):
+            return False
+        self._cycles_since_probe = 0
+        return True
+
+    def send(self, commands: Sequence[Command]) -> None:
+        """Send one command to each axis, and the daemon's heartbeat when it is due; a dry run sends nothing.
+
+        A drive that RPDOs do not reach is stopped by SDO. Commands that are too old, because the daemon was held up
+        after their feedback, are not sent: the next cycle computes new ones.
+        """
+        now_ns = self._clock.now_ns()
+        try:
+            if not self._dry_run:
+                self._send_commands(commands, now_ns)
+            if self._is_commanding:
+                self._feed(now_ns)
+        except QueueFullError as error:  # what the drives did not get is a missed exchange
+            self._unsent += 1
+            if self._unsent > self._max_missed:
+                for axis in self._axes:
+                    axis.note_unsent(str(error))
+        else:
+            self._unsent = 0
+
+    def _send_commands(self, commands: Sequence[Command], now_ns: int) -> None:
+        """Send the RPDOs of each axis that they reach, and what else is due.
+
+        Before the RPDOs of an axis, its watchdog RPDO is sent when it is due, with the controlword in force.
+        """
+        age_ns, send = now_ns - self._sampled_ns, self._bus.send
+        is_too_old = age_ns > self._oldest_ns and self._clock.is_real
+        is_unsent = self._is_unsent
+        for k in range(len(is_unsent)):
+            is_unsent[k] = True  # until it is sent: a full queue may end this before
+        for k, ((axis, feeder), command) in enumerate(zip(self._pairs, commands, strict=True)):
+            request = command.request
+            if request is _LISTEN:
+                is_unsent[k] = False
+                continue
+            self._is_commanding = True
+            if is_too_old and request in _TO_POWER:
+                axis.note_dropped(age_ns * 1e-6)
+                continue
+            if axis.is_reachable:
+                frames = axis.encode(command)
+                if feeder.left > 1:
+                    feeder.left -= 1
+                elif feeder.can_id and (word := feeder.next()) is not None:
+                    send(feeder.can_id, word)
+                for can_id, data in frames:
+                    send(can_id, data)
+                if axis.controlword != feeder.sent:
+                    feeder.note(axis.controlword)
+                    self._has_new_words = True
+            if axis.needs_other_frames:
+                for can_id, data in axis.other_frames(request, now_ns):
+                    send(can_id, data)
+            is_unsent[k] = not axis.is_reachable  # then it has had at most an SDO, which carries no set-point
+
+    def _feed(self, now_ns: int) -> None:
+        """Send the heartbeat and the remote frames of node guarding when due, unless the drives are to miss them."""
+        if now_ns >= self._next_heartbeat_ns and not self._lapse.is_due(self._axes, now_ns):
+            self._bus.send(self._heartbeat_id, _OPERATIONAL)
+            self._next_heartbeat_ns = now_ns + self._heartbeat_ns
+        for guard in self._guards:
+            if now_ns >= guard.next_ns and not self._lapse.is_due(self._axes, now_ns):
+                self._bus.send_remote(guard.can_id, 1)
+                guard.next_ns = now_ns + guard.period_ns
+
+    def last_frames(self) -> LastFrames | None:
+        """Return what the drives wait for while they are left; None where none has begun to watch, or time stands."""
+        if self._dry_run or not self._is_commanding or not self._clock.is_real:
+            return None
+        return LastFrames(self._axes, self._heartbeat_id, self._heartbeat_ns, self._guards)
+
+    def warm_caches(self) -> None:
+        """Decode and encode as in a cycle, on a copy of the first axis; nothing is sent."""
+        axis, now = self._spare, self._next_heartbeat_ns
+        axis.begin_cycle(now)
+        for tpdo in axis.tpdos:
+            axis.handlers[tpdo.cob_id](bytes(tpdo.layout.size))
+        axis.report(self._spare_feedback, now)
+        if not self._dry_run:
+            axis.encode(self._spare_command)
+
+    def _take_waiting_frames(self, frame: "Frame | None") -> None:
+        """Take emergencies, heartbeats and late feedback that arrived since the last cycle."""
+        while frame is not None:
+            can_id, data = frame
+            handler = self._handlers.get(can_id)
+            if handler is not None:
+                handler(data)
+            frame = self._bus.receive(0.0)
+
+    def _collect(self, deadline_ns: int) -> bool:
+        """Take frames until every axis is complete; return False if it is too late for that.
+
+        In simulated time it is never too late: frames are taken for as long as the bus waits.
+        """
+        clock, receive, find = self._clock, self._bus.receive, self._handlers.get
+        is_real, now_ns = clock.is_real, clock.now_ns
+        for axis in self._axes:
+            while not axis.is_complete:
+                if is_real:
+                    timeout = (deadline_ns - now_ns()) * 1e-9
+                    if timeout <= 0.0:
+                        return False
+                else:
+                    timeout = STEPPED_TIMEOUT_S if axis.is_reachable else _STEPPED_RETURN_S
+                frame = receive(timeout)
+                if frame is not None:
+                    can_id, data = frame
+                    handler = find(can_id)
+                    if handler is not None:  # else a frame of another node
+                        handler(data)
+                elif not is_real:
+                    break
+        return True
+
+    def _require_answers(self) -> None:
+        """End a run in simulated time whose drives have stopped answering.
+
+        Raises
+        ------
+        DriveError
+            Several cycles in a row were incomplete.
+        """
+        is_complete = all(axis.is_complete or not axis.is_reachable for axis in self._axes)
+        self._timeouts = 0 if is_complete else self._timeouts + 1
+        if self._timeouts >= STEPPED_TIMEOUTS:
+            waited_s = STEPPED_TIMEOUTS * STEPPED_TIMEOUT_S
+            text = (
+                f"not every drive has answered SYNC for {waited_s:g} s: are they still running, and is 1005h of each "
+            )
+            raise DriveError(f"{text}{self._sync_id:03X}h (bus.sync_cob_id)?", code=codes.SYNC_NOT_ANSWERED)
+
+
+def _join_handlers(axes: Sequence[CanopenAxis]) -> dict[int, Handler]:
+    """Return the handler of each identifier; axes of one node share its heartbeats, emergencies and SDO answers."""
+    joined: dict[int, Handler] = {}
+    for axis in axes:
+        for can_id, handler in axis.handlers.items():
+            before = joined.get(can_id)
+            joined[can_id] = handler if before is None else partial(_both, before, handler)
+    return joined
+
+
+def _both(first: Handler, second: Handler, data: bytes) -> None:
+    first(data)
+    second(data)

@@ -1,0 +1,262 @@
+"""Listening to drives that another master moves: its SYNC, their TPDOs as they are mapped; nothing is sent."""
+
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from friction_hil.drive import Clock, Command, Feedback
+from friction_hil.errors import DriveError
+from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.connect.heard_pdos import HeardPdos
+from friction_hil_drivers.canopen.connect.twins import TwinWatch
+from friction_hil_drivers.canopen.cycle.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
+from friction_hil_drivers.canopen.wire import cia301
+from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402.codec import FeedbackDecoder, Measurement
+from friction_hil_drivers.cia402.profile import emergency_code, emergency_text
+
+if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
+    from friction_hil_drivers.canopen.connect.listening import OtherMasters
+    from friction_hil_drivers.canopen.connect.mapping import MappedPdo
+    from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
+    from friction_hil_drivers.canopen.sdo.client import SdoClient
+    from friction_hil_drivers.canopen.wire.frames import FrameBus
+
+_HEAR_S = 1.0  # for every TPDO to come once, where another master decides when
+_STEP_S = 0.05
+_SYNCS = 50  # by which the rhythm is judged
+_RESERVE_FRACTION = 0.25  # of the period, kept for computing
+
+
+def _listen(
+    bus: "FrameBus", others: "OtherMasters", identifiers: Collection[int], clock: Clock, sync_id: int
+) -> HeardPdos:
+    """Listen until every TPDO came and, where there is SYNC, for some of its periods; at most `_HEAR_S`."""
+    heard = HeardPdos(sync_id)
+    end = time.monotonic() + _HEAR_S
+    while (left := end - time.monotonic()) > 0.0:
+        is_enough = len(heard.stamps) > _SYNCS or not (clock.is_real and others.has_sync)
+        if is_enough and all(others.has_heard(can_id) for can_id in identifiers):
+            break
+        if (frame := bus.receive(min(left, _STEP_S))) is not None:
+            others.take(frame)
+            heard.take(frame[0], len(frame[1]), clock.now_ns())
+    return heard
+
+
+def _rhythm_notes(heard: HeardPdos, name: str, node: int, tpdos: Sequence["MappedPdo"], period_s: float) -> list[str]:
+    """Return what is unusual in the rhythm of SYNC and of the TPDOs of an axis.
+
+    Raises
+    ------
+    DriveError
+        Two nodes send a TPDO.
+    """
+    notes = []
+    if problem := heard.wrong_period(period_s):
+        text = f"SYNC of the other master {problem}: period_s must be the master's period [{codes.SYNC_UNUSABLE}]"
+        notes.append(text)
+    for pdo in tpdos:
+        if not pdo.is_synchronous:
+            continue
+        heard.require_one_sender(pdo.cob_id, name, node)
+        if (syncs := heard.syncs_between(pdo.cob_id)) > 1:
+            text = f"TPDO {pdo.number + 1} ({pdo.cob_id:03X}h) comes with every {syncs}. SYNC only"
+            notes.append(f"{text}: the cycles between have no fresh feedback")
+    return notes
+
+
+class PassiveAxis:
+    """Feedback of one drive from TPDOs that come when another master wants them. No bus, no clock.
+
+    A set is complete when every TPDO has come; where they come with SYNC, a SYNC begins a new set, so that the values
+    of a set are of one instant.
+
+    Parameters
+    ----------
+    drive : ConfiguredDrive
+    node : int
+    """
+
+    def __init__(self, drive: "ConfiguredDrive", node: int) -> None:
+        self._tpdos = drive.tpdos
+        self._is_synchronous = any(pdo.is_synchronous for pdo in drive.tpdos)
+        self._decoder = FeedbackDecoder(drive.tpdos, drive.units, drive.mode, drive.period_s)
+        self._node = node
+        self._error = drive.error
+        self._frames = [b""] * len(drive.tpdos)
+        self._measured = Measurement()
+        self._measured_ns = 0  # time of the cycle of the last complete set
+        self._notices: list[str] = []
+        self._twin = TwinWatch(node)
+        self._fault = ""
+        self._came = 0  # since the last SYNC: bit n for TPDO n
+        self.handlers: dict[int, Callable[[bytes], None]] = {
+            pdo.cob_id: partial(self._on_tpdo, slot) for slot, pdo in enumerate(drive.tpdos)
+        }
+        self.handlers[cia301.EMERGENCY_BASE + node] = self._on_emergency
+
+    @property
+    def is_complete(self) -> bool:
+        """True once every TPDO of a set came."""
+        return all(self._frames)
+
+    def on_sync(self) -> None:
+        """Begin a new set; one that is complete waits until it is reported."""
+        if self._twin.is_suspected and (fault := self._twin.judge()):
+            self._fault = fault
+        self._came = 0
+        if self._is_synchronous and not self.is_complete:
+            self._frames = [b""] * len(self._tpdos)
+
+    def _on_tpdo(self, slot: int, data: bytes) -> None:
+        if self._tpdos[slot].is_synchronous:
+            if self._came >> slot & 1:
+                self._twin.take(f"TPDO {self._tpdos[slot].number + 1}")
+            self._came |= 1 << slot
+        if len(data) >= self._tpdos[slot].layout.size:
+            self._frames[slot] = data
+
+    def _on_emergency(self, data: bytes) -> None:
+        self._notices.append(f"node {self._node}: {emergency_text(data)}")
+        if code := emergency_code(data):
+            self._error = profile.error_text(code)
+
+    def report(self, feedback: Feedback, cycle_ns: int) -> None:
+        """Write the drive's feedback of the cycle that belongs to the time ``cycle_ns``."""
+        feedback.is_fresh = self.is_complete
+        feedback.missing = ""
+        if self.is_complete:
+            elapsed_s = (cycle_ns - self._measured_ns) * 1e-9
+            measured = self._measured = self._decoder.decode(self._frames, self._measured, elapsed_s)
+            self._frames = [b""] * len(self._tpdos)
+            self._measured_ns = cycle_ns
+            feedback.position, feedback.velocity = measured.position, measured.velocity
+            feedback.torque, feedback.state = measured.torque, measured.state
+        else:
+            late = [f"TPDO {pdo.number + 1}" for pdo, data in zip(self._tpdos, self._frames, strict=True) if not data]
+            feedback.missing = f"{' and '.join(late)} of node {self._node} did not come: its master has stopped?"
+        feedback.error, feedback.message = self._error, self._fault
+        feedback.notices += self._notices
+        self._notices.clear()
+
+
+class PassiveExchange:
+    """The cyclic phase of a dry run beside another master; see `exchange.CyclicExchange`.
+
+    Parameters
+    ----------
+    bus : FrameBus
+    axes : sequence of PassiveAxis
+    clock : Clock
+    period_s : float
+    """
+
+    def __init__(
+        self,
+        bus: "FrameBus",
+        axes: Sequence[PassiveAxis],
+        clock: Clock,
+        *,
+        period_s: float,
+        sync_id: int = cia301.SYNC_ID,
+    ) -> None:
+        self._bus = bus
+        self._axes = axes
+        self._clock = clock
+        self._reserve_ns = round(_RESERVE_FRACTION * period_s * 1e9)
+        self._handlers = {can_id: handler for axis in axes for can_id, handler in axis.handlers.items()}
+        self._handlers[sync_id] = self._on_sync
+        self._timeouts = 0
+
+    def start(self) -> None:
+        """Begin the cyclic phase: nothing is to be done for it."""
+
+    def send(self, commands: Sequence[Command]) -> None:
+        """Send nothing."""
+
+    def warm_caches(self) -> None:
+        """Do nothing: no deadline of another master is missed by a late listener."""
+
+    def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
+        """Take what the drives have sent, and what they send until shortly before the end of the cycle.
+
+        Raises
+        ------
+        DriveError
+            In simulated time, whose cycles are those of the other master, nothing came for a long time.
+        """
+        while (frame := self._bus.receive(0.0)) is not None:
+            self._take(*frame)
+        deadline_ns = end_ns - self._reserve_ns
+        while not all(axis.is_complete for axis in self._axes):
+            is_real = self._clock.is_real
+            timeout = (deadline_ns - self._clock.now_ns()) * 1e-9 if is_real else STEPPED_TIMEOUT_S
+            frame = self._bus.receive(timeout) if timeout > 0.0 else None
+            if frame is not None:
+                self._take(*frame)
+            elif not is_real or timeout <= 0.0:
+                break
+        if not self._clock.is_real:
+            self._require_frames()
+        for axis, target in zip(self._axes, feedback, strict=True):
+            axis.report(target, end_ns)
+
+    def _take(self, can_id: int, data: bytes) -> None:
+        handler = self._handlers.get(can_id)
+        if handler is not None:
+            handler(data)
+
+    def _on_sync(self, _: bytes) -> None:
+        for axis in self._axes:
+            axis.on_sync()
+
+    def _require_frames(self) -> None:
+        is_complete = all(axis.is_complete for axis in self._axes)
+        self._timeouts = 0 if is_complete else self._timeouts + 1
+        if self._timeouts >= STEPPED_TIMEOUTS:
+            text = f"not every drive has sent its TPDOs for {STEPPED_TIMEOUTS * STEPPED_TIMEOUT_S:g} s"
+            raise DriveError(text, code=codes.NOTHING_TO_HEAR)
+
+
+def passive_exchange(
+    bus: "FrameBus",
+    axes: Sequence["CanopenAxis"],
+    clients: Mapping[str, "SdoClient"],
+    others: "OtherMasters",
+    clock: Clock,
+    *,
+    period_s: float,
+    sync_id: int,
+) -> PassiveExchange:
+    """Return the exchange of a dry run beside another master, and add notes on what it sends to the axes.
+
+    Raises
+    ------
+    DriveError
+        A TPDO does not come, or two nodes send it.
+    """
+    wanted = {pdo.cob_id: axis for axis in axes for pdo in axis.tpdos}
+    heard = _listen(bus, others, wanted, clock, sync_id)
+    if silent := [can_id for can_id in wanted if not others.has_heard(can_id)]:
+        listed = ", ".join(f"{can_id:03X}h" for can_id in silent)
+        reason = f"no TPDO {listed} came within {_HEAR_S:g} s, as one that is sent only on a change may not"
+        raise nothing_to_hear(clients[wanted[silent[0]].facts.name], others, reason)
+    for axis in axes if clock.is_real else ():
+        notes = _rhythm_notes(heard, axis.facts.name, axis.node, axis.tpdos, period_s)
+        axis.facts = replace(axis.facts, notes=(*axis.facts.notes, *notes))
+    passive = [PassiveAxis(axis.drive, axis.node) for axis in axes]
+    return PassiveExchange(bus, passive, clock, period_s=period_s, sync_id=sync_id)
+
+
+def nothing_to_hear(client: "SdoClient", others: "OtherMasters", reason: str) -> DriveError:
+    """Return why a dry run that must not write gets no feedback."""
+    heard = others.words or "its power is on"
+    text = (
+        f"{client.axis}: {client.where} belongs to another master ({heard}), so nothing is written to it, and its "
+        f"TPDOs as they are do not give the feedback: {reason.removeprefix(f'{client.axis}: ')}"
+    )
+    return DriveError(text, code=codes.NOTHING_TO_HEAR)

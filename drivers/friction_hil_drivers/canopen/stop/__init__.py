@@ -1,0 +1,1 @@
+"""Taking the power of drives, and leaving them as they were found."""
