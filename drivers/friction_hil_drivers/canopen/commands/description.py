@@ -12,11 +12,6 @@ from friction_hil_drivers.cia402.scales import polarity_text
 _MODES = {1: "pp", 2: "vl", 3: "pv", 4: "tq", 6: "hm", 7: "ip", 8: "csp", 9: "csv", 10: "cst", 11: "cstca"}
 _SYNCHRONOUS = 240  # largest synchronous transmission type
 _REACTIONS = {0: "none", 1: "fault", 2: "disable voltage", 3: "quick stop"}  # 6007h
-_NODE_GUARDING = (
-    Object(0x100C, "guard time", DataType.UNSIGNED16),
-    Object(0x100D, "life time factor", DataType.UNSIGNED8),
-)
-_FEED = Object(0x6092, "feed", DataType.UNSIGNED32, 1)
 _RATED_CURRENT = Object(0x6075, "motor rated current", DataType.UNSIGNED32)
 
 
@@ -101,7 +96,7 @@ def _units() -> "Script[dict[str, Any]]":
             (yield from _read(objects.GEAR_MOTOR_REVOLUTIONS)),
             (yield from _read(objects.GEAR_SHAFT_REVOLUTIONS)),
         ],
-        "feed": (yield from _read(_FEED)),
+        "feed": (yield from _read(objects.FEED)),
         "velocity_unit": None if velocity is None else known.get(velocity, f"{velocity:08X}h"),
         "polarity": None if polarity is None else polarity_text(polarity),
         "rated_torque_Nm": None if torque is None else torque / 1000.0,
@@ -154,7 +149,7 @@ def _entry(word: int) -> dict[str, Any]:
 def _watchdogs(pdos: list[dict[str, Any]]) -> "Script[dict[str, Any]]":
     consumer = yield from _read(cia301.CONSUMER_HEARTBEAT)
     reaction = yield from _read(objects.ABORT_CONNECTION_OPTION)
-    guard, factor = (yield from _read(_NODE_GUARDING[0])), (yield from _read(_NODE_GUARDING[1]))
+    guard, factor = (yield from _read(cia301.GUARD_TIME)), (yield from _read(cia301.LIFE_TIME_FACTOR))
     timers = [
         {"pdo": pdo["pdo"], "ms": pdo["event_timer_ms"], "needs_sync": (pdo["transmission_type"] or 0) <= _SYNCHRONOUS}
         for pdo in pdos
