@@ -35,7 +35,7 @@ def test_every_code_is_in_the_range_of_its_driver_and_has_one_name(codes: Module
 @EACH_DRIVER
 def test_every_code_is_used(codes: ModuleType, numbers: set[int]) -> None:
     assert codes.__file__ is not None
-    text = "".join(path.read_text() for path in Path(codes.__file__).parent.glob("*.py"))
+    text = "".join(path.read_text() for path in Path(codes.__file__).parent.rglob("*.py"))
     assert set(re.findall(r"\bcodes\.([A-Z_0-9]+)", text)) - {"EXPLANATIONS", "REMEDIES"} == set(names(codes))
 
 
