@@ -113,7 +113,7 @@ FAULTS = (
         ALL,
         step=on_wire.second_master,
         last_s=(0.1, 0.5),
-        codes=("FH-220", *_SILENCE, "FH-231", "FH-232", "FH-233"),
+        codes=("FH-220", *_SILENCE, "FH-231", "FH-232", "FH-233", "FH-249"),
     ),
     Fault(
         "second-sync",
@@ -171,6 +171,7 @@ FAULTS = (
         step=on_wire.babble,
         last_s=(0.3, 0.6),
         codes=(*_SILENCE, "FH-220"),
+        loses_frames=True,
     ),
     Fault(
         "frozen-encoder",
