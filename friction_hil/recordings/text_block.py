@@ -80,6 +80,11 @@ class _Rows:
         )
         return fits and any(text.strip() for text, kind in pairs if kind in (NUMBER, DATE))
 
+    def first_text(self, first: int, column: int) -> str:
+        """Return the first text of a column from line ``first`` on, "" where only lines above have any."""
+        found = (fields[column].strip() for fields in self.fields[first:] if column < len(fields))
+        return next((each for each in found if not is_missing(each)), "")
+
     def begins_like_row(self, place: int) -> bool:
         """True if a line has as many fields as a row, and its first one is what that of a row is."""
         fields, kind = self.fields[place], self.kinds[0]
@@ -113,7 +118,7 @@ def block_layout(path: Path, data: bytes) -> TextLayout | None:
     named = [name if kind != EMPTY or name else f"\0{i}" for i, (name, kind) in given]
     names = distinct(named, problems)  # empty columns without a name are behind separators at the ends of lines
     texts = {
-        name: next(fields[i].strip() for fields in rows.fields[first:] if i < len(fields) and not is_missing(fields[i]))
+        name: rows.first_text(first, i)
         for i, (name, kind) in enumerate(zip(names, rows.kinds, strict=True))
         if kind == TEXT
     }

@@ -155,7 +155,8 @@ def test_when_the_machine_ends_the_daemon_fades_out_and_says_why(configuration):
         with machine(configuration):
             wait_until(lambda: any(can_id == SYNC for can_id, _ in frames))
             daemon = start("run", configuration, "--json", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-            wait_until(lambda: len(offsets(frames)) > 100)
+            wait_until(lambda: len(offsets(frames)) > 100 or daemon.poll() is not None)
+            assert daemon.poll() is None, daemon.communicate()
         output, _ = daemon.communicate(timeout=30)
     assert daemon.returncode == 1
     assert any("FH-248" in fault or "did not come" in fault for fault in json.loads(output)["faults"])
