@@ -338,7 +338,7 @@ def test_arguments_reach_pytest(project: Pytest) -> None:
     project.run_tests("tests/unit", "-k", "a or b")
     called = project.called("rest") or []
     assert called[-3:] == ["tests/unit", "-k", "a or b"]
-    assert called[called.index("-n") + 1] == "auto"
+    assert 2 <= int(called[called.index("-n") + 1]) <= 4
     assert called[called.index("-m") + 1] == "not socketcan and not deep"
 
 
