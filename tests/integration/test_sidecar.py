@@ -66,11 +66,23 @@ def slow_down(configuration, max_missed):
     configuration.write_text(yaml.safe_dump(values))
 
 
-def wait_until(condition, timeout_s=60.0):
+def wait_until(condition, timeout_s=240.0):  # on a busy computer the start alone takes a minute
     end = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
+
+
+def compensating(configuration, frames):
+    """Start a daemon, and wait for its offsets; a busy computer stamps SYNC unevenly, which it refuses."""
+    for _ in range(5):
+        daemon = start("run", configuration, "--json", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        wait_until(lambda daemon=daemon: len(offsets(frames)) > 100 or daemon.poll() is not None)
+        if daemon.poll() is None:
+            return daemon
+        output, errors = daemon.communicate()
+        assert "gives no time base" in errors, (output, errors)
+    raise AssertionError(errors)
 
 
 @pytest.mark.deep
@@ -154,9 +166,7 @@ def test_when_the_machine_ends_the_daemon_fades_out_and_says_why(configuration):
     with frame_log(configuration) as frames:
         with machine(configuration):
             wait_until(lambda: any(can_id == SYNC for can_id, _ in frames))
-            daemon = start("run", configuration, "--json", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-            wait_until(lambda: len(offsets(frames)) > 100 or daemon.poll() is not None)
-            assert daemon.poll() is None, daemon.communicate()
+            daemon = compensating(configuration, frames)
         output, _ = daemon.communicate(timeout=30)
     assert daemon.returncode == 1
     assert any("FH-248" in fault or "did not come" in fault for fault in json.loads(output)["faults"])
