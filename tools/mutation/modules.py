@@ -8,7 +8,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "friction_hil/daemon/sequence.py": ("daemon/test_sequence",),
     "friction_hil/daemon/command.py": ("daemon/test_command",),
     "friction_hil/drive/stop.py": ("drive/test_stop", "canopen/test_canopen_axis_lost"),
-    f"{_CANOPEN}/sdo/side_channel.py": ("canopen/test_canopen_axis_lost",),
+    f"{_CANOPEN}/cycle/side_channel.py": ("canopen/test_canopen_axis_lost",),
     f"{_CANOPEN}/cycle/exchange.py": ("canopen/test_canopen_cycle",),
     f"{_SERIAL}/scheduler.py": ("serial_line/test_serial_ahead", "serial_line/test_serial_scheduler"),
 }

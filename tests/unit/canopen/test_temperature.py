@@ -5,8 +5,8 @@ import struct
 
 import numpy as np
 import pytest
+from friction_hil_drivers.canopen.cycle.side_channel import CyclicSdo
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.sdo.side_channel import CyclicSdo
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.temperature import TemperatureOptions, TemperatureRead

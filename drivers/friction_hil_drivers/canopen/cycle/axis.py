@@ -14,8 +14,8 @@ from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.connect.mapping import MappedPdo
 from friction_hil_drivers.canopen.connect.twins import TwinWatch
 from friction_hil_drivers.canopen.cycle.monitor import NodeCondition, NodeMonitor
+from friction_hil_drivers.canopen.cycle.side_channel import CyclicSdo
 from friction_hil_drivers.canopen.cycle.sync_answers import SyncAnswers
-from friction_hil_drivers.canopen.sdo.side_channel import CyclicSdo
 from friction_hil_drivers.canopen.stop.by_sdo import STANDSTILL_COUNTS
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.canopen.wire.cia301 import Frame, decode_heartbeat
@@ -186,9 +186,7 @@ class CanopenAxis:
         """True if the drive has reported, a moment ago, that it has no power."""
         if self._sdo.is_stopping and self._sdo.stop.is_proved:
             return True
-        state = self._measured.state
-        is_known = self.is_reachable and self._missed <= _BLIND_CYCLES and state is not DriveState.UNKNOWN
-        return is_known and not state.is_powered
+        return self.is_reachable and self._missed <= _BLIND_CYCLES and self._measured.state.is_unpowered
 
     @property
     def fresh_state(self) -> DriveState:

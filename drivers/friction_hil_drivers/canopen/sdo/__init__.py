@@ -1,1 +1,1 @@
-"""Reading and writing objects of a node: one transfer, and three that drive it."""
+"""Reading and writing objects of a node: one transfer, and two that drive it."""

@@ -8,7 +8,7 @@ are set to zero. Nothing here can enable a drive.
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from friction_hil.drive import DriveState
 from friction_hil.drive.codes import coded
@@ -21,6 +21,9 @@ from friction_hil_drivers.cia402 import objects, profile
 from friction_hil_drivers.cia402.access import ABSENT
 from friction_hil_drivers.cia402.units import COUNTER_BITS
 
+if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
+
 _POLL_S = 0.02
 _FAULT_POLLS = 50  # 1 s, for the end of a reaction to a fault, and of the fault
 _RELAPSE_S = 0.3  # in which a master that commands the drive still would have enabled it again
@@ -28,22 +31,6 @@ _SDO_NS = 200_000_000  # for the stop by SDO to be answered, before the heartbea
 _LAPSE_NS = 3_000_000_000  # after which the heartbeat ends in any case
 STANDSTILL_COUNTS = 2.0  # noise of an encoder
 _AXES = 8  # of a multi-axis node (CiA 402-3: the objects of axis k are those of axis 0 plus k * 800h)
-
-
-class Lost(Protocol):
-    """What the last means has to know of a drive."""
-
-    is_reachable: bool
-
-    @property
-    def is_proved_unpowered(self) -> bool:
-        """True if the drive was read back without power a moment ago."""
-        ...
-
-    @property
-    def state(self) -> DriveState:
-        """State as read back, UNKNOWN where it was not."""
-        ...
 
 
 class HeartbeatLapse:
@@ -58,7 +45,7 @@ class HeartbeatLapse:
     def __init__(self) -> None:
         self._since_ns: int | None = None  # a drive that may have power is out of reach since then
 
-    def is_due(self, axes: "Sequence[Lost]", now_ns: int) -> bool:
+    def is_due(self, axes: "Sequence[CanopenAxis]", now_ns: int) -> bool:
         """Return True if the heartbeat is not to be sent."""
         lost = [axis for axis in axes if not axis.is_reachable and not axis.is_proved_unpowered]
         if not lost:
