@@ -7,8 +7,6 @@ and includes no code of the others, and none of networks for a model without one
 
 from typing import Any
 
-from numba import types
-
 from friction_hil.friction import (
     armstrong,
     bouc_wen,
@@ -22,7 +20,7 @@ from friction_hil.friction import (
     stribeck,
     table,
 )
-from friction_hil.numerics.dual import overloaded
+from friction_hil.numerics.dual import overloaded, types
 from friction_hil.numerics.jit import Array, compiled
 
 _ORDER = (coulomb, stribeck, karnopp, table, power_law, armstrong, dahl, lugre, elasto_plastic, gms, bouc_wen)

@@ -12,12 +12,11 @@ import numpy as np
 
 from friction_hil.numerics.dual import (
     WIDTH,
-    DualArrayType,
-    DualType,
     borrowed,
     chain,
     differentiable,
     dual_array,
+    dual_types,
     fma,
     overloaded,
     primal,
@@ -153,7 +152,7 @@ differentiable(expm1, compiled(lambda x: math.expm1(x)), compiled(lambda x, valu
 
 @overloaded(power)
 def _choose_power(x: Any, y: Any) -> Any:
-    if isinstance(x, DualType) or isinstance(y, DualType):
+    if isinstance(x, dual_types.DualType) or isinstance(y, dual_types.DualType):
 
         def of_duals(x, y):  # type: ignore[no-untyped-def]
             base, exponent = primal(x), primal(y)
@@ -168,7 +167,7 @@ def _choose_power(x: Any, y: Any) -> Any:
 
 @overloaded(toward)
 def _choose_toward(start: Any, end: Any, fraction: Any) -> Any:
-    if all(isinstance(each, DualType) for each in (start, end, fraction)):
+    if all(isinstance(each, dual_types.DualType) for each in (start, end, fraction)):
 
         def of_duals(start, end, fraction):  # type: ignore[no-untyped-def]
             change = end - start
@@ -187,19 +186,19 @@ def _choose_whole(x: Any) -> Any:
 
 @overloaded(is_differentiated)
 def _choose_is_differentiated(x: Any) -> Any:
-    return (lambda x: True) if isinstance(x, DualType) else (lambda x: False)
+    return (lambda x: True) if isinstance(x, dual_types.DualType) else (lambda x: False)
 
 
 @overloaded(part)
 def _choose_part(values: Any, begin: Any) -> Any:
-    if isinstance(values, DualArrayType):
+    if isinstance(values, dual_types.DualArrayType):
         return lambda values, begin: dual_array(borrowed(values.values, begin), borrowed(values.partials, begin))
     return lambda values, begin: borrowed(values, begin)
 
 
 @overloaded(buffer)
 def _choose_buffer(parameters: Any, length: Any) -> Any:
-    if isinstance(parameters, DualArrayType):
+    if isinstance(parameters, dual_types.DualArrayType):
         return lambda parameters, length: dual_array(np.empty(length), np.empty((length, WIDTH)))
     return lambda parameters, length: np.empty(length)
 

@@ -19,7 +19,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import types
 
 from friction_hil.friction import modifiers, network, network_runs
 from friction_hil.friction.curves import direction
@@ -35,7 +34,7 @@ from friction_hil.friction.dispatch import (
     number,
 )
 from friction_hil.friction.elementary import part, whole
-from friction_hil.numerics.dual import DualArrayType, borrowed_at, overloaded, primal
+from friction_hil.numerics.dual import borrowed_at, dual_types, overloaded, primal, types
 from friction_hil.numerics.jit import Array, compiled, compiled_for_one_sample, inlined
 
 HEADER = 4
@@ -69,7 +68,7 @@ def _learned_torque(kind: Any, p: Array, s: Array, *inputs: Any) -> float:
 @overloaded(_learned_torque)
 def _choose_learned_torque(kind: Any, p: Any, s: Any, *inputs: Any) -> Any:
     is_short = isinstance(p, types.NestedArray) and p.shape[0] <= PLAIN_ROOM
-    if isinstance(p, DualArrayType) or is_short or not may_have_network(kind):
+    if isinstance(p, dual_types.DualArrayType) or is_short or not may_have_network(kind):
         return lambda kind, p, s, *inputs: 0.0
 
     def of_network(kind, p, s, *inputs):  # type: ignore[no-untyped-def]

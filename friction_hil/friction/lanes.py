@@ -2,20 +2,16 @@
 
 from typing import Any
 
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils as untyped_cgutils
-
-from friction_hil.numerics.dual import intrinsic
+from friction_hil.numerics.dual import cgutils, intrinsic, ir, types
 
 LANES = 4
 
-cgutils: Any = untyped_cgutils  # it has no types
 
-_FOUR = ir.VectorType(ir.DoubleType(), LANES)
+def _four() -> Any:
+    return ir.VectorType(ir.DoubleType(), LANES)
 
 
-def spread(builder: Any, kind: ir.VectorType, number: Any) -> Any:
+def spread(builder: Any, kind: Any, number: Any) -> Any:
     """Return a vector with the same number in every element."""
     first = builder.insert_element(ir.Constant(kind, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(
@@ -35,7 +31,7 @@ def fma(builder: Any, x: Any, y: Any, z: Any) -> Any:
 def _vector_pointer(context: Any, builder: Any, kind: Any, array: Any, begin: Any) -> Any:
     """Return a pointer to the `LANES` elements of ``array`` from ``begin`` on."""
     data = context.make_array(kind)(context, builder, value=array).data
-    return builder.bitcast(builder.gep(data, [begin]), _FOUR.as_pointer())
+    return builder.bitcast(builder.gep(data, [begin]), _four().as_pointer())
 
 
 @intrinsic
@@ -45,7 +41,7 @@ def add_scaled(_: Any, sums: Any, at: Any, values: Any, begin: Any, factor: Any)
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         target = _vector_pointer(context, builder, signature.args[0], args[0], args[1])
         source = builder.load(_vector_pointer(context, builder, signature.args[2], args[2], args[3]), align=8)
-        total = fma(builder, spread(builder, _FOUR, args[4]), source, builder.load(target, align=8))
+        total = fma(builder, spread(builder, _four(), args[4]), source, builder.load(target, align=8))
         builder.store(total, target, align=8)
         return context.get_dummy_value()
 
@@ -59,7 +55,7 @@ def put_scaled(_: Any, target: Any, at: Any, values: Any, begin: Any, factor: An
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         into = _vector_pointer(context, builder, signature.args[0], args[0], args[1])
         source = builder.load(_vector_pointer(context, builder, signature.args[2], args[2], args[3]), align=8)
-        builder.store(builder.fmul(spread(builder, _FOUR, args[4]), source), into, align=8)
+        builder.store(builder.fmul(spread(builder, _four(), args[4]), source), into, align=8)
         return context.get_dummy_value()
 
     return types.void(target, types.int64, values, types.int64, types.float64), generate
@@ -73,7 +69,7 @@ def _sum_of_products(context: Any, builder: Any, signature: Any, args: Any, star
     with cgutils.for_range(builder, args[6]) as loop:
         begin = builder.add(args[3], builder.mul(loop.index, args[4]))
         values = builder.load(_vector_pointer(context, builder, signature.args[2], args[2], begin), align=8)
-        factor = spread(builder, _FOUR, builder.load(builder.gep(factors, [loop.index])))
+        factor = spread(builder, _four(), builder.load(builder.gep(factors, [loop.index])))
         builder.store(fma(builder, factor, values, builder.load(total)), total)
     return builder.load(total)
 
@@ -101,7 +97,7 @@ def put_products(_: Any, sums: Any, at: Any, values: Any, begin: Any, stride: An
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         target = _vector_pointer(context, builder, signature.args[0], args[0], args[1])
-        start = ir.Constant(_FOUR, [0.0] * LANES)
+        start = ir.Constant(_four(), [0.0] * LANES)
         builder.store(_sum_of_products(context, builder, signature, args, start), target, align=8)
         return context.get_dummy_value()
 
@@ -136,7 +132,7 @@ def carry(
         old = builder.load(target, align=8)
         y_values = builder.load(_vector_pointer(context, builder, kinds[3], args[3], args[4]), align=8)
         z_values = builder.load(_vector_pointer(context, builder, kinds[10], args[10], args[11]), align=8)
-        own_by, a_by, before_by, after_by, b_by = (spread(builder, _FOUR, args[i]) for i in (2, 5, 8, 9, 12))
+        own_by, a_by, before_by, after_by, b_by = (spread(builder, _four(), args[i]) for i in (2, 5, 8, 9, 12))
         new = fma(builder, a_by, y_values, builder.fmul(own_by, old))
         builder.store(new, target, align=8)
         total = fma(builder, after_by, new, fma(builder, b_by, z_values, builder.fmul(before_by, old)))
@@ -159,9 +155,9 @@ def put_slopes(_: Any, target: Any, at: Any, values: Any, begin: Any, factor: An
         kinds = signature.args
         weights = builder.load(_vector_pointer(context, builder, kinds[2], args[2], args[3]), align=8)
         units = builder.load(_vector_pointer(context, builder, kinds[5], args[5], args[6]), align=8)
-        one = ir.Constant(_FOUR, [1.0] * LANES)
+        one = ir.Constant(_four(), [1.0] * LANES)
         slopes = builder.fsub(one, builder.fmul(units, units))
-        result = builder.fmul(builder.fmul(spread(builder, _FOUR, args[4]), weights), slopes)
+        result = builder.fmul(builder.fmul(spread(builder, _four(), args[4]), weights), slopes)
         builder.store(result, _vector_pointer(context, builder, kinds[0], args[0], args[1]), align=8)
         return context.get_dummy_value()
 

@@ -7,12 +7,14 @@ inlined into another kernel.
 
 import contextlib
 import hashlib
+import importlib
 import os
 import re
 import shutil
+import threading
 import time
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -67,24 +69,84 @@ def _remove_stale(base: Path) -> None:
                 shutil.rmtree(folder, ignore_errors=True)
 
 
+class Kernel:
+    """A function that numba compiles when Python or another kernel first calls it; it has the dispatcher's attributes.
+
+    Until then numba is not even imported: whoever reads a configuration or lists models does not wait for it.
+    """
+
+    def __init__(self, function: Callable[..., object], **options: Any) -> None:
+        update_wrapper(self, function)
+        self._function, self._options = function, options
+        self._run: Callable[..., object] = self._first_call
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the compiled function."""
+        return self._run(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.dispatcher, name)
+
+    def __reduce__(self) -> str:
+        return self.__qualname__  # type: ignore[attr-defined, no-any-return]
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """Dispatcher of numba."""
+        with _LOCK:
+            dispatcher = _dispatcher(self._function, self._options)
+            self._run = dispatcher
+            return dispatcher
+
+    def _first_call(self, *arguments: Any) -> Any:
+        return self.dispatcher(*arguments)
+
+
 def compiled(function: Function) -> Function:
     """Compile ``function`` in numba's nopython mode; division by zero gives infinity or NaN, as in C."""
-    return _compiled(function, nogil=True)
+    return cast(Function, Kernel(function, nogil=True))
 
 
 def inlined(function: Function) -> Function:
     """Compile ``function`` into each compiled function that calls it, where constant arguments are folded."""
-    return _compiled(function, nogil=True, forceinline=True)
+    return cast(Function, Kernel(function, nogil=True, forceinline=True))
 
 
 def compiled_for_one_sample(function: Function) -> Function:
     """Compile ``function`` for calls shorter than it takes to release Python's global lock."""
-    return _compiled(function)
+    return cast(Function, Kernel(function))
+
+
+class Deferred:
+    """A module that is imported when it is first needed."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(importlib.import_module(self._name), name)
+
+
+_LOCK = threading.RLock()
+_waiting: list[Callable[[], None]] = []  # for numba
+
+
+def once_compiling(action: Callable[[], None]) -> None:
+    """Tell numba something, as soon as there is something to compile."""
+    if _numba.cache_info().currsize:
+        action()
+    else:
+        _waiting.append(action)
 
 
 @cache
-def _listen() -> None:
+def _numba() -> Any:
+    """Import numba, and tell it what it has to know of kernels and their types."""
+    import numba  # imported here: a command that compiles nothing must not wait for it
     from numba.core import event
+    from numba.extending import typeof_impl
 
     class Said(event.Listener):
         def on_start(self, event: object) -> None:
@@ -96,19 +158,20 @@ def _listen() -> None:
 
     register: Any = event.register  # it has no types
     register("numba:compile", Said())
+    typeof_impl.register(Kernel)(lambda kernel, context: typeof_impl(kernel.dispatcher, context))
+    return numba
 
 
-def _compiled(function: Function, **options: Any) -> Function:
-    import numba  # imported here: who needs only the types of arrays must not wait for it
-
-    _listen()
-
+def _dispatcher(function: Callable[..., object], options: Any) -> Any:
+    numba = _numba()
+    while _waiting:
+        _waiting.pop(0)()
     folder = cache_folder()
     settings: Any = numba.config
     before = settings.CACHE_DIR
     if folder is not None:
         settings.CACHE_DIR = folder
     try:
-        return cast(Function, numba.njit(function, cache=folder is not None, **OPTIONS, **options))
+        return numba.njit(function, cache=folder is not None, **OPTIONS, **options)
     finally:
         settings.CACHE_DIR = before

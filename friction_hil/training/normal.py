@@ -8,20 +8,18 @@ fixed. The run time is about 0.7 times that of one thread of OpenBLAS.
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba import types
 
 from friction_hil.friction import lanes
-from friction_hil.friction.lanes import cgutils
-from friction_hil.numerics.dual import intrinsic
+from friction_hil.numerics.dual import cgutils, intrinsic, ir, types
 from friction_hil.numerics.jit import Array, compiled
 
 # Size of the tile of the result that stays in registers while the rows of a block are added: 12 sums of 4 numbers, so
 # that no multiply-add waits for the one before it.
 ROWS, COLUMNS = 6, 8
 
-_F8 = ir.DoubleType()
-_VECTOR = ir.VectorType(_F8, COLUMNS)
+
+def _vector() -> Any:
+    return ir.VectorType(ir.DoubleType(), COLUMNS)
 
 
 @intrinsic
@@ -37,7 +35,7 @@ def _add_tile(_: Any, block: Any, rows: Any, i: Any, j: Any, matrix: Any) -> Any
         targets = context.make_array(signature.args[4])(context, builder, value=target)
         row_bytes = cgutils.unpack_tuple(builder, sources.strides)[0]
         target_bytes = cgutils.unpack_tuple(builder, targets.strides)[0]
-        vectors, zero = _VECTOR.as_pointer(), ir.Constant(_VECTOR, [0.0] * COLUMNS)
+        vectors, zero = _vector().as_pointer(), ir.Constant(_vector(), [0.0] * COLUMNS)
         sums = [cgutils.alloca_once_value(builder, zero) for _ in range(ROWS)]
         for slot in sums:
             builder.store(zero, slot)
@@ -46,7 +44,7 @@ def _add_tile(_: Any, block: Any, rows: Any, i: Any, j: Any, matrix: Any) -> Any
             right = builder.load(builder.bitcast(builder.gep(row, [second]), vectors), align=8)
             for a, slot in enumerate(sums):
                 one = builder.load(builder.gep(row, [builder.add(first, ir.Constant(first.type, a))]))
-                left = lanes.spread(builder, _VECTOR, one)
+                left = lanes.spread(builder, _vector(), one)
                 builder.store(lanes.fma(builder, left, right, builder.load(slot)), slot)
         for a, slot in enumerate(sums):
             down = builder.mul(builder.add(first, ir.Constant(first.type, a)), target_bytes)
