@@ -78,26 +78,11 @@ def read_bus_log(path: Path, axes: "Mapping[str, AxisConfig]") -> list[Recording
     A row is a cycle: a SYNC and the frames up to the next one; where the log has no SYNC, a cycle begins with
     each first TPDO. What did not come in a cycle is NaN in its row. Scales are those of the configuration, else
     those that the drive reported while the daemon connected, if the log has that; widths likewise, or of the EDS,
-    or of the standard.
+    or of the standard. There is a recording for each axis of which there are frames; its ``problems`` list what could
+    not be read.
 
-    Parameters
-    ----------
-    path : path
-        The log; python-can reads it by its suffix.
-    axes : dict
-        Configured axes of this driver.
-
-    Returns
-    -------
-    list of Recording
-        One for each axis of which there are frames; ``problems`` lists what could not be read.
-
-    Raises
-    ------
-    RecordingError
-        There is no frame of any axis, or a drive's scales are not known.
-    OSError
-        The log cannot be opened.
+    Raises `RecordingError`: there is no frame of any axis, or a drive's scales are not known. `OSError`: the log cannot
+    be opened.
     """
     log = FrameLog(path)
     found = {name: _mapping_of(log, name, axis, path) for name, axis in axes.items()}
@@ -135,10 +120,7 @@ def _identifiers(log: FrameLog) -> str:
 def _mapping_of(log: FrameLog, name: str, axis: "AxisConfig", path: Path) -> "tuple[LoggedObjects, LogMapping | None]":
     """Return the objects of an axis and the mapping that its frames have; None if it has no frames.
 
-    Raises
-    ------
-    RecordingError
-        The frames contradict each mapping that is stated, or assumed.
+    Raises `RecordingError`: the frames contradict each mapping that is stated, or assumed.
     """
     options = canopen_options(axis)
     access = LoggedObjects(log, name, options, path)

@@ -52,15 +52,9 @@ _NMT_WORDS = {state.value: state.name.lower().replace("_", "-") for state in cia
 
 
 class CanopenInventory:
-    """Nodes of one bus; see `friction_hil.drive.inventory.Inventory`.
+    """Nodes of one open bus, which `close` closes; see `friction_hil.drive.inventory.Inventory`.
 
-    Parameters
-    ----------
-    config : BusConfig
-    bus : FrameBus
-        Open; `close` closes it.
-    may_disturb : bool
-        Read nodes of which another master uses the SDO server too.
+    ``may_disturb``: read nodes of which another master uses the SDO server too.
     """
 
     def __init__(self, config: "BusConfig", bus: "FrameBus", *, may_disturb: bool = False) -> None:
@@ -103,10 +97,7 @@ class CanopenInventory:
     def show(self, node: int) -> dict[str, Any]:
         """Read all that a drive says of itself; see `friction_hil.drive.inventory.Inventory`.
 
-        Raises
-        ------
-        DriveError
-            The node does not answer, two nodes do, or another master uses its SDO server.
+        Raises `DriveError`: the node does not answer, two nodes do, or another master uses its SDO server.
         """
         self._require_free_sdo([node])
         found = self._find([node], asking=self._before_reading)
@@ -119,10 +110,7 @@ class CanopenInventory:
     def meet(self, nodes: Sequence[int]) -> dict[int, DriveError | None]:
         """Ask nodes who they are, unless another master is at work.
 
-        Returns
-        -------
-        dict of int to DriveError or None
-            For each node that answers: the refusal where two nodes have its number.
+        Return for each one that answers the refusal where two nodes have its number, else None.
         """
         if self._others.words:
             return {}
@@ -134,10 +122,7 @@ class CanopenInventory:
     def stop(self, nodes: Sequence[int]) -> list[Stop]:
         """Stop drives at once and side by side; see `friction_hil.drive.inventory.Inventory`.
 
-        Raises
-        ------
-        DriveError
-            No nodes are given, and no drive answers.
+        Raises `DriveError`: no nodes are given, and no drive answers.
         """
         asked = list(dict.fromkeys(nodes)) or sorted(self._find(NODES))
         if not asked:
@@ -149,24 +134,15 @@ class CanopenInventory:
         return self._doubted([stop for each in stops.values() for stop in each])
 
     def stop_axes(self, axes: Mapping[str, tuple[int, int]]) -> StopReport:
-        """Stop the drives of some axes at once and side by side.
-
-        Parameters
-        ----------
-        axes : mapping of str to (int, int)
-            Node, and number of the axis in it, by the name of the axis.
-        """
+        """Stop the drives of axes at once and side by side; ``axes``: node, and number of the axis in it, by name."""
         owners = [text for node in _nodes_of(axes) if (text := self._owner(node))]
         return StopReport(self._carry_out(axes, stop_axes), (*self.notes, *owners))
 
     def reset_axes(self, axes: Mapping[str, tuple[int, int]]) -> StopReport:
-        """Reset the faults of the drives of some axes; parameters as those of `stop_axes`.
+        """Reset the faults of the drives of axes, given as to `stop_axes`.
 
-        Raises
-        ------
-        DriveError
-            A daemon of this machine, or another master, is at work: it could enable the drive as soon as it has no
-            fault any more. Or two nodes have one number.
+        Raises `DriveError`: a daemon of this machine, or another master, is at work, which could enable the drive as
+        soon as it has no fault any more; or two nodes have one number.
         """
         with contextlib.ExitStack() as locks:  # until the end: no daemon may begin meanwhile
             for node in _nodes_of(axes):
@@ -207,13 +183,7 @@ class CanopenInventory:
         return Conversation(self._bus, answer_s=answer_s, attempts=attempts, heard=self._others.take, asking=asking)
 
     def _require_free_sdo(self, nodes: Sequence[int]) -> None:
-        """Refuse to read a node whose only SDO server another master uses.
-
-        Raises
-        ------
-        DriveError
-            Its requests were heard.
-        """
+        """Raise a `DriveError` for a node whose only SDO server another master was heard to use."""
         used = [node for node in nodes if self._others.uses_sdo_of(node)]
         if used and not self._may_disturb:
             raise would_disturb(used, bus_name(self._config), "or let it fail: --may-disturb")
@@ -233,13 +203,7 @@ class CanopenInventory:
         return {node: refusal for node, refusal in refusals.items() if refusal is not None}
 
     def _refuse_twins(self, nodes: Sequence[int]) -> None:
-        """Ask nodes who they are, and refuse a number that two of them have.
-
-        Raises
-        ------
-        DriveError
-            Every answer comes twice.
-        """
+        """Ask nodes who they are, and raise a `DriveError` for a number that two of them have."""
         self._talk(asking=self._before_reading).hold({node: ask_identity() for node in nodes})
         for refusal in self._twins(nodes).values():
             raise refusal

@@ -37,18 +37,12 @@ _MOVING = 16.0  # counts a cycle
 
 @dataclass(frozen=True, slots=True)
 class LoggedPdo:
-    """A PDO in the log: its identifier, and the objects in the order of their bytes, each with its width in bits.
-
-    Attributes
-    ----------
-    first, end : int
-        Places in the log between which this mapping was in force.
-    """
+    """A PDO in the log."""
 
     name: str
     cob_id: int
-    entries: tuple[tuple[Object | None, int], ...]
-    first: int = 0
+    entries: tuple[tuple[Object | None, int], ...]  # objects in the order of their bytes, each with its width in bits
+    first: int = 0  # places in the log between which this mapping was in force
     end: int = sys.maxsize
 
     @property

@@ -28,13 +28,7 @@ _LEADING_ZEROS = re.compile(r"0+([0-7])")  # other numbers with a zero in front 
 
 
 def load_eds(path: Path, node: int) -> "ObjectDictionary":
-    """Read an EDS or DCF file for the node ``node``.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be read or is not an EDS.
-    """
+    """Read an EDS or DCF file for the node ``node``; raises `UsageError` for one that cannot be read, or is none."""
     # imported here: canopen takes 0.5 s, and only an axis with an EDS needs it to check a configuration
     import canopen
 
@@ -69,12 +63,7 @@ def compact_arrays(path: Path) -> dict[int, int]:
 def _parsed(path: Path) -> configparser.RawConfigParser:
     """Return the sections on objects, with numbers of which canopen makes no more work than the file has lines.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be read, or a number in it is none.
-    configparser.Error
-        It has no sections.
+    Raises `UsageError`: the file cannot be read, or a number in it is none. `configparser.Error`: it has no sections.
     """
     try:
         if not path.is_file():
@@ -116,13 +105,7 @@ def _numbers(section: str) -> Iterator[tuple[str, int]]:
 
 
 def _checked(path: Path, section: str, key: str, text: str, most: int) -> str:
-    """Return a number without zeros in front.
-
-    Raises
-    ------
-    UsageError
-        It is none, or too large.
-    """
+    """Return a number without zeros in front; raises `UsageError` if it is none, or too large."""
     found = _LEADING_ZEROS.fullmatch(text)
     try:
         number = int(found[1] if found else text, 0)

@@ -33,14 +33,7 @@ def compare_eds(
 ) -> Iterator[str]:
     """Yield the reasons for which a drive with this EDS cannot be driven as configured.
 
-    Parameters
-    ----------
-    dictionary : ObjectDictionary
-        Of the canopen library, from the EDS.
-    mode : Mode
-    options : CanopenOptions
-    is_compensated : bool
-        The mode needs the torque offset, where it uses one.
+    ``is_compensated``: the mode needs the torque offset, where it uses one.
     """
     yield from _compare_modes(dictionary, mode, options)
     yield from _compare_counts(dictionary, options)
@@ -71,14 +64,7 @@ def _without_offset(dictionary: "ObjectDictionary", options: CanopenOptions) -> 
 def necessary_keys(
     dictionary: "ObjectDictionary", options: CanopenOptions, kind: Literal["rotary", "linear"]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the keys that a drive with this EDS needs and the configuration does not have: (key, reason).
-
-    Parameters
-    ----------
-    dictionary : ObjectDictionary
-    options : CanopenOptions
-    kind : {"rotary", "linear"}
-    """
+    """Yield the keys that a drive with this EDS needs and the configuration does not have: (key, reason)."""
 
     def has(entry: Object) -> bool:
         return _variable(dictionary, entry, options) is not None

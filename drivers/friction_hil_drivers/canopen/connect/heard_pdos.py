@@ -15,20 +15,12 @@ _PERIOD_TOLERANCE = 0.03
 
 
 class HeardPdos:
-    """Frames between SYNCs.
-
-    Attributes
-    ----------
-    stamps : list of int
-        Times of the SYNCs, ns.
-    sizes : dict of int to Counter
-        Number of frames of each length, by identifier.
-    """
+    """Frames between SYNCs."""
 
     def __init__(self, sync_id: int) -> None:
         self._sync_id = sync_id
-        self.stamps: list[int] = []
-        self.sizes: dict[int, Counter[int]] = {}
+        self.stamps: list[int] = []  # times of the SYNCs, ns
+        self.sizes: dict[int, Counter[int]] = {}  # number of frames of each length, by identifier
         self._steps: dict[int, Counter[int]] = {}  # SYNCs since the frame before, by identifier
         self._last: dict[int, int] = {}  # number of SYNCs when it came last
 
@@ -44,13 +36,7 @@ class HeardPdos:
         self._last[can_id] = count
 
     def require_one_sender(self, can_id: int, axis: str, node: int) -> None:
-        """Refuse a TPDO of node ``node`` that comes twice with each SYNC.
-
-        Raises
-        ------
-        DriveError
-            It does.
-        """
+        """Raise a `DriveError` if a TPDO of node ``node`` comes twice with each SYNC."""
         steps = self._steps.get(can_id, Counter())
         if steps.total() >= _LEAST and steps[0] >= _DOUBLE * steps.total():
             text = (

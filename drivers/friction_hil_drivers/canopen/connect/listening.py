@@ -38,14 +38,7 @@ _NMT_NAMES = {command.value: command.name.lower().replace("_", " ") for command 
 class OtherMasters:
     """What others send that commands our nodes, or that only a master sends.
 
-    Parameters
-    ----------
-    nodes : collection of int
-        Our nodes.
-    master_node : int
-        Node number of the daemon's own heartbeat.
-    sync_id : int, optional
-        Identifier of SYNC.
+    ``nodes``: our nodes. ``master_node``: node number of the daemon's own heartbeat. ``sync_id``: identifier of SYNC.
     """
 
     def __init__(self, nodes: Collection[int], master_node: int, sync_id: int = cia301.SYNC_ID) -> None:
@@ -162,23 +155,14 @@ class OtherMasters:
 class MasterAlarm:
     """Fault of a run in which another master appears, for the cyclic phase.
 
-    Parameters
-    ----------
-    others : OtherMasters, optional
-        As it was when the cyclic phase began; without it, nothing is told.
-
-    Attributes
-    ----------
-    handlers : mapping of int to callable
-        For each identifier on which only a master sends: takes the data of a frame.
-    message : str
-        The fault, "" for none.
+    ``others``: as it was when the cyclic phase began; without it, nothing is told.
     """
 
     def __init__(self, others: OtherMasters | None = None) -> None:
         self._others = others or OtherMasters((), 0)
-        self.message = ""
+        self.message = ""  # the fault, "" for none
         watched = set() if others is None else others.commanding
+        # for each identifier on which only a master sends: takes the data of a frame
         self.handlers = {can_id: partial(self._on_frame, can_id) for can_id in watched}
 
     def _on_frame(self, can_id: int, data: bytes) -> None:
@@ -227,10 +211,7 @@ def heard_by(bus: "FrameBus", others: OtherMasters, end: float, now: Callable[[]
 def ask_identities(clients: Sequence["SdoClient"], bus: "FrameBus", others: OtherMasters) -> None:
     """Ask nodes who they are, and wait for the answers of a second one.
 
-    Raises
-    ------
-    DriveError
-        One does not answer; the message has those that do.
+    Raises `DriveError`: one does not answer; the message has those that do.
     """
     for client in clients:
         try:
@@ -248,10 +229,7 @@ def ask_identities(clients: Sequence["SdoClient"], bus: "FrameBus", others: Othe
 def require_one_node(client: "SdoClient", bus: "FrameBus", others: OtherMasters, node: int, bus_name: str) -> None:
     """Refuse a number that two nodes have, as far as the answers since the last call show it.
 
-    Raises
-    ------
-    DriveError
-        Every answer comes twice.
+    Raises `DriveError`: every answer comes twice.
     """
     answers = others.answers_of(node)
     if answers.is_doubtful:
@@ -292,10 +270,7 @@ class Look:
 def look(access: ObjectReader, node: int, others: OtherMasters) -> Look:
     """Read a drive's state, and which frames command it; nothing is written.
 
-    Raises
-    ------
-    DriveError
-        The drive does not answer, or has no statusword.
+    Raises `DriveError`: the drive does not answer, or has no statusword.
     """
     statusword = access.read(objects.STATUSWORD)
     for number in range(cia301.PDO_COUNT):

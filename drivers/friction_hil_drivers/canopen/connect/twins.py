@@ -88,15 +88,7 @@ def _shown(data: bytes) -> str:
 
 
 class TwinWatch:
-    """Watches for a second node with the number of one in the cyclic phase.
-
-    Attributes
-    ----------
-    is_found : bool
-        A second node has shown itself.
-    is_suspected : bool
-        `judge` is to be called at the end of this cycle.
-    """
+    """Watches for a second node with the number of one in the cyclic phase."""
 
     __slots__ = ("_cycles", "_has_booted", "_node", "_surplus", "is_found", "is_suspected")
 
@@ -105,7 +97,8 @@ class TwinWatch:
         self._surplus = ""  # TPDO of this cycle that came too often
         self._cycles = 0
         self._has_booted = False
-        self.is_found = self.is_suspected = False
+        self.is_found = False  # a second node has shown itself
+        self.is_suspected = False  # `judge` is to be called at the end of this cycle
 
     def take(self, tpdo: str) -> None:
         """Take a TPDO that answers no SYNC, because one has answered it already."""

@@ -18,36 +18,18 @@ _LONGEST_MS = 0xFFFF
 
 @dataclass(frozen=True, slots=True)
 class WatchdogTimes:
-    """Times of all watchdogs of an axis.
+    """Times of all watchdogs of an axis, and what they follow from: ``period_s``, s, and ``max_missed``."""
 
-    Attributes
-    ----------
-    timer_ms : int
-        Event timer of an RPDO.
-    feed_cycles : int
-        The RPDO is sent every so many cycles.
-    heartbeat_ms : int
-        Period of the drive's heartbeat.
-    guard_ms, guards_to_loss : int
-        100Ch and 100Dh: their product is the time without the daemon's heartbeat or remote frames that is a loss.
-    beat_s : float
-        Period of these, s: whole cycles, not longer than ``guard_ms``.
-    period_s : float
-    max_missed : int
-        What the times follow from.
-    is_demanded : bool
-        The user has written `max_missed`.
-    """
-
-    timer_ms: int
-    feed_cycles: int
-    heartbeat_ms: int
+    timer_ms: int  # event timer of an RPDO
+    feed_cycles: int  # the RPDO is sent every so many cycles
+    heartbeat_ms: int  # period of the drive's heartbeat
+    # 100Ch and 100Dh: their product is the time without the daemon's heartbeat or remote frames that is a loss
     guard_ms: int
     guards_to_loss: int
-    beat_s: float
+    beat_s: float  # period of these, s: whole cycles, not longer than guard_ms
     period_s: float
     max_missed: int
-    is_demanded: bool = False
+    is_demanded: bool = False  # the user has written max_missed
 
     @property
     def loss_ms(self) -> int:
@@ -68,16 +50,9 @@ class WatchdogTimes:
 def watchdog_times(
     period_s: float, max_missed: int, heartbeat_s: float | None = None, watchdog_s: float | None = None
 ) -> WatchdogTimes:
-    """Return the times for a period and a number of bridged cycles; those that are given as they are.
+    """Return the times for a period of the loop, s, and the consecutive periods that it bridges.
 
-    Parameters
-    ----------
-    period_s : float
-        Period of the loop, s.
-    max_missed : int
-        Consecutive periods that the loop bridges.
-    heartbeat_s, watchdog_s : float, optional
-        Period of heartbeats and event timer of the RPDO, s.
+    ``heartbeat_s``, ``watchdog_s``: period of heartbeats and event timer of the RPDO, s, where these are given.
     """
     own_ms = _timer_ms(period_s, max_missed)
     timer_ms = own_ms if watchdog_s is None else round(1e3 * watchdog_s)
@@ -85,10 +60,8 @@ def watchdog_times(
     if heartbeat_s is None:
         # its loss, as that of the RPDO, is as soon as the bridged periods allow
         loss_ms = max(own_ms, timer_ms)
-        guard_ms, guards_to_loss = (
-            min(-(-loss_ms // _FEEDS_PER_TIMER), _LONGEST_MS // _FEEDS_PER_TIMER),
-            _FEEDS_PER_TIMER,
-        )
+        guards_to_loss = _FEEDS_PER_TIMER
+        guard_ms = min(-(-loss_ms // guards_to_loss), _LONGEST_MS // guards_to_loss)
         beat_s = period_s * _feed_cycles(period_s, max_missed, guard_ms * guards_to_loss)
         heartbeat_ms = max(_SHORTEST_HEARTBEAT_MS, math.ceil(_shortest_heartbeat_ms(period_s, max_missed) - 1e-9))
     else:

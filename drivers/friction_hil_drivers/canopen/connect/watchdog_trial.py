@@ -52,17 +52,8 @@ class Seen:
 class WatchdogTrial:
     """Trial of all watchdogs of one axis, which is connected and has not been started.
 
-    Parameters
-    ----------
-    bus : FrameBus
-    network : SdoNetwork
-    client : SdoClient
-        Of the drive, for states and faults.
-    axis : CanopenAxis
-    master_node : int
-        Node number of the daemon's heartbeat.
-    beat_s : float
-        Period of heartbeats and remote frames, s.
+    ``client``: of the drive, for states and faults. ``master_node``: node number of the daemon's heartbeat.
+    ``beat_s``: period of heartbeats and remote frames, s.
     """
 
     def __init__(
@@ -121,10 +112,7 @@ class WatchdogTrial:
     def _switch_on(self, *, has_position: bool) -> None:
         """Bring the node to Operational and the drive to Switched On, where it has no torque.
 
-        Raises
-        ------
-        DriveError
-            It does not go there.
+        Raises `DriveError`: it does not go there.
         """
         self._nmt(cia301.NmtCommand.ENTER_PRE_OPERATIONAL)
         self._leave_fault()

@@ -39,19 +39,11 @@ _WORD = struct.Struct("<H")
 
 @dataclass(frozen=True, slots=True)
 class Means:
-    """One watchdog of a drive. Prints as ``RPDO 4 within 20 ms``.
-
-    Attributes
-    ----------
-    kind : {"rpdo", "heartbeat", "guarding"}
-    name : str
-    within_ms : int
-        Time without the daemon after which it trips.
-    """
+    """One watchdog of a drive. Prints as ``RPDO 4 within 20 ms``."""
 
     kind: Literal["rpdo", "heartbeat", "guarding"]
     name: str
-    within_ms: int
+    within_ms: int  # time without the daemon after which it trips
 
     def __str__(self) -> str:
         return f"{self.name} within {self.within_ms} ms"
@@ -64,30 +56,14 @@ class Means:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What the cyclic phase does so that the drive's watchdogs do not trip.
+    """What the cyclic phase does so that the drive's watchdogs do not trip."""
 
-    Attributes
-    ----------
-    rpdo_id : int
-        Identifier of the watchdog RPDO, 0 for none.
-    feed_cycles : int
-        It is sent every so many cycles.
-    beat_s : float
-        Period of the daemon's heartbeats, or of node guarding, s; 0 where neither is watched.
-    is_guarded : bool
-        The drive is asked by remote frames.
-    means : tuple of Means
-        What watches the daemon.
-    is_reaction_known : bool
-        A loss is known to take the torque (6007h).
-    """
-
-    rpdo_id: int = 0
-    feed_cycles: int = 1
-    beat_s: float = 0.0
-    is_guarded: bool = False
-    means: tuple[Means, ...] = ()
-    is_reaction_known: bool = False
+    rpdo_id: int = 0  # identifier of the watchdog RPDO, 0 for none
+    feed_cycles: int = 1  # it is sent every so many cycles
+    beat_s: float = 0.0  # period of the daemon's heartbeats, or of node guarding, s; 0 where neither is watched
+    is_guarded: bool = False  # the drive is asked by remote frames
+    means: tuple[Means, ...] = ()  # what watches the daemon
+    is_reaction_known: bool = False  # a loss is known to take the torque (6007h)
 
     @property
     def acting(self) -> Means | None:
@@ -115,29 +91,16 @@ NOT_WATCHED = Watch()
 class Feeder:
     """Content of the watchdog RPDO of one axis, from cycle to cycle. No bus, no clock.
 
-    Parameters
-    ----------
-    watch : Watch
-    offset : int
-        Cycles before the first one, so that those of several axes fall into different cycles.
-
-    Attributes
-    ----------
-    can_id : int
-        Identifier of the watchdog RPDO, 0 for none.
-    left : int
-        It is due once `next` was called so many times.
-    sent : int
-        Controlword that the synchronous RPDO carried last.
+    ``offset``: cycles before the first one, so that those of several axes fall into different cycles.
     """
 
     __slots__ = ("_cycles", "_in_force", "can_id", "left", "sent")
 
     def __init__(self, watch: Watch, offset: int) -> None:
-        self.can_id = watch.rpdo_id
+        self.can_id = watch.rpdo_id  # 0 for none
         self._cycles = watch.feed_cycles
-        self.left = offset + 1
-        self._in_force = self.sent = 0
+        self.left = offset + 1  # it is due once `next` was called so many times
+        self.sent = self._in_force = 0  # controlword that the synchronous RPDO carried last, and the one before
 
     def taken_over(self) -> None:
         """SYNC was sent: what the synchronous RPDO carried before is in force."""
@@ -165,19 +128,12 @@ def feeders(watches: Sequence[Watch]) -> list[Feeder]:
 
 
 class Guard:
-    """When a node is to be asked for its state next.
-
-    Attributes
-    ----------
-    can_id : int
-        Identifier of the remote frame, and of its answer.
-    period_ns, next_ns : int
-    """
+    """When a node is to be asked for its state next."""
 
     __slots__ = ("can_id", "next_ns", "period_ns")
 
     def __init__(self, node: int, period_ns: int) -> None:
-        self.can_id = cia301.HEARTBEAT_BASE + node
+        self.can_id = cia301.HEARTBEAT_BASE + node  # of the remote frame, and of its answer
         self.period_ns = period_ns
         self.next_ns = 0
 
@@ -207,20 +163,10 @@ def arm(
 ) -> Armed:
     """Let the drive watch the daemon by everything that it has.
 
-    Parameters
-    ----------
-    access : SdoClient
-    options : CanopenOptions
-    times : WatchdogTimes
-    command : PdoRecord and int
-        The RPDO with the controlword, and its identifier.
-    free : sequence of PdoRecord and int
-        RPDOs that are not needed otherwise, switched off, and identifiers for them.
+    ``command``: the RPDO with the controlword. ``free``: RPDOs that are not needed otherwise, switched off.
 
-    Raises
-    ------
-    DriveError
-        The drive has no watchdog, and the configuration does not accept that; or it cannot meet what is demanded.
+    Raises `DriveError`: the drive has no watchdog, and the configuration does not accept that; or it cannot meet what
+    is demanded.
     """
     reaction = _reaction(access)
     leaves = "" if reaction else _leaves_operational(access)
@@ -251,10 +197,7 @@ def arm(
 def _judge(access: "SdoClient", times: WatchdogTimes, watch: Watch) -> list[str]:
     """Return a warning where the drive does not take times as short as the bridged periods ask for.
 
-    Raises
-    ------
-    DriveError
-        The user has written how many periods are bridged.
+    Raises `DriveError`: the user has written how many periods are bridged.
     """
     acting, longest_ms = watch.acting, max(times.timer_ms, times.loss_ms)
     if acting is None or acting.within_ms <= longest_ms:
@@ -279,10 +222,7 @@ def _summary(
 ) -> str:
     """Return a note that says what watches the daemon.
 
-    Raises
-    ------
-    DriveError
-        Nothing does, and the configuration does not accept that.
+    Raises `DriveError`: nothing does, and the configuration does not accept that.
     """
     if means:
         listed = ", ".join(map(str, means))

@@ -134,23 +134,10 @@ class SdoClient(ObjectClient):
 
 
 class SdoNetwork:
-    """SDO clients of the nodes on one bus.
+    """SDO clients of the nodes on one bus, which is read while a request waits for its answer.
 
-    Parameters
-    ----------
-    bus : FrameBus or can.BusABC
-        Read while a request waits for its answer.
-    heard : callable, optional
-        Called with each frame that was read.
-    asking : callable, optional
-        Called with identifier and data of each request before it is sent; what it raises prevents that.
-    now : callable, optional
-        Clock, s.
-
-    Attributes
-    ----------
-    meanwhile : callable or None
-        Called before each wait for an answer; returns for how long it need not be called again, s.
+    ``heard``: called with each frame that was read. ``asking``: called with identifier and data of each request before
+    it is sent; what it raises prevents that. ``now``: clock, s.
     """
 
     def __init__(
@@ -164,6 +151,7 @@ class SdoNetwork:
         self._heard = heard
         self._asking = asking
         self._now = now
+        # called before each wait for an answer; returns for how long it need not be called again, s
         self.meanwhile: Callable[[], float] | None = None
         self._channels: dict[int, SdoChannel] = {}  # by the identifier of its answers; a node with several axes has one
 

@@ -50,22 +50,12 @@ class _Turn:
 
 
 class Conversation:
-    """Scripts with several nodes of a bus.
+    """Scripts with several nodes of a bus, which nothing else may read meanwhile.
 
-    Parameters
-    ----------
-    bus : FrameBus
-        Nothing else may read it meanwhile.
-    answer_s : float
-        Longest wait for an answer, s.
-    attempts : int
-        Number of times that a request is sent to a silent node.
-    meanwhile : callable, optional
-        Called before each wait; returns for how long it need not be called again, s.
-    heard : callable, optional
-        Called with each frame that was read.
-    asking : callable, optional
-        Called with identifier and data of each request before it is sent; what it raises ends the conversation.
+    ``answer_s``: longest wait for an answer, s. ``attempts``: number of times that a request is sent to a silent node.
+    ``meanwhile``: called before each wait; returns for how long it need not be called again, s. ``heard``: called with
+    each frame that was read. ``asking``: called with identifier and data of each request before it is sent; what it
+    raises ends the conversation.
     """
 
     def __init__(
@@ -92,10 +82,7 @@ class Conversation:
     def hold(self, scripts: Mapping[int, "Script[_R]"]) -> dict[int, _R]:
         """Run one script for each node to its end; return their results in the same order.
 
-        Raises
-        ------
-        BusError
-            The bus cannot send or is gone.
+        Raises `BusError`: the bus cannot send or is gone.
         """
         results: dict[int, _R] = {}
         for node, script in scripts.items():

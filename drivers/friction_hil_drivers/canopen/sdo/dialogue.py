@@ -75,19 +75,7 @@ def describe(answer: bytes) -> str:
 
 
 class Transfer:
-    """One transfer with one node.
-
-    Attributes
-    ----------
-    entry : Object
-    is_done : bool
-    data : bytes or None
-        Content that was read, as on the wire; b"" after a download; None while nothing has come, and after an abort.
-    abort_code : int
-        0 for none.
-    is_silent : bool
-        The node did not answer; set by whoever keeps the time.
-    """
+    """One transfer with one node."""
 
     __slots__ = ("_toggle", "abort_code", "data", "entry", "is_done", "is_silent")
 
@@ -95,9 +83,10 @@ class Transfer:
 
     def __init__(self, entry: Object) -> None:
         self.entry = entry
-        self.is_done = self.is_silent = False
-        self.data: bytes | None = None
-        self.abort_code = 0
+        self.is_done = False
+        self.is_silent = False  # the node did not answer; set by whoever keeps the time
+        self.data: bytes | None = None  # as on the wire, b"" after a download; None until it came, and after an abort
+        self.abort_code = 0  # 0 for none
         self._toggle: int | None = None  # of the segment under way; None: the request that begins the transfer is
 
     def first(self) -> bytes:

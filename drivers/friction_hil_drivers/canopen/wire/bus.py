@@ -33,23 +33,17 @@ def open_bus(config: "BusConfig") -> can.BusABC:
     """Open the bus that the configuration names.
 
     With udp_multicast a process may receive its own frames too (`FrameBus.is_echoing`), and every interface delivers
-    frames for other nodes.
-
-    Raises
-    ------
-    BusError
-        It does not open; the message says what to do about it.
-    UsageError
-        python-can has no such interface.
+    frames for other nodes. Raises `BusError` if it does not open, with what to do about it, and `UsageError` if
+    python-can has no such interface.
     """
-    require_known(config)
+    if text := unknown_interface(config.interface):
+        raise UsageError(f"bus.interface: {text}")
     try:
         if config.interface == "udp_multicast":
             _require_route(str(config.channel), config.port or 0)
-        elif config.interface == "socketcan":
-            _require_interface(str(config.channel))
-        if config.interface == "udp_multicast":
             return MulticastBus(str(config.channel), **_arguments(config))
+        if config.interface == "socketcan":
+            _require_interface(str(config.channel))
         # ignore_config: a ~/.canrc must not change what the configuration file says
         return can.Bus(interface=config.interface, channel=config.channel, ignore_config=True, **_arguments(config))
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
@@ -70,18 +64,6 @@ def _arguments(config: "BusConfig") -> dict[str, Any]:
     if config.interface == "udp_multicast":
         arguments["fd"] = False
     return arguments
-
-
-def require_known(config: "BusConfig") -> None:
-    """Check that python-can has the interface.
-
-    Raises
-    ------
-    UsageError
-        It has not; the message lists those that it has.
-    """
-    if text := unknown_interface(config.interface):
-        raise UsageError(f"bus.interface: {text}")
 
 
 def unknown_interface(name: str) -> str:

@@ -38,10 +38,7 @@ def state_path(bus: "BusConfig", node: int, suffix: str) -> Path:
 class AxisLock:
     """Lock of one node of a bus, held by the daemon of this machine that drives it.
 
-    Raises
-    ------
-    DriveError
-        Another process holds it; the message names its process number and user.
+    Raises `DriveError`: another process holds it; the message names its process number and user.
     """
 
     def __init__(self, bus: "BusConfig", node: int, axis: str) -> None:

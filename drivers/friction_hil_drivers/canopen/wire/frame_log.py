@@ -35,27 +35,14 @@ _LONGEST_LIST = 5  # of line numbers in a message
 
 
 class FrameLog:
-    """Data frames with 11-bit identifiers, in the order of the log.
-
-    Attributes
-    ----------
-    times : array of float, shape (n,)
-        Time stamps, s.
-    identifiers, lengths : array of int, shape (n,)
-    data : array of uint8, shape (n, 8)
-        Filled up with zeros behind ``lengths``.
-    rows : dict
-        Indices of the frames by identifier, in the order of the log.
-    problems : list of str
-        Messages about the parts of the log that could not be read.
-    """
+    """Data frames with 11-bit identifiers, in the order of the log: arrays with a row for each."""
 
     def __init__(self, path: Path) -> None:
         times: list[float] = []
         identifiers: list[int] = []
         lengths: list[int] = []
         data: list[bytes] = []
-        self.problems: list[str] = []
+        self.problems: list[str] = []  # messages about the parts of the log that could not be read
         for message in _messages(path, self.problems):
             if message.is_extended_id or message.is_remote_frame or message.is_error_frame or len(message.data) > 8:
                 continue
@@ -63,10 +50,10 @@ class FrameLog:
             identifiers.append(message.arbitration_id)
             lengths.append(len(message.data))
             data.append(bytes(message.data).ljust(8, b"\0"))
-        self.times = np.array(times)
+        self.times = np.array(times)  # s
         self.identifiers = np.array(identifiers, dtype=np.int64)
         self.lengths = np.array(lengths, dtype=np.int64)
-        self.data = np.frombuffer(b"".join(data), dtype=np.uint8).reshape(-1, 8)
+        self.data = np.frombuffer(b"".join(data), dtype=np.uint8).reshape(-1, 8)  # zeros behind ``lengths``
         self.rows = _rows_by_identifier(self.identifiers)
 
     def rows_of(self, identifier: int) -> NDArray[np.intp]:
@@ -124,13 +111,7 @@ def _vector(path: Path, problems: list[str]) -> Iterator[can.Message]:
 
 
 def _check_expansion(path: Path, file: BinaryIO) -> None:
-    """Refuse a .blf file whose compressed parts hold far more than its size; the parser expands them without limit.
-
-    Raises
-    ------
-    RecordingError
-        They hold more than `_EXPANSION` times the size of the file, and more than `_ANY_FILE` bytes.
-    """
+    """Refuse a .blf file whose compressed parts hold far more than its size; the parser expands them without limit."""
     limit = left = max(_ANY_FILE, _EXPANSION * path.stat().st_size)
     at = struct.unpack("<4sI", file.read(8).ljust(8, b"\0"))[1]  # size of the header
     while True:
@@ -202,10 +183,7 @@ def _note_wrong(wrong: list[int], problems: list[str]) -> None:
 def _printed(path: Path, text: str, problems: list[str]) -> Iterator[can.Message]:
     """Yield the frames of what candump prints on a terminal; its option -t gives the time, as any of a, A, z and d.
 
-    Raises
-    ------
-    RecordingError
-        It was printed without times.
+    Raises `RecordingError`: it was printed without times.
     """
     found: list[tuple[float, int, bytes]] = []
     wrong, without_time = [], 0

@@ -38,40 +38,22 @@ _QUEUE_FULL = (errno.ENOBUFS, errno.EAGAIN)
 
 
 class FrameBus:
-    """Data frames with 11-bit identifiers on an open python-can bus.
+    """Data frames with 11-bit identifiers on an open python-can bus, which `close` shuts down.
 
-    Frames of other kinds are passed over.
-
-    Parameters
-    ----------
-    bus : can.BusABC
-        Open; `close` shuts it down.
-    name : str
-        For messages.
-
-    Attributes
-    ----------
-    on_remote : callable or None
-        Called by `receive` with identifier and length of each remote frame that it meets; None: they are passed over.
-    is_echoing : bool
-        True if the bus delivers the frames of this process to it as well.
+    Frames of other kinds are passed over. ``name`` is for messages.
     """
 
     def __init__(self, bus: can.BusABC, name: str) -> None:
         self.bus = bus
         self._name = name
+        # called by `receive` with identifier and length of each remote frame; None: these are passed over too
         self.on_remote: Callable[[int, int], None] | None = None
-        self.is_echoing = False
+        self.is_echoing = False  # the bus delivers the frames of this process to it as well
 
     def send(self, can_id: int, data: bytes | bytearray) -> None:
         """Send one data frame.
 
-        Raises
-        ------
-        QueueFullError
-            The send queue of the interface is full.
-        BusError
-            The bus cannot send.
+        Raises `QueueFullError`: the send queue of the interface is full. Raises `BusError`: the bus cannot send.
         """
         self._send_message(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
@@ -89,10 +71,7 @@ class FrameBus:
     def receive(self, timeout: float) -> Frame | None:
         """Return the next data frame; None if none came within ``timeout`` seconds, and none is waiting.
 
-        Raises
-        ------
-        BusError
-            The bus is gone.
+        Raises `BusError`: the bus is gone.
         """
         now = time.monotonic()
         end, give_up = now + timeout, now + max(timeout, _LONGEST_DRAIN_S)

@@ -29,14 +29,7 @@ _WHOLE = 0xFFFFFFFF
 
 
 class LocalSources:
-    """Addresses from which datagrams of this machine come.
-
-    Parameters
-    ----------
-    group : str
-        Address of the multicast group.
-    port : int
-    """
+    """Addresses from which datagrams of this machine come to a multicast group."""
 
     def __init__(self, group: str, port: int) -> None:
         self._destination = group, port

@@ -25,15 +25,7 @@ _FIX = "end it, or give the axis another node"
 class Presence:
     """Node numbers of one simulation on a bus, which no other process of this machine may simulate meanwhile.
 
-    Parameters
-    ----------
-    config : BusConfig
-    nodes : iterable of int
-
-    Raises
-    ------
-    BusError
-        Another process simulates one of the nodes.
+    Raises `BusError`: another process simulates one of the nodes.
     """
 
     def __init__(self, config: "BusConfig", nodes: Iterable[int]) -> None:
@@ -56,13 +48,7 @@ class Presence:
         self._asked_s = time.monotonic()
 
     def require_silence(self, bus: "FrameBus") -> None:
-        """Wait for answers to `ask`.
-
-        Raises
-        ------
-        BusError
-            A node answers.
-        """
+        """Wait for answers to `ask`; raises a `BusError` if a node answers."""
         end = self._asked_s + _ANSWER_S.get(self._config.interface, _ANSWER_ELSEWHERE_S)
         answers = {cia301.SDO_RESPONSE_BASE + node: node for node in self._nodes}
         while (frame := bus.receive(max(0.0, end - time.monotonic()))) is not None or time.monotonic() < end:
