@@ -25,14 +25,16 @@ from friction_hil_drivers.canopen.connect.listening import (
     MasterAlarm,
     OtherMasters,
     ask_identities,
+    ask_nmt_state,
     count_sent,
     heard_by,
+    kept_out_of_operational,
     look,
     require_one_node,
+    unknown_nmt_state,
     would_disturb,
 )
 from friction_hil_drivers.canopen.connect.mapping import check_bus_load
-from friction_hil_drivers.canopen.connect.nmt_state import ask_nmt_state, kept_out_of_operational, unknown_nmt_state
 from friction_hil_drivers.canopen.connect.pdo_journal import CanopenJournal
 from friction_hil_drivers.canopen.connect.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.connect.watchdogs import watchdog_pdos

@@ -20,15 +20,10 @@ FEEDBACK = (
     (objects.STATUSWORD, objects.POSITION_ACTUAL, objects.TORQUE_ACTUAL),
     (objects.VELOCITY_ACTUAL, objects.MODE_DISPLAY),
 )
-COMMANDS = {
+COMMANDS = {  # the target of the mode comes second
     Mode.CSP: (objects.CONTROLWORD, objects.TARGET_POSITION, objects.TORQUE_OFFSET),
     Mode.CSV: (objects.CONTROLWORD, objects.TARGET_VELOCITY, objects.TORQUE_OFFSET),
     Mode.CST: (objects.CONTROLWORD, objects.TARGET_TORQUE),
-}
-TARGETS = {
-    Mode.CSP: objects.TARGET_POSITION,
-    Mode.CSV: objects.TARGET_VELOCITY,
-    Mode.CST: objects.TARGET_TORQUE,
 }
 _FORMATS = {8: "b", 16: "h", 32: "i", 64: "q"}  # of `struct`, for signed integers by their width
 
@@ -170,7 +165,7 @@ class CommandEncoder:
     def __init__(self, blocks: Mapping[int, Block], mode: Mode, units: DriveUnits) -> None:
         self._is_csp, self._is_csv = mode is Mode.CSP, mode is Mode.CSV
         self._units = units
-        slots = {objects.CONTROLWORD: 0, TARGETS[mode]: 1}
+        slots = {objects.CONTROLWORD: 0, COMMANDS[mode][1]: 1}
         if mode is not Mode.CST:
             slots[objects.TORQUE_OFFSET] = 2
         # the values of each block are picked out of the commanded ones and, behind them, the constant ones of all

@@ -29,11 +29,6 @@ class DataType(IntEnum):
         return _BITS[self]
 
     @property
-    def code(self) -> str:
-        """Format character of `struct`, to be used with ``<`` (the wire is little-endian)."""
-        return _CODES[self]
-
-    @property
     def is_signed(self) -> bool:
         """True for signed integers."""
         return self in (DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32)
@@ -55,16 +50,6 @@ _BITS = {
     DataType.UNSIGNED16: 16,
     DataType.UNSIGNED32: 32,
     DataType.VISIBLE_STRING: 0,
-}
-_CODES = {
-    DataType.BOOLEAN: "?",
-    DataType.INTEGER8: "b",
-    DataType.INTEGER16: "h",
-    DataType.INTEGER32: "i",
-    DataType.UNSIGNED8: "B",
-    DataType.UNSIGNED16: "H",
-    DataType.UNSIGNED32: "I",
-    DataType.VISIBLE_STRING: "s",
 }
 
 _I8, _I16, _I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
@@ -95,9 +80,13 @@ class Object:
         """Return the same object of axis ``axis`` of a node with several."""
         return replace(self, index=axis_index(self.index, axis)) if axis else self
 
+    @property
+    def place(self) -> str:
+        """Index and sub-index in messages: ``60B2h``, ``1018h:01``."""
+        return f"{self.index:04X}h:{self.subindex:02X}" if self.subindex else f"{self.index:04X}h"
+
     def __str__(self) -> str:
-        address = f"{self.index:04X}h" if self.subindex == 0 else f"{self.index:04X}h:{self.subindex:02X}"
-        return f"{address} {self.name}"
+        return f"{self.place} {self.name}"
 
 
 # The device, CiA 301

@@ -88,14 +88,20 @@ def command_objects(access: ObjectClient, mode: Mode, *, is_compensated: bool) -
     return entries, [f"the drive has no {objects.TORQUE_OFFSET}: it runs without compensation"]
 
 
+def why_powered(state: DriveState) -> str:
+    """Return why a drive in ``state`` must not be touched, as the verb of a sentence; "" for one without power."""
+    if not state.is_powered:
+        return ""
+    return (
+        f"is in state {state.words} already: another master is driving it, or a former one left it enabled; stop that "
+        "master, or take the drive's power by friction-hil stop CONFIG"
+    )
+
+
 def require_unpowered(access: ObjectClient, state: DriveState) -> None:
     """Refuse a drive that has power already."""
-    if state.is_powered:
-        text = (
-            f"{access.axis}: {access.where} is in state {state.words} already: another master is driving it, or a "
-            "former one left it enabled; stop that master, or take the drive's power by friction-hil stop CONFIG"
-        )
-        raise DriveError(text, code=codes.ALREADY_POWERED)
+    if reason := why_powered(state):
+        raise DriveError(f"{access.axis}: {access.where} {reason}", code=codes.ALREADY_POWERED)
 
 
 def _ensure(access: ObjectClient, entry: Object, value: int, bits: int | None = None) -> None:

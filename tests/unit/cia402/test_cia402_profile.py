@@ -3,7 +3,7 @@
 import pytest
 from canopen.profiles.p402 import OperationMode, State402
 from friction_hil_drivers.cia402 import objects, profile
-from friction_hil_drivers.cia402.power import requested_state
+from friction_hil_drivers.cia402.simulated.power import requested_state
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from friction_hil_drivers.canopen.connect.mapping import PdoRecord
 from friction_hil_drivers.canopen.sdo.conversation import Script
 from friction_hil_drivers.canopen.sdo.dialogue import Upload
 from friction_hil_drivers.canopen.wire import cia301
@@ -27,7 +28,7 @@ def mode_names(bits: int) -> list[str]:
 
 def describe(node: int, nmt: str) -> "Script[dict[str, Any]]":
     """Read a drive; return its description by section. What it lacks is None."""
-    pdos = yield from _pdos()
+    pdos = yield from _pdos(node)
     watchdogs = yield from _watchdogs(pdos)
     return {
         "node": node,
@@ -105,33 +106,30 @@ def _units() -> "Script[dict[str, Any]]":
     }
 
 
-def _pdos() -> "Script[list[dict[str, Any]]]":
+def _pdos(node: int) -> "Script[list[dict[str, Any]]]":
     found: list[dict[str, Any]] = []
-    for kind, parameter, mapping in (
-        ("RPDO", cia301.RPDO_PARAMETER, cia301.RPDO_MAPPING),
-        ("TPDO", cia301.TPDO_PARAMETER, cia301.TPDO_MAPPING),
-    ):
+    for is_receive in (True, False):
         for number in range(cia301.PDO_COUNT):
-            pdo = yield from _pdo(f"{kind} {number + 1}", parameter + number, mapping + number)
+            pdo = yield from _pdo(PdoRecord(is_receive, number, node))
             if pdo is not None:
                 found.append(pdo)
     return found
 
 
-def _pdo(name: str, parameter: int, mapping: int) -> "Script[dict[str, Any] | None]":
-    cob_id = yield from _read(Object(parameter, "COB-ID", DataType.UNSIGNED32, cia301.PDO_COB_ID))
+def _pdo(record: PdoRecord) -> "Script[dict[str, Any] | None]":
+    cob_id = yield from _read(record.cob_id)
     if cob_id is None:
         return None
-    kind = yield from _read(Object(parameter, "type", DataType.UNSIGNED8, cia301.PDO_TRANSMISSION_TYPE))
-    timer = yield from _read(Object(parameter, "event timer", DataType.UNSIGNED16, cia301.PDO_EVENT_TIMER))
-    count = (yield from _read(Object(mapping, "count", DataType.UNSIGNED8))) or 0
+    kind = yield from _read(record.transmission_type)
+    timer = yield from _read(record.event_timer)
+    count = (yield from _read(record.mapping(0))) or 0
     entries = []
     for position in range(1, min(count, 8) + 1):
-        word = yield from _read(Object(mapping, "entry", DataType.UNSIGNED32, position))
+        word = yield from _read(record.mapping(position))
         if word is not None:
             entries.append(_entry(word))
     return {
-        "pdo": name,
+        "pdo": record.name,
         "cob_id": cob_id & 0x7FF,
         "is_valid": not cob_id & cia301.PDO_INVALID,
         "transmission_type": kind,
@@ -148,6 +146,7 @@ def _entry(word: int) -> dict[str, Any]:
 
 def _watchdogs(pdos: list[dict[str, Any]]) -> "Script[dict[str, Any]]":
     consumer = yield from _read(cia301.CONSUMER_HEARTBEAT)
+    watched, time_ms = cia301.watched_node(consumer or 0)
     reaction = yield from _read(objects.ABORT_CONNECTION_OPTION)
     guard, factor = (yield from _read(cia301.GUARD_TIME)), (yield from _read(cia301.LIFE_TIME_FACTOR))
     timers = [
@@ -156,7 +155,7 @@ def _watchdogs(pdos: list[dict[str, Any]]) -> "Script[dict[str, Any]]":
         if pdo["pdo"].startswith("RPDO") and pdo["is_valid"] and pdo["event_timer_ms"]
     ]
     return {
-        "heartbeat_consumer": None if consumer is None else {"node": consumer >> 16 & 0x7F, "ms": consumer & 0xFFFF},
+        "heartbeat_consumer": None if consumer is None else {"node": watched, "ms": time_ms},
         "heartbeat_producer_ms": (yield from _read(cia301.PRODUCER_HEARTBEAT)),
         "node_guarding_ms": None if guard is None or factor is None else guard * factor,
         "rpdo_timers": timers,  # needs_sync: some drives look at it only when a SYNC comes
@@ -178,16 +177,9 @@ def _compensation(pdos: list[dict[str, Any]]) -> "Script[dict[str, Any]]":
             for pdo in pdos
             if pdo["pdo"].startswith("RPDO") and any(each["index"] == entry.index for each in pdo["entries"])
         ]
+        way: dict[str, Any] = {"object": None, "bits": None, "mapped_in": []}
+        if upload.data is not None:
+            way = {"object": str(entry), "bits": 8 * len(upload.data), "mapped_in": carriers}
         for name in names:
-            is_supported = None if modes is None else name in mode_names(modes)
-            if upload.data is None:
-                ways[name] = {"is_supported": is_supported, "object": None, "bits": None, "mapped_in": []}
-            else:
-                bits = 8 * len(upload.data)
-                ways[name] = {
-                    "is_supported": is_supported,
-                    "object": str(entry),
-                    "bits": bits,
-                    "mapped_in": carriers,
-                }
+            ways[name] = {"is_supported": None if modes is None else name in mode_names(modes), **way}
     return ways

@@ -171,14 +171,12 @@ class CanopenInventory:
         return tuple(self._doubted([found[name] for name in axes]))
 
     def _talk(
-        self, answer_s: float = _ANSWER_S, *, asking: "Callable[[int, bytes], None] | None" = None
+        self,
+        answer_s: float = _ANSWER_S,
+        attempts: int = _ATTEMPTS,
+        asking: "Callable[[int, bytes], None] | None" = None,
     ) -> Conversation:
-        """Return a conversation with nodes that are known to answer."""
-        return self._conversation(answer_s, _ATTEMPTS, asking)
-
-    def _conversation(
-        self, answer_s: float, attempts: int, asking: "Callable[[int, bytes], None] | None"
-    ) -> Conversation:
+        """Return a conversation, if not said otherwise with nodes that are known to answer."""
         asking = asking or self._others.requested
         return Conversation(self._bus, answer_s=answer_s, attempts=attempts, heard=self._others.take, asking=asking)
 
@@ -225,7 +223,7 @@ class CanopenInventory:
         self, nodes: Sequence[int], *, asking: "Callable[[int, bytes], None] | None" = None
     ) -> dict[int, int | None]:
         """Return the device type (None: it has none) of each node that answers."""
-        return device_types(self._conversation(FIRST_ANSWER_S, 1, asking), nodes)
+        return device_types(self._talk(FIRST_ANSWER_S, 1, asking), nodes)
 
     def _owner(self, node: int) -> str:
         """Return a text about the daemon of this machine that drives a node, "" for none."""

@@ -3,6 +3,7 @@
 Imports are in the functions: python-can takes 0.5 s, and reading a configuration does not need it.
 """
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,12 +37,14 @@ class CanopenService(Driver):
     @classmethod
     def stop_axes(cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> "StopReport":
         """Take the power of the drives of some axes, and read their states back."""
-        return _service(cls, configuration, axes, is_reset=False)
+        with contextlib.closing(cls.open_inventory(_bus(configuration))) as inventory:
+            return inventory.stop_axes(_places(axes))
 
     @classmethod
     def reset_axes(cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> "StopReport":
         """Reset the faults of the drives of some axes, leave them without power, and read their states back."""
-        return _service(cls, configuration, axes, is_reset=True)
+        with contextlib.closing(cls.open_inventory(_bus(configuration))) as inventory:
+            return inventory.reset_axes(_places(axes))
 
     @staticmethod
     def read_bus_log(path: Path, axes: "Mapping[str, AxisConfig]") -> "list[Recording]":
@@ -51,20 +54,12 @@ class CanopenService(Driver):
         return read_bus_log(path, axes)
 
 
-def _service(
-    driver: type[CanopenService],
-    configuration: "Configuration",
-    axes: "Mapping[str, AxisConfig]",
-    *,
-    is_reset: bool,
-) -> "StopReport":
+def _bus(configuration: "Configuration") -> "BusConfig":
     assert configuration.bus is not None  # the driver's options have checked it
-    wanted = {}
-    for name, axis in axes.items():
-        options = canopen_options(axis)
-        wanted[name] = options.node, options.axis_number
-    inventory = driver.open_inventory(configuration.bus)
-    try:
-        return inventory.reset_axes(wanted) if is_reset else inventory.stop_axes(wanted)
-    finally:
-        inventory.close()
+    return configuration.bus
+
+
+def _places(axes: "Mapping[str, AxisConfig]") -> dict[str, tuple[int, int]]:
+    """Return node, and number of the axis in it, by the name of the axis."""
+    options = {name: canopen_options(axis) for name, axis in axes.items()}
+    return {name: (each.node, each.axis_number) for name, each in options.items()}

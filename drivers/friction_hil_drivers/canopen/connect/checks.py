@@ -1,5 +1,6 @@
 """Checks of a CAN bus and its drives. All that is sent asks each node who it is, where no other master is at work."""
 
+import contextlib
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -111,11 +112,8 @@ def _owner(config: "BusConfig", name: str, axis: "AxisConfig") -> Finding:
 
 def _numbers(config: "BusConfig", nodes: Mapping[str, int]) -> Iterator[Finding]:
     """Check that no two drives have one number; a drive that is off says nothing."""
-    inventory = CanopenService.open_inventory(config)
-    try:
+    with contextlib.closing(CanopenService.open_inventory(config)) as inventory:
         met = inventory.meet(sorted(set(nodes.values())))
-    finally:
-        inventory.close()
     for name, node in nodes.items():
         if node in met:
             check, refusal = f"{name}: number {node}", met[node]

@@ -6,7 +6,7 @@ frame that the daemon sends comes back once, where frames come back at all.
 
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402 import objects, profile
 from friction_hil_drivers.cia402.access import ObjectReader
 from friction_hil_drivers.cia402.objects import DataType, Object
+from friction_hil_drivers.cia402.preparation import why_powered
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.sdo.client import SdoClient
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 
 # Two periods of a master that sends at least every 150 ms, as SYNC, PDOs and heartbeats usually are
 LISTEN_S = 0.3
+_HEARTBEAT_MS = 10  # for a moment, of a node that sends none
+_HEARTBEAT_WAIT_S = 0.1
+_LISTEN_STEP_S = 0.005
 _ALL_NODES = 0
 _MOST_CONSUMERS = 16
 _MOST_ECHOES = 64  # own frames of one identifier that may be under way; the others were lost
@@ -257,14 +261,9 @@ class Look:
     @property
     def refusal(self) -> str:
         """Why the drive must not be touched, "" where it may be."""
-        if self.state.is_powered:
-            return (
-                f"is in state {self.state.words} already: another master is driving it, or a former one left it "
-                "enabled; stop that master, or take the drive's power by friction-hil stop CONFIG"
-            )
         if self.state is DriveState.UNKNOWN:
             return f"reports statusword {self.statusword:04X}h, which does not say whether it has power"
-        return ""
+        return why_powered(self.state)
 
 
 def look(access: ObjectReader, node: int, others: OtherMasters) -> Look:
@@ -278,16 +277,40 @@ def look(access: ObjectReader, node: int, others: OtherMasters) -> Look:
         cob_id = access.find(Object(record, "COB-ID of an RPDO", DataType.UNSIGNED32, cia301.PDO_COB_ID))
         if cob_id is not None and not cob_id & cia301.PDO_INVALID:
             others.watch_rpdo(cob_id & 0x7FF, node)
-    for master in _consumed_nodes(access):
-        others.watch_heartbeat(master, node)
+    count = access.find(cia301.CONSUMER_HEARTBEAT_COUNT) or 0
+    for entry in cia301.consumer_heartbeats(min(count, _MOST_CONSUMERS)):
+        master, time_ms = cia301.watched_node(access.find(entry) or 0)
+        if master and time_ms:
+            others.watch_heartbeat(master, node)
     return Look(statusword, access.find(cia301.PRODUCER_HEARTBEAT) or 0)
 
 
-def _consumed_nodes(access: ObjectReader) -> Iterator[int]:
-    """Yield the nodes whose heartbeats a drive watches (1016h)."""
-    count = access.find(cia301.CONSUMER_HEARTBEAT_COUNT) or 0
-    for subindex in range(1, min(count, _MOST_CONSUMERS) + 1):
-        entry = Object(cia301.CONSUMER_HEARTBEAT.index, "consumer heartbeat time", DataType.UNSIGNED32, subindex)
-        value = access.find(entry) or 0
-        if value & 0xFFFF and value >> 16 & 0x7F:
-            yield value >> 16 & 0x7F
+def ask_nmt_state(
+    client: "SdoClient", bus: "FrameBus", others: OtherMasters, node: int, now: Callable[[], float] = time.monotonic
+) -> None:
+    """Let a node of which no heartbeat was heard send some (1017h), until ``others`` knows its state.
+
+    Nothing is raised where the node has no heartbeat, or refuses: its state stays unknown then.
+    """
+    found = client.find(cia301.PRODUCER_HEARTBEAT)
+    if found is None or not client.try_write(cia301.PRODUCER_HEARTBEAT, _HEARTBEAT_MS):
+        return
+    end = now() + _HEARTBEAT_WAIT_S
+    while others.state_of(node) is None and (left := end - now()) > 0.0:
+        heard_by(bus, others, now() + min(_LISTEN_STEP_S, left), now)
+    client.try_write(cia301.PRODUCER_HEARTBEAT, found)
+
+
+def unknown_nmt_state(node: int) -> str:
+    """Return the message for a node whose NMT state could not be restored."""
+    text = (
+        f"node {node} is in Pre-operational now; whether it was Operational before is not known, because it sends no "
+        "heartbeat: if its master expects it Operational, send NMT start"
+    )
+    return coded(text, codes.NMT_STATE_UNKNOWN)
+
+
+def kept_out_of_operational(node: int) -> str:
+    """Return the message for a node that is not started again, because it was not read back without power."""
+    text = f"node {node} was Operational and stays Pre-operational: it was not read back without power"
+    return coded(text, codes.NOT_RESTORED)

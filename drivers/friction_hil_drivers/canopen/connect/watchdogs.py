@@ -18,11 +18,10 @@ from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.connect.mapping import MappedPdo, PdoRecord
-from friction_hil_drivers.canopen.connect.watchdog_rpdo import make_event_driven, set_up_feed, write_time
 from friction_hil_drivers.canopen.connect.watchdog_times import REACTION_MS, WatchdogTimes
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402 import objects
-from friction_hil_drivers.cia402.objects import DataType, Object
+from friction_hil_drivers.cia402.objects import Object
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.options import CanopenOptions
@@ -34,6 +33,10 @@ NOT_TRIED = "written and read back, not tried"
 _REACTIONS = {1: "a fault", 2: "no voltage", 3: "a quick stop"}  # 6007h
 _LEAVES_OPERATIONAL = {0: "Pre-operational", 2: "Stopped"}  # 1029h:01
 _ERROR_BEHAVIOUR = cia301.COMMUNICATION_ERROR_BEHAVIOUR
+_EVENT_DRIVEN = (255, 254)
+_LONGER_MS = (30, 50, 100, 200, 500, 1000)  # tried where a drive does not take a time
+_TOO_SHORT = ("06090030h", "06090032h", "holds")  # refusals of a value, also as too low; or it holds another one
+_TIME = 0xFFFF  # bits of a time in ms
 _WORD = struct.Struct("<H")
 
 
@@ -232,23 +235,21 @@ def _summary(
             text += "has not been seen; friction-hil doctor --try-watchdog shows it"
         return f"{text})"
     if options.is_watchdog_required:
-        causes = _missing_means(access, rpdos, reaction) if reaction or leaves else _missing_reaction(access)
-        text = f"{access.axis}: {access.where} cannot watch the daemon: {'; '.join(causes)}. If the daemon dies, its "
+        known = reaction or leaves
+        causes = "; ".join(_missing_means(access, rpdos, reaction)) if known else _missing_reaction(access)
+        text = f"{access.axis}: {access.where} cannot watch the daemon: {causes}. If the daemon dies, its "
         fix = "Set is_watchdog_required: false to accept that"
         raise DriveError(f"{text}torque stays. {fix}", code=codes.NO_WATCHDOG)
     return "the drive does NOT watch the daemon: if the daemon dies, its last torque stays"
 
 
-def _missing_reaction(access: "SdoClient") -> Iterator[str]:
-    """Yield why the loss of the daemon is known to have no effect, whatever watches it."""
-    there = {
-        "1016h": cia301.CONSUMER_HEARTBEAT_COUNT,
-        "100Ch": cia301.GUARD_TIME,
-    }
-    means = [name for name, entry in there.items() if access.find(entry) is not None]
+def _missing_reaction(access: "SdoClient") -> str:
+    """Return why the loss of the daemon is known to have no effect, whatever watches it."""
+    known = (cia301.CONSUMER_HEARTBEAT_COUNT, cia301.GUARD_TIME)
+    means = [entry.place for entry in known if access.find(entry) is not None]
     found = f"{' and '.join(means)} could watch it" if means else "it has neither 1016h nor 100Ch"
     reactions = [_state(access, entry) for entry in (objects.ABORT_CONNECTION_OPTION, _ERROR_BEHAVIOUR)]
-    yield f"{found}, but nothing says what its loss does: {', '.join(reactions)}"
+    return f"{found}, but nothing says what its loss does: {', '.join(reactions)}"
 
 
 def _missing_means(access: "SdoClient", rpdos: Sequence[PdoRecord], reaction: str) -> Iterator[str]:
@@ -258,14 +259,18 @@ def _missing_means(access: "SdoClient", rpdos: Sequence[PdoRecord], reaction: st
     elif timed := [record for record in rpdos if access.find(record.event_timer) is not None]:
         tried = [entry for record in timed for entry in (record.transmission_type, record.event_timer)]
         tried += [record.mapping(position) for record in timed for position in (0, 1)]
-        refusals = [f"{_place(entry)} {why}" for entry in tried if (why := access.why_not_written(entry))]
+        refusals = [f"{entry.place} {why}" for entry in tried if (why := access.why_not_written(entry))]
         yield f"no event-driven RPDO with a timer: {', '.join(refusals) or 'none is free'}"
     else:
         yield "no RPDO has a timer (1400h:05)"
     count = access.find(cia301.CONSUMER_HEARTBEAT_COUNT)
     if count:
-        entries = [(entry, access.why_not_written(entry) or _why_hidden(access, entry)) for entry in _consumers(count)]
-        refused = [f"{_place(entry)} {why}" for entry, why in entries if why]
+        refused = []
+        for entry in cia301.consumer_heartbeats(count):
+            why = access.why_not_written(entry)
+            if not why and access.find(entry) is None:
+                why = "cannot be read, and is left as it is"
+            refused += [f"{entry.place} {why}"] if why else []
         more = f", and {len(refused) - 1} more" if len(refused) > 1 else ""
         yield f"{refused[0]}{more}" if refused else "no entry of 1016h is free"
     else:
@@ -279,16 +284,8 @@ def _state(access: "SdoClient", entry: Object) -> str:
     if found is None and (hidden := access.why_absent(entry)) == "lacks":
         return f"no {entry.index:04X}h"
     if refusal:
-        return f"{_place(entry)} {refusal}"
-    return f"{_place(entry)} {hidden}" if found is None else f"{_place(entry)} = {found}"
-
-
-def _why_hidden(access: "SdoClient", entry: Object) -> str:
-    return "cannot be read, and is left as it is" if access.find(entry) is None else ""
-
-
-def _place(entry: Object) -> str:
-    return f"{entry.index:04X}h:{entry.subindex:02X}" if entry.subindex else f"{entry.index:04X}h"
+        return f"{entry.place} {refusal}"
+    return f"{entry.place} {hidden}" if found is None else f"{entry.place} = {found}"
 
 
 def _reaction(access: "SdoClient") -> str:
@@ -313,9 +310,9 @@ def _arm_rpdo(
 ) -> tuple[int, bool, list[Means]]:
     """Set up an event-driven RPDO; return its identifier (0: RPDO 1 or none), whether it is RPDO 1, and it."""
     for record, identifier in reversed(free):
-        if held_ms := set_up_feed(access, record, identifier, times.timer_ms):
+        if held_ms := _set_up_feed(access, record, identifier, times.timer_ms):
             return identifier, False, [Means("rpdo", record.name, held_ms)]
-    if held_ms := make_event_driven(access, *command, times.timer_ms):
+    if held_ms := _make_event_driven(access, *command, times.timer_ms):
         return 0, True, [Means("rpdo", command[0].name, held_ms)]
     # some drives look at it without SYNC too: it is set, and does not count
     access.try_write(command[0].event_timer, times.timer_ms)
@@ -324,14 +321,14 @@ def _arm_rpdo(
 
 def _arm_heartbeat(access: "SdoClient", master: int, times: WatchdogTimes) -> tuple[list[Means], list[str]]:
     """Let the drive watch the daemon's heartbeat by an entry of 1016h that is free; return it, and notes."""
-    entries = _consumers(access.find(cia301.CONSUMER_HEARTBEAT_COUNT) or 0)
+    entries = cia301.consumer_heartbeats(access.find(cia301.CONSUMER_HEARTBEAT_COUNT) or 0)
     held = {entry: access.find(entry) for entry in entries}
     # one that cannot be read is left alone: it could not be restored, and the drive would miss the daemon afterwards
     found = {entry: value for entry, value in held.items() if value is not None}
     notes = []
-    free = [entry for entry, value in found.items() if not (value >> 16 & 0x7F and value & 0xFFFF)]
+    free = [entry for entry, value in found.items() if not all(cia301.watched_node(value))]
     for entry, value in found.items():
-        node, time_ms = value >> 16 & 0x7F, value & 0xFFFF
+        node, time_ms = cia301.watched_node(value)
         if node == master:
             free = [entry]  # CiA 301 allows one entry for a node
         elif node and time_ms:
@@ -340,15 +337,9 @@ def _arm_heartbeat(access: "SdoClient", master: int, times: WatchdogTimes) -> tu
     if not free:
         return [], [*notes, "no entry of 1016h is free for the daemon"] if entries else []
     for entry in free:
-        if held_ms := write_time(access, entry, times.loss_ms, master << 16):
+        if held_ms := _write_time(access, entry, times.loss_ms, master << 16):
             return [Means("heartbeat", f"heartbeat (1016h:{entry.subindex:02X})", held_ms)], notes
     return [], notes
-
-
-def _consumers(count: int) -> list[Object]:
-    """Return the entries of 1016h."""
-    name = cia301.CONSUMER_HEARTBEAT.name
-    return [Object(0x1016, name, DataType.UNSIGNED32, number) for number in range(1, count + 1)]
 
 
 def _arm_guarding(access: "SdoClient", times: WatchdogTimes) -> list[Means]:
@@ -357,8 +348,72 @@ def _arm_guarding(access: "SdoClient", times: WatchdogTimes) -> list[Means]:
         return []
     if access.find(cia301.PRODUCER_HEARTBEAT) and not access.try_write(cia301.PRODUCER_HEARTBEAT, 0):
         return []  # CiA 301: a node that produces heartbeats is not guarded
-    held_ms = write_time(access, cia301.GUARD_TIME, times.guard_ms)
+    held_ms = _write_time(access, cia301.GUARD_TIME, times.guard_ms)
     if not (held_ms and access.try_write(cia301.LIFE_TIME_FACTOR, times.guards_to_loss)):
         access.try_write(cia301.GUARD_TIME, 0)
         return []
     return [Means("guarding", "node guarding (100Ch, 100Dh)", times.guards_to_loss * held_ms)]
+
+
+def _set_up_feed(access: "SdoClient", record: PdoRecord, identifier: int, timer_ms: int) -> int:
+    """Let an RPDO carry the controlword alone, with a timer; return the timer's time, 0 if the drive refuses."""
+    if access.find(record.cob_id) is None or access.find(record.event_timer) is None:
+        return 0
+    held_ms = 0
+    word = record.word(objects.CONTROLWORD, objects.CONTROLWORD.type.bits)
+    is_ready = (
+        _holds_cob_id(access, record, cia301.PDO_INVALID | identifier)
+        and _maps(access, record, word)
+        and any(access.try_write(record.transmission_type, kind) for kind in _EVENT_DRIVEN)
+        and (held_ms := _write_time(access, record.event_timer, timer_ms))
+        and _holds_cob_id(access, record, identifier)
+    )
+    if not is_ready:
+        _holds_cob_id(access, record, cia301.PDO_INVALID | identifier)
+        return 0
+    return held_ms
+
+
+def _make_event_driven(access: "SdoClient", record: PdoRecord, identifier: int, timer_ms: int) -> int:
+    """Give the RPDO of the commands a timer that does not depend on SYNC; without success, 0, it is as before."""
+    if access.find(record.event_timer) is None:
+        return 0
+    before = access.find(record.transmission_type)
+    _holds_cob_id(access, record, cia301.PDO_INVALID | identifier)
+    is_event_driven = any(access.try_write(record.transmission_type, kind) for kind in _EVENT_DRIVEN)
+    held_ms = _write_time(access, record.event_timer, timer_ms) if is_event_driven else 0
+    if not held_ms and before is not None:
+        access.try_write(record.transmission_type, before)
+    access.write(record.cob_id, identifier)
+    return held_ms
+
+
+def _maps(access: "SdoClient", record: PdoRecord, word: int) -> bool:
+    """Let an RPDO carry one object alone, unless it does; return True if it does."""
+    count, first = record.mapping(0), record.mapping(1)
+    if access.find(count) == 1 and access.find(first) == word:
+        return True
+    return access.try_write(count, 0) and access.try_write(first, word) and access.try_write(count, 1)
+
+
+def _holds_cob_id(access: "SdoClient", record: PdoRecord, value: int) -> bool:
+    """Write the COB-ID of an RPDO; other bits than those of the identifier and of its validity are the drive's."""
+    relevant = cia301.PDO_INVALID | 0x7FF
+    access.try_write(record.cob_id, value)
+    found = access.find(record.cob_id)
+    return found is not None and found & relevant == value & relevant
+
+
+def _write_time(access: "SdoClient", entry: Object, wanted_ms: int, further: int = 0) -> int:
+    """Write a time, or the next longer one that the drive takes; return the time that it holds, 0 for none.
+
+    ``further`` are other bits of the object. A shorter time than is wanted would trip while the loop bridges.
+    """
+    for time_ms in (wanted_ms, *(each for each in _LONGER_MS if each > wanted_ms)):
+        is_kept = access.try_write(entry, further | time_ms)
+        found = further | time_ms if is_kept else access.find(entry)
+        if found is not None and found & ~_TIME == further and found & _TIME >= wanted_ms:
+            return found & _TIME
+        if not any(reason in access.why_not_written(entry) for reason in _TOO_SHORT):
+            break
+    return 0

@@ -11,8 +11,8 @@ from friction_hil.errors import BusError
 from friction_hil_drivers.canopen.cycle.delays import ACTUATION_CYCLES, SETPOINT_CYCLES
 from friction_hil_drivers.canopen.options import canopen_options
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions
+from friction_hil_drivers.canopen.simulated.presence import Presence
 from friction_hil_drivers.canopen.wire.interfaces import bus_name
-from friction_hil_drivers.canopen.wire.presence import Presence
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration

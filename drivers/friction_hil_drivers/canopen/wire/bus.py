@@ -12,7 +12,7 @@ from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.wire import interfaces
 from friction_hil_drivers.canopen.wire.frames import FrameBus, frame_bus
 from friction_hil_drivers.canopen.wire.interfaces import bus_name
-from friction_hil_drivers.canopen.wire.multicast import MulticastBus
+from friction_hil_drivers.canopen.wire.multicast import MulticastBus, connected_to
 
 if TYPE_CHECKING:
     from friction_hil.config import BusConfig
@@ -40,7 +40,8 @@ def open_bus(config: "BusConfig") -> can.BusABC:
         raise UsageError(f"bus.interface: {text}")
     try:
         if config.interface == "udp_multicast":
-            _require_route(str(config.channel), config.port or 0)
+            # fails early where multicast has no route; python-can fails only when it sends
+            connected_to(str(config.channel), config.port or 1).close()
             return MulticastBus(str(config.channel), **_arguments(config))
         if config.interface == "socketcan":
             _require_interface(str(config.channel))
@@ -71,13 +72,6 @@ def unknown_interface(name: str) -> str:
     if name in VALID_INTERFACES:
         return ""
     return f"python-can has no interface {name!r}; {choices(name, VALID_INTERFACES)}"
-
-
-def _require_route(group: str, port: int) -> None:
-    """Fail early where multicast has no route; python-can fails only when it sends."""
-    family, _, _, _, address = socket.getaddrinfo(group, port or 1, type=socket.SOCK_DGRAM)[0]
-    with socket.socket(family, socket.SOCK_DGRAM) as probe:
-        probe.connect(address)
 
 
 def _require_interface(name: str) -> None:

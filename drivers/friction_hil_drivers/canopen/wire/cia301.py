@@ -1,5 +1,6 @@
 """What CANopen adds to the objects of a drive: objects of communication, PDO records, identifiers, NMT (CiA 301)."""
 
+from dataclasses import replace
 from enum import IntEnum
 
 from friction_hil_drivers.cia402 import objects
@@ -61,6 +62,16 @@ class NmtState(IntEnum):
     STOPPED = 0x04
     OPERATIONAL = 0x05
     PRE_OPERATIONAL = 0x7F
+
+
+def consumer_heartbeats(count: int) -> list[Object]:
+    """Return the entries of 1016h, of which a drive has ``count``."""
+    return [replace(CONSUMER_HEARTBEAT, subindex=number) for number in range(1, count + 1)]
+
+
+def watched_node(value: int) -> tuple[int, int]:
+    """Return the node and the time in an entry of 1016h, ms; the entry is not used if one of them is 0."""
+    return value >> 16 & 0x7F, value & 0xFFFF
 
 
 _NMT_STATE = 0x7F  # bits of a heartbeat's byte; the upper one is the toggle bit of node guarding

@@ -13,7 +13,6 @@ import socket
 import struct
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import can
@@ -196,10 +195,8 @@ class _UdpMulticast(_SocketBus):
         if is_local and isinstance(bus, MulticastBus):  # ports of other machines say nothing
             self._sender = deaf_sender(bus.fileno(), *destination)
         self.is_echoing = self._sender is None
-        self._transmit: Callable[[bytes], int]
-        if self._sender is None:
-            self._transmit = partial(_send_to, self._socket.sendto, destination)
-        else:
+        self._transmit: Callable[[bytes], int] = lambda data: self._socket.sendto(data, destination)
+        if self._sender is not None:
             self._transmit = self._sender.send
         self._source: object = None  # of the last datagram that was accepted
         self._pack = msgpack.Packer(use_bin_type=True, autoreset=True).pack
@@ -281,7 +278,3 @@ def frame_bus(bus: can.BusABC, config: "BusConfig", name: str) -> FrameBus:
     frames = FrameBus(bus, name)
     frames.is_echoing = config.interface == "udp_multicast" or bool(config.further.get("receive_own_messages"))
     return frames
-
-
-def _send_to(sendto: Callable[[bytes, tuple[str, int]], int], destination: tuple[str, int], data: bytes) -> int:
-    return sendto(data, destination)

@@ -28,6 +28,18 @@ _DESTINATION = {socket.AF_INET: (16,), socket.AF_INET6: (24, 28, 32, 36)}  # off
 _WHOLE = 0xFFFFFFFF
 
 
+def connected_to(group: str, port: int) -> socket.socket:
+    """Return a socket that sends to a group alone; raises an `OSError` where multicast has no route."""
+    family, _, _, _, address = socket.getaddrinfo(group, port, type=socket.SOCK_DGRAM)[0]
+    sender = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        sender.connect(address)
+    except OSError:
+        sender.close()
+        raise
+    return sender
+
+
 class LocalSources:
     """Addresses from which datagrams of this machine come to a multicast group."""
 
@@ -46,11 +58,8 @@ class LocalSources:
 
     def _own_address(self) -> str | None:
         """Return the address that the routing table gives to datagrams for the group, None without a route."""
-        group, port = self._destination
         try:
-            family, _, _, _, address = socket.getaddrinfo(group, port, type=socket.SOCK_DGRAM)[0]
-            with socket.socket(family, socket.SOCK_DGRAM) as probe:
-                probe.connect(address)
+            with connected_to(*self._destination) as probe:
                 return str(probe.getsockname()[0])
         except OSError:
             return None
@@ -88,18 +97,15 @@ def deaf_sender(descriptor: int, group: str, port: int) -> socket.socket | None:
     Without it, each frame of a process comes back to it and has to be read: a third of all that it reads. The kernel
     tells these by the port that they come from, which on one machine no other process has. None where it cannot.
     """
-    family, _, _, _, address = socket.getaddrinfo(group, port, type=socket.SOCK_DGRAM)[0]
-    sender = socket.socket(family, socket.SOCK_DGRAM)
     try:
-        if family == socket.AF_INET:
-            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
-        else:
-            sender.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_HOPS, 0)
-        sender.setblocking(False)
-        sender.connect(address)
+        sender = connected_to(group, port)
     except OSError:  # no route: sending reports it
-        sender.close()
         return None
+    if sender.family == socket.AF_INET:
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+    else:
+        sender.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_HOPS, 0)
+    sender.setblocking(False)
     if not keep_to_group(descriptor, group, without_port=sender.getsockname()[1]):
         sender.close()
         return None

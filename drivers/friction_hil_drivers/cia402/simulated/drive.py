@@ -9,10 +9,10 @@ from friction_hil.errors import DriveError
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.cia402 import objects, profile
 from friction_hil_drivers.cia402.access import Abort, AbortError
-from friction_hil_drivers.cia402.power import requested_state
 from friction_hil_drivers.cia402.simulated.dictionary import Dictionary
 from friction_hil_drivers.cia402.simulated.emergency import Emergencies
 from friction_hil_drivers.cia402.simulated.manners import DriveManners
+from friction_hil_drivers.cia402.simulated.power import requested_state
 from friction_hil_drivers.cia402.simulated.setpoints import NO_MODE, Setpoints
 from friction_hil_drivers.cia402.simulated.units import SimulatedUnits, VelocityUnit
 from friction_hil_drivers.cia402.simulated.values import (

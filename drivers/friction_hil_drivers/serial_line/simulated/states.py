@@ -8,7 +8,7 @@ from typing import Protocol
 from friction_hil.drive import DriveState
 from friction_hil.errors import UsageError
 from friction_hil_drivers.cia402 import profile
-from friction_hil_drivers.cia402.power import requested_state
+from friction_hil_drivers.cia402.simulated.power import requested_state
 from friction_hil_drivers.serial_line.description import STATES, Description, Rule, Step
 
 _DISABLED, _ENABLED = DriveState.SWITCH_ON_DISABLED, DriveState.OPERATION_ENABLED
