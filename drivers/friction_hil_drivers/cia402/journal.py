@@ -21,6 +21,7 @@ from friction_hil_drivers.cia402.access import RefusedError, hexadecimal
 from friction_hil_drivers.cia402.objects import Address, DataType, Object
 
 _VERSION = 1
+_IDENTITY = (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.SERIAL_NUMBER)
 
 # Commands and set-points are no settings; 1010h and 1011h are orders
 _NOT_KEPT = frozenset({0x1010, 0x1011, 0x6040, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60FF})
@@ -152,17 +153,14 @@ class Journal:
                 f"a run before this one ended without restoring the drive's settings ({len(self._found)} objects, kept "
                 f"in {self._path}): they are restored at the end of this one"
             )
-
-        self.notes += self._of_other_users(self._path_of(f"{identity}-*"))
-
-    def _of_other_users(self, pattern: Path) -> Iterator[str]:
-        """Yield notes on what killed runs of other users have kept: who believes it, lets them write to the drive."""
-        for path in sorted(pattern.parent.glob(pattern.name)):
-            if path != self._path:
-                yield (
-                    f"a run of another user ended without restoring the drive's settings ({path}): they are not "
-                    "restored by this run, but by the next one of that user"
-                )
+        # what killed runs of other users have kept is told alone: who believes it, lets them write to the drive
+        pattern = self._path_of(f"{identity}-*")
+        self.notes += [
+            f"a run of another user ended without restoring the drive's settings ({path}): they are not restored by "
+            "this run, but by the next one of that user"
+            for path in sorted(pattern.parent.glob(pattern.name))
+            if path != self._path
+        ]
 
     def _concerned(self, entry: Object) -> Iterator[Object]:
         """Yield what has to be known to undo a write."""
@@ -195,7 +193,11 @@ class Journal:
                 left[one.entry.address] = one
                 words.append(f"{one.wish} and stays {hexadecimal(present)}")
         self._found = left
-        self._forget_or_save()
+        if left:
+            self._save()
+        elif self._path is not None:
+            with contextlib.suppress(OSError):
+                self._path.unlink(missing_ok=True)
         return words
 
     def _is_unused(self, entry: Object) -> bool:
@@ -247,16 +249,6 @@ class Journal:
                 f"{error.strerror or error}; nothing more is written to the drive"
             )
             raise DriveError(text, code=codes.JOURNAL_FILE) from error
-
-    def _forget_or_save(self) -> None:
-        if self._found:
-            self._save()
-        elif self._path is not None:
-            with contextlib.suppress(OSError):
-                self._path.unlink(missing_ok=True)
-
-
-_IDENTITY = (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.SERIAL_NUMBER)
 
 
 def _load(path: Path, names: Mapping[Address, Object]) -> tuple[list[Found], str]:

@@ -31,19 +31,12 @@ STATE_BITS: dict[DriveState, int] = {
     DriveState.FAULT_REACTION_ACTIVE: 0x0F,
     DriveState.FAULT: 0x08,
 }
-_QUICK_STOP_BIT_COUNTS = frozenset(
-    {
-        DriveState.READY_TO_SWITCH_ON,
-        DriveState.SWITCHED_ON,
-        DriveState.OPERATION_ENABLED,
-        DriveState.QUICK_STOP_ACTIVE,
-    }
-)
+_QUICK_STOP_BIT_COUNTS = (0x21, 0x23, 0x27, 0x07)  # in these; in the others bit 5 has no meaning
 
 
 def _decode(bits: int) -> DriveState:
     for state, pattern in STATE_BITS.items():
-        mask = 0x6F if state in _QUICK_STOP_BIT_COUNTS else 0x4F
+        mask = 0x6F if pattern in _QUICK_STOP_BIT_COUNTS else 0x4F
         if bits & mask == pattern:
             return state
     return DriveState.UNKNOWN
@@ -75,20 +68,14 @@ def status_words(statusword: int) -> str:
     return f"6041h = {statusword & 0xFFFF:04X}h{': ' if said else ''}{', '.join(said)}"
 
 
-_TO_DISABLE = {
-    DriveState.OPERATION_ENABLED: SWITCH_ON,
-    DriveState.SWITCHED_ON: SHUTDOWN,
-}
+_TO_DISABLE = {DriveState.OPERATION_ENABLED: SWITCH_ON, DriveState.SWITCHED_ON: SHUTDOWN}
 _TO_ENABLE = {
     DriveState.SWITCH_ON_DISABLED: SHUTDOWN,
     DriveState.READY_TO_SWITCH_ON: SWITCH_ON,
     DriveState.SWITCHED_ON: ENABLE_OPERATION,
     DriveState.OPERATION_ENABLED: ENABLE_OPERATION,
 }
-_TO_QUICK_STOP = {
-    DriveState.OPERATION_ENABLED: QUICK_STOP,
-    DriveState.QUICK_STOP_ACTIVE: QUICK_STOP,
-}
+_TO_QUICK_STOP = {DriveState.OPERATION_ENABLED: QUICK_STOP, DriveState.QUICK_STOP_ACTIVE: QUICK_STOP}
 _STEPS = {Request.DISABLE: _TO_DISABLE, Request.ENABLE: _TO_ENABLE, Request.QUICK_STOP: _TO_QUICK_STOP}
 
 

@@ -12,7 +12,7 @@ from friction_hil.errors import DriveError, RecordingError
 from friction_hil.recordings import Recording
 from friction_hil.recordings.contradictions import contradictions
 from friction_hil_drivers.canopen.commands.log_mapping import OWN, LoggedPdo, LogMapping, mappings
-from friction_hil_drivers.canopen.connect.eds import load_eds
+from friction_hil_drivers.canopen.connect.eds import EdsObjects, load_eds
 from friction_hil_drivers.canopen.connect.mapping import PdoRecord
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.sdo.dialogue import UPLOAD, answered, expedited
@@ -25,8 +25,6 @@ from friction_hil_drivers.cia402.scales import read_units
 from friction_hil_drivers.cia402.units import COUNTER_BITS, PER_MILLE, DriveUnits
 
 if TYPE_CHECKING:
-    from canopen import ObjectDictionary
-
     from friction_hil.config import AxisConfig
 
 Array = NDArray[np.float64]
@@ -41,7 +39,9 @@ class LoggedObjects(ObjectReader):
         self.axis = axis
         self.where = f"node {options.node} in {path}"
         self._number = options.axis_number
-        self._dictionary = None if options.eds is None else load_eds(options.eds, options.node)
+        self.eds: EdsObjects | None = None  # None if the configuration names none
+        if options.eds is not None:
+            self.eds = EdsObjects(load_eds(options.eds, options.node), options.axis_number)
         self._answers: dict[Address, bytes] = {}
         for row in log.rows_of(cia301.SDO_RESPONSE_BASE + options.node):
             answer = log.data[row].tobytes()
@@ -55,21 +55,8 @@ class LoggedObjects(ObjectReader):
 
     def width(self, entry: Object) -> int:
         """Return the width of an object in bits: from the log, else from the EDS, else from the standard."""
-        return super().width(entry) or self._width_in_eds(entry) or entry.type.bits
-
-    @property
-    def dictionary(self) -> "ObjectDictionary | None":
-        """Content of the EDS; None if the configuration names none."""
-        return self._dictionary
-
-    def _width_in_eds(self, entry: Object) -> int | None:
-        if self._dictionary is None:
-            return None
-        try:
-            variable = self._dictionary.get_variable(*entry.of_axis(self._number).address)
-        except KeyError:
-            return None
-        return None if variable is None else len(variable)
+        of_eds = None if self.eds is None else self.eds.width(entry)
+        return super().width(entry) or of_eds or entry.type.bits
 
 
 def read_bus_log(path: Path, axes: "Mapping[str, AxisConfig]") -> list[Recording]:
@@ -125,7 +112,7 @@ def _mapping_of(log: FrameLog, name: str, axis: "AxisConfig", path: Path) -> "tu
     options = canopen_options(axis)
     access = LoggedObjects(log, name, options, path)
     reasons = []
-    for mapping in mappings(log, options, Mode[axis.mode.upper()], access, access.dictionary):
+    for mapping in mappings(log, options, Mode[axis.mode.upper()], access, access.eds):
         if not any(pdo.frames(log).size for pdo in mapping.feedback):
             continue
         reason = mapping.contradiction(log)

@@ -42,9 +42,14 @@ def describe(node: int, nmt: str) -> "Script[dict[str, Any]]":
 
 
 def _read(entry: Object) -> "Script[int | None]":
-    upload = Upload(entry)
-    yield upload
-    return upload.value
+    (value,) = yield from _values(entry)
+    return value
+
+
+def _values(*entries: Object) -> "Script[list[int | None]]":
+    uploads = [Upload(entry) for entry in entries]
+    yield from uploads
+    return [upload.value for upload in uploads]
 
 
 def _text(entry: Object) -> "Script[str | None]":
@@ -68,10 +73,9 @@ def _identity() -> "Script[dict[str, Any]]":
 
 
 def _state() -> "Script[dict[str, Any]]":
-    status = yield from _read(objects.STATUSWORD)
-    mode = yield from _read(objects.MODE_DISPLAY)
-    modes = yield from _read(objects.SUPPORTED_MODES)
-    error = yield from _read(objects.ERROR_CODE)
+    status, mode, modes, error = yield from _values(
+        objects.STATUSWORD, objects.MODE_DISPLAY, objects.SUPPORTED_MODES, objects.ERROR_CODE
+    )
     state = None if status is None else profile.drive_state(status)
     return {
         "drive": None if state is None else state.words,
@@ -83,20 +87,14 @@ def _state() -> "Script[dict[str, Any]]":
 
 
 def _units() -> "Script[dict[str, Any]]":
-    increments = yield from _read(objects.ENCODER_INCREMENTS)
-    revolutions = yield from _read(objects.MOTOR_REVOLUTIONS)
-    torque = yield from _read(objects.RATED_TORQUE)
-    velocity = yield from _read(objects.VELOCITY_UNIT)
-    polarity = yield from _read(objects.POLARITY)
-    value = yield from _read(objects.INTERPOLATION_PERIOD)
-    exponent = yield from _read(objects.INTERPOLATION_EXPONENT)
+    increments, revolutions = yield from _values(objects.ENCODER_INCREMENTS, objects.MOTOR_REVOLUTIONS)
+    torque, velocity, polarity = yield from _values(objects.RATED_TORQUE, objects.VELOCITY_UNIT, objects.POLARITY)
+    value, exponent = yield from _values(objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT)
+    gear = yield from _values(objects.GEAR_MOTOR_REVOLUTIONS, objects.GEAR_SHAFT_REVOLUTIONS)
     known = {objects.COUNTS_PER_SECOND: "counts/s", objects.REVOLUTIONS_PER_MINUTE: "1/min"}
     return {
         "counts_per_revolution": increments / (revolutions or 1) if increments else None,
-        "gear": [
-            (yield from _read(objects.GEAR_MOTOR_REVOLUTIONS)),
-            (yield from _read(objects.GEAR_SHAFT_REVOLUTIONS)),
-        ],
+        "gear": gear,
         "feed": (yield from _read(objects.FEED)),
         "velocity_unit": None if velocity is None else known.get(velocity, f"{velocity:08X}h"),
         "polarity": None if polarity is None else polarity_text(polarity),
@@ -148,7 +146,7 @@ def _watchdogs(pdos: list[dict[str, Any]]) -> "Script[dict[str, Any]]":
     consumer = yield from _read(cia301.CONSUMER_HEARTBEAT)
     watched, time_ms = cia301.watched_node(consumer or 0)
     reaction = yield from _read(objects.ABORT_CONNECTION_OPTION)
-    guard, factor = (yield from _read(cia301.GUARD_TIME)), (yield from _read(cia301.LIFE_TIME_FACTOR))
+    guard, factor = yield from _values(cia301.GUARD_TIME, cia301.LIFE_TIME_FACTOR)
     timers = [
         {"pdo": pdo["pdo"], "ms": pdo["event_timer_ms"], "needs_sync": (pdo["transmission_type"] or 0) <= _SYNCHRONOUS}
         for pdo in pdos

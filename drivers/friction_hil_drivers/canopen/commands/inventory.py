@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 _ANSWER_S = 0.5
 _ATTEMPTS = 2
 _NO_MASTER = 0  # no heartbeat is ours
-_NMT_WORDS = {state.value: state.name.lower().replace("_", "-") for state in cia301.NmtState}
 
 
 class CanopenInventory:
@@ -102,8 +101,10 @@ class CanopenInventory:
         self._require_free_sdo([node])
         found = self._find([node], asking=self._before_reading)
         if node not in found:
-            others = sorted(self._find(NODES, asking=self._before_reading))
-            raise DriveError(f"{self._silence(node)}; {those_that_answer(others)}", code=codes.NODE_SILENT)
+            others = those_that_answer(sorted(self._find(NODES, asking=self._before_reading)))
+            heard = f", though its heartbeat says {self._nmt_of(node)}" if node in self._others.heard_nodes else ""
+            text = f"node {node} on {bus_name(self._config)} answers no SDO request{heard}; {others}"
+            raise DriveError(text, code=codes.NODE_SILENT)
         self._refuse_twins([node])
         return self._talk(asking=self._before_reading).hold({node: describe(node, self._nmt_of(node))})[node]
 
@@ -217,7 +218,7 @@ class CanopenInventory:
     def _nmt_of(self, node: int) -> str:
         """Return the state of a node in words, "" where no heartbeat was heard."""
         state = self._others.state_of(node)
-        return "" if state is None else _NMT_WORDS.get(state, str(state))
+        return "" if state is None else cia301.NMT_WORDS.get(state, str(state))
 
     def _find(
         self, nodes: Sequence[int], *, asking: "Callable[[int, bytes], None] | None" = None
@@ -234,10 +235,6 @@ class CanopenInventory:
                 return f"{error.detail}: that daemon may enable it again; stop it too"
             return error.detail
         return ""
-
-    def _silence(self, node: int) -> str:
-        heard = f", though its heartbeat says {self._nmt_of(node)}" if node in self._others.heard_nodes else ""
-        return f"node {node} on {bus_name(self._config)} answers no SDO request{heard}"
 
 
 def _nodes_of(axes: Mapping[str, tuple[int, int]]) -> list[int]:

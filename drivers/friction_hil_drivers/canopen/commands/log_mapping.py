@@ -12,7 +12,7 @@ from friction_hil.drive import DriveState, Mode
 from friction_hil_drivers.canopen.connect.mapping import PdoRecord
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.sdo.dialogue import DOWNLOAD, HEAD, UPLOAD, expedited
-from friction_hil_drivers.canopen.sidecar.options import SidecarPdo, mapping_words
+from friction_hil_drivers.canopen.sidecar.options import mapping_words
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.canopen.wire.frame_log import FrameLog
 from friction_hil_drivers.cia402 import objects, profile
@@ -20,8 +20,7 @@ from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK, field_format
 from friction_hil_drivers.cia402.objects import Object
 
 if TYPE_CHECKING:
-    from canopen import ObjectDictionary
-
+    from friction_hil_drivers.canopen.connect.eds import EdsObjects
     from friction_hil_drivers.cia402.access import ObjectReader
 
 OWN = "that this driver sets up"
@@ -107,13 +106,17 @@ class LogMapping:
 
 
 def mappings(
-    log: FrameLog, options: CanopenOptions, mode: Mode, access: "ObjectReader", dictionary: "ObjectDictionary | None"
+    log: FrameLog, options: CanopenOptions, mode: Mode, access: "ObjectReader", eds: "EdsObjects | None"
 ) -> list[LogMapping]:
     """Return the mappings that may be in force, the most certain first; what is stated excludes what is assumed."""
     if options.sidecar is not None:
-        given: list[tuple[str, SidecarPdo]] = [(f"TPDO {n}", pdo) for n, pdo in enumerate(options.sidecar.tpdos, 1)]
-        given += [(f"RPDO {n}", pdo) for n, pdo in enumerate((*options.sidecar.rpdos, options.sidecar.offset), 1)]
-        return [LogMapping(tuple(_stated(name, pdo) for name, pdo in given), "of sidecar in the configuration")]
+        directions = ("TPDO", options.sidecar.tpdos), ("RPDO", (*options.sidecar.rpdos, options.sidecar.offset))
+        stated = (
+            LoggedPdo(f"{direction} {number}", pdo.cob_id, _entries(mapping_words(pdo)))
+            for direction, pdos in directions
+            for number, pdo in enumerate(pdos, 1)
+        )
+        return [LogMapping(tuple(stated), "of sidecar in the configuration")]
     found = []
     node, axis = options.node, options.axis_number
     logged = tuple(_logged(log, node, axis))
@@ -129,13 +132,9 @@ def mappings(
         if (identifier := record.default_identifier) is not None  # a second axis of a node has none
     )
     found.append(LogMapping(own, OWN, is_assumed=True))
-    if dictionary is not None and (of_eds := tuple(_of_eds(dictionary, node, axis))):
+    if eds is not None and (of_eds := tuple(_of_eds(eds, node, axis))):
         found.append(LogMapping(of_eds, f"of the EDS {options.eds}", is_assumed=True))
     return found
-
-
-def _stated(name: str, pdo: SidecarPdo) -> LoggedPdo:
-    return LoggedPdo(name, pdo.cob_id, _entries(mapping_words(pdo)))
 
 
 def _entries(words: Iterable[int], axis: int = 0) -> tuple[tuple[Object | None, int], ...]:
@@ -189,28 +188,19 @@ def _in_force(record: PdoRecord, transfers: Sequence[tuple[int, int, int, int]],
             began = row
 
 
-def _of_eds(dictionary: "ObjectDictionary", node: int, axis: int) -> Iterator[LoggedPdo]:
+def _of_eds(eds: "EdsObjects", node: int, axis: int) -> Iterator[LoggedPdo]:
     """Yield the PDOs that an EDS or DCF maps."""
     for is_receive in (False, True):
         for number in range(_PDOS):
             record = PdoRecord(is_receive, number, node, axis)
-            count = _value_in(dictionary, record.mapping(0)) or 0
+            count = eds.value(record.mapping(0)) or 0
             if not 0 < count <= _MOST_OBJECTS:
                 continue
-            words = [_value_in(dictionary, record.mapping(place)) or 0 for place in range(1, count + 1)]
-            given = _value_in(dictionary, record.cob_id)
+            words = [eds.value(record.mapping(place)) or 0 for place in range(1, count + 1)]
+            given = eds.value(record.cob_id)
             if all(words):  # one that is off by default is on if it is in the log
                 cob_id = (given or 0) & 0x7FF or record.default_identifier or _NO_COB_ID
                 yield LoggedPdo(record.name, cob_id, _entries(words, axis))
-
-
-def _value_in(dictionary: "ObjectDictionary", entry: Object) -> int | None:
-    try:
-        variable = dictionary.get_variable(entry.index, entry.subindex)
-    except KeyError:
-        return None
-    value = None if variable is None else variable.default if variable.value is None else variable.value
-    return value if isinstance(value, int) else None
 
 
 def _implausible(mapping: LogMapping, log: FrameLog) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import AxisFacts, DriveState, Mode
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
-from friction_hil_drivers.canopen.connect.eds import load_eds
+from friction_hil_drivers.canopen.connect.eds import EdsObjects, load_eds
 from friction_hil_drivers.canopen.connect.mapping import MappedPdo, PdoRecord, switch_off
 from friction_hil_drivers.canopen.connect.negotiation import FoundPdo, Negotiated, PdoNegotiator, grouped
 from friction_hil_drivers.canopen.connect.watchdog_times import WatchdogTimes
@@ -178,22 +178,17 @@ def _setpoint_delay_cycles(options: CanopenOptions, mode: Mode, rpdos: Sequence[
 def _check_eds(options: CanopenOptions, access: "SdoClient", entries: Sequence[Object]) -> None:
     """Compare the widths in the EDS with those that the drive has."""
     assert options.eds is not None
-    dictionary = load_eds(options.eds, options.node)
+    file = EdsObjects(load_eds(options.eds, options.node), options.axis_number)
     for entry in entries:
-        found = access.width(entry)
-        try:
-            variable = dictionary.get_variable(entry.index, entry.subindex)
-        except KeyError:
-            variable = None
-        if variable is None:
-            text = f"{access.axis}: {options.eds} has no object {entry}, which is needed"
-            raise DriveError(text, code=codes.WRONG_EDS)
-        if found is not None and len(variable) != found:
-            text = (
-                f"{access.axis}: {entry} has {found} bits in {access.where} but {len(variable)} in {options.eds}: "
-                "this EDS is not this drive's"
-            )
-            raise DriveError(text, code=codes.WRONG_EDS)
+        found, stated = access.width(entry), file.width(entry)
+        if stated is None:
+            text = f"{options.eds} has no object {entry}, which is needed"
+        elif found not in (None, stated):
+            text = f"{entry} has {found} bits in {access.where} but {stated} in {options.eds}"
+            text = f"{text}: this EDS is not this drive's"
+        else:
+            continue
+        raise DriveError(f"{access.axis}: {text}", code=codes.WRONG_EDS)
 
 
 def _set_sync_id(access: "SdoClient", sync_id: int) -> list[str]:
@@ -203,21 +198,17 @@ def _set_sync_id(access: "SdoClient", sync_id: int) -> list[str]:
     """
     found = access.find(cia301.SYNC_COB_ID)
     if found is None:
-        own = sync_id == cia301.SYNC_ID
-        return (
-            []
-            if own
-            else [f"the drive {access.why_absent(cia301.SYNC_COB_ID)} {cia301.SYNC_COB_ID}: is it {sync_id:03X}h?"]
-        )
+        if sync_id == cia301.SYNC_ID:
+            return []
+        return [f"the drive {access.why_absent(cia301.SYNC_COB_ID)} {cia301.SYNC_COB_ID}: is it {sync_id:03X}h?"]
     if found & _SYNC_BITS == sync_id or access.try_write(cia301.SYNC_COB_ID, sync_id):
         return []
     text = (
         f"{access.axis}: {access.where} takes SYNC as {found & 0x7FF:03X}h ({cia301.SYNC_COB_ID} = {found:08X}h, "
         f"{access.why_not_written(cia301.SYNC_COB_ID)}), and the daemon sends it as {sync_id:03X}h"
     )
-    raise DriveError(
-        text, f"bus: {{sync_cob_id: {found & 0x7FF:#x}}}, for all drives of the bus", code=codes.SYNC_ID_FIXED
-    )
+    fix = f"bus: {{sync_cob_id: {found & 0x7FF:#x}}}, for all drives of the bus"
+    raise DriveError(text, fix, code=codes.SYNC_ID_FIXED)
 
 
 def _set_up_commands(
@@ -275,9 +266,8 @@ def _negotiate_feedback(
     """Map the feedback, and ``spare`` beside it where that costs no further frame in each cycle."""
 
     def negotiated(wanted: Sequence[Object], optional: Sequence[Object], identifiers: set[int]) -> Negotiated:
-        negotiator = PdoNegotiator(
-            access, is_receive=False, node=options.node, axis=options.axis_number, taken=identifiers
-        )
+        node, axis = options.node, options.axis_number
+        negotiator = PdoNegotiator(access, is_receive=False, node=node, axis=axis, taken=identifiers)
         return negotiator.negotiate(wanted, optional=optional)
 
     if spare is not None:

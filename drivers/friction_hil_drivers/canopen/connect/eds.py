@@ -5,9 +5,10 @@ import io
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from friction_hil.errors import UsageError
+from friction_hil_drivers.cia402.objects import Object
 
 if TYPE_CHECKING:
     from canopen import ObjectDictionary
@@ -47,6 +48,35 @@ def load_eds(path: Path, node: int) -> "ObjectDictionary":
     if len(dictionary) == 0:
         raise UsageError(f"{path} is not an EDS: it has no object")
     return dictionary
+
+
+class EdsObjects:
+    """Objects of one axis of a node, as its file describes them."""
+
+    def __init__(self, dictionary: "ObjectDictionary", axis: int = 0) -> None:
+        self._dictionary, self._axis = dictionary, axis
+
+    def variable(self, entry: Object) -> Any:
+        """Return the canopen library's variable, None where the file has no such object."""
+        try:
+            return self._dictionary.get_variable(*entry.of_axis(self._axis).address)
+        except KeyError:
+            return None
+
+    def has(self, entry: Object) -> bool:
+        """Return True for an object that is in the file."""
+        return self.variable(entry) is not None
+
+    def width(self, entry: Object) -> int | None:
+        """Return the width of an object in bits, None where the file has no such object."""
+        variable = self.variable(entry)
+        return None if variable is None else len(variable)
+
+    def value(self, entry: Object) -> int | None:
+        """Return the value of an integer; None where the file gives none, as many do."""
+        variable = self.variable(entry)
+        value = None if variable is None else variable.default if variable.value is None else variable.value
+        return value if isinstance(value, int) else None
 
 
 def compact_arrays(path: Path) -> dict[int, int]:

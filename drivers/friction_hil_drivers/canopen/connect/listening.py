@@ -65,14 +65,15 @@ class OtherMasters:
 
     def watch_rpdo(self, can_id: int, node: int) -> None:
         """Watch an identifier that a node has given to one of its RPDOs."""
-        self._watched.setdefault(can_id, f"an RPDO ({can_id:03X}h) to node {node}")
-        if can_id in self._identifiers:
-            self._count(self._watched[can_id])
+        self._watch(can_id, f"an RPDO ({can_id:03X}h) to node {node}")
 
     def watch_heartbeat(self, master: int, node: int) -> None:
         """Watch the heartbeat of a node that one of ours watches: that of its master."""
-        can_id = cia301.HEARTBEAT_BASE + master
-        self._watched.setdefault(can_id, f"heartbeat of node {master}, which node {node} watches as its master's")
+        what = f"heartbeat of node {master}, which node {node} watches as its master's"
+        self._watch(cia301.HEARTBEAT_BASE + master, what)
+
+    def _watch(self, can_id: int, what: str) -> None:
+        self._watched.setdefault(can_id, what)
         if can_id in self._identifiers:
             self._count(self._watched[can_id])
 

@@ -6,7 +6,7 @@ each mapping is tried and read back; nothing is taken from the type of the drive
 
 import itertools
 import struct
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -144,6 +144,16 @@ def free_identifier(pdo: FoundPdo, taken: Collection[int]) -> int:
     raise ValueError(f"every identifier for {record.name} is taken")
 
 
+def _kept_note(pdo: FoundPdo, carried: Mapping[Object, bytes]) -> str:
+    what = ", ".join(
+        f"{entry} = {int.from_bytes(data, 'little', signed=entry.type.is_signed)}"
+        for entry, data in carried.items()
+        if entry.index not in _DUMMIES
+    )
+    beside = f", which carries {what} too: always sent with these values" if what else ""
+    return f"{pdo.record.name} keeps the mapping that the drive has{beside}"
+
+
 # Reading
 
 
@@ -178,7 +188,7 @@ class PdoNegotiator:
     ) -> None:
         self._access = access
         self._taken = set() if taken is None else taken
-        self._where = {"is_receive": is_receive, "node": node, "axis": axis}
+        self._is_receive, self._node, self._axis = is_receive, node, axis
         self._direction = "RPDO" if is_receive else "TPDO"
         self._values: dict[Object, bytes] = {}
         self._notes: list[str] = []
@@ -219,7 +229,7 @@ class PdoNegotiator:
         raise self._refusal(entries)
 
     def _found(self) -> list[FoundPdo]:
-        found = read_pdos(self._access, **self._where)  # type: ignore[arg-type]
+        found = read_pdos(self._access, is_receive=self._is_receive, node=self._node, axis=self._axis)
         # where nothing may be written, a PDO that is off stays off
         return [pdo for pdo in found if not (self._access.is_read_only and pdo.cob_id & cia301.PDO_INVALID)]
 
@@ -227,7 +237,7 @@ class PdoNegotiator:
         """Return the widths that the drive itself gives its objects."""
         access, widths = self._access, {}
         for entry in entries:
-            bits = access.width(entry) or (access.hidden_width(entry) if self._where["is_receive"] else None)
+            bits = access.width(entry) or (access.hidden_width(entry) if self._is_receive else None)
             if bits is None:
                 text = f"{access.axis}: {access.where} lacks object {entry}, which is needed in an {self._direction}"
                 raise DriveError(text, code=cia402_codes.OBJECT_MISSING)
@@ -379,7 +389,8 @@ class PdoNegotiator:
         kept: list[MappedPdo] = []
         for pdo in chosen:
             used, code = kept_layout(pdo, entries)
-            carried = {entry: self._value(pdo, entry, word) for entry, word in self._others(pdo, used, entries)}
+            others = zip(used, pdo.words, strict=True) if pdo.record.is_receive else ()
+            carried = {entry: self._value(pdo, entry, word) for entry, word in others if entry not in entries}
             try:
                 cob_id = self._switch_on(pdo)
             except DriveError as error:
@@ -387,7 +398,7 @@ class PdoNegotiator:
                 self._give_up(zip(chosen, kept, strict=False))
                 return None
             kept.append(replace(self._in_force(pdo, cob_id, used, code), carried=carried))
-            self._notes += self._kept_note(pdo, carried)
+            self._notes.append(_kept_note(pdo, carried))
         return kept
 
     def _give_up(self, done: Iterable[tuple[FoundPdo, MappedPdo]]) -> None:
@@ -395,12 +406,6 @@ class PdoNegotiator:
         for pdo, mapped in done:
             self._taken.discard(mapped.cob_id)
             self._restore(pdo)
-
-    def _others(
-        self, pdo: FoundPdo, used: Sequence[Object], entries: Collection[Object]
-    ) -> Iterator[tuple[Object, int]]:
-        if pdo.record.is_receive:
-            yield from ((entry, word) for entry, word in zip(used, pdo.words, strict=True) if entry not in entries)
 
     def _value(self, pdo: FoundPdo, entry: Object, word: int) -> bytes:
         """Return what an entry that is not commanded always carries: the object's present value."""
@@ -422,16 +427,6 @@ class PdoNegotiator:
             )
             raise DriveError(text, code=codes.UNKNOWN_ENTRY)
         return data
-
-    @staticmethod
-    def _kept_note(pdo: FoundPdo, carried: Mapping[Object, bytes]) -> Iterator[str]:
-        what = ", ".join(
-            f"{entry} = {int.from_bytes(data, 'little', signed=entry.type.is_signed)}"
-            for entry, data in carried.items()
-            if entry.index not in _DUMMIES
-        )
-        beside = f", which carries {what} too: always sent with these values" if what else ""
-        yield f"{pdo.record.name} keeps the mapping that the drive has{beside}"
 
     def _note_refusal(self, record: PdoRecord, error: DriveError) -> None:
         if error.code not in (cia402_codes.SDO_ABORT, codes.MAPPING_NOT_KEPT, cia402_codes.OBJECT_MISSING):

@@ -7,22 +7,14 @@ from friction_hil_drivers.cia402.journal import Found, Journal, Step, number_of
 from friction_hil_drivers.cia402.objects import DataType, Object
 
 _MOST_ENTRIES = 64  # of a mapping; larger counts stand for multiplexed PDOs
-_PDO_PARAMETERS = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
-_PDO_MAPPINGS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+_PDOS = range(0x1400, 0x1C00)  # communication records, and mapping records, whose index has a bit more
 _WATCHDOGS = (0x1016, 0x100C, 0x100D)
-_TO_MAPPING = 0x200  # from a communication record to its mapping record
+_TO_MAPPING = 0x200
 
 
 def pdo_record(index: int) -> int | None:
     """Return the communication record of the PDO that an object belongs to, None for another object."""
-    if any(index in indices for indices in _PDO_PARAMETERS):
-        return index
-    return index - _TO_MAPPING if any(index in indices for indices in _PDO_MAPPINGS) else None
-
-
-def cob_id_entry(record: int) -> Object:
-    """Return the entry that switches a PDO on and off."""
-    return Object(record, "COB-ID of a PDO", DataType.UNSIGNED32, cia301.PDO_COB_ID)
+    return index & ~_TO_MAPPING if index in _PDOS else None
 
 
 def mapping_entry(record: int, position: int) -> Object:
@@ -42,7 +34,7 @@ def restoration(found: Sequence[Found]) -> list[list[Step]]:
         record = pdo_record(one.entry.index)
         key = one.entry.index << 8 | one.entry.subindex if record is None else record << 8
         groups.setdefault(key, []).append(one)
-    plans = [_pdo_steps(group) if pdo_record(group[0].entry.index) else _steps(group) for group in groups.values()]
+    plans = [_pdo_steps(group) if group[0].entry.index in _PDOS else _steps(group) for group in groups.values()]
     last_first = [plan for plan in reversed(plans) if plan]
     # the daemon must be heard every few milliseconds until they are off, and the rest may take seconds
     return sorted(last_first, key=lambda plan: plan[0][0].index not in _WATCHDOGS)
@@ -82,7 +74,7 @@ class CanopenJournal(Journal):
         """Yield what has to be known to undo a write: of a mapping all of it, of every PDO its switch."""
         record = pdo_record(entry.index)
         if record is not None:
-            yield cob_id_entry(record)
+            yield Object(record, "COB-ID of a PDO", DataType.UNSIGNED32, cia301.PDO_COB_ID)  # its switch
             if entry.index != record and (record + _TO_MAPPING, 0) not in self._found:
                 count = mapping_entry(record, 0)
                 yield count
@@ -96,5 +88,5 @@ class CanopenJournal(Journal):
     def _is_unused(self, entry: Object) -> bool:
         """Return True for an entry of a mapping that has fewer entries again."""
         count = self._found.get((entry.index, 0))
-        is_mapping = any(entry.index in indices for indices in _PDO_MAPPINGS) and entry.subindex > 0
-        return is_mapping and count is not None and entry.subindex > number_of(count.found)
+        is_mapping = entry.index in _PDOS and entry.index & _TO_MAPPING and entry.subindex > 0
+        return bool(is_mapping) and count is not None and entry.subindex > number_of(count.found)

@@ -67,15 +67,10 @@ class WatchdogTrial:
         beat_s: float,
     ) -> None:
         self._bus, self._network, self._client, self._axis = bus, network, client, axis
-        node = axis.node
-        word = profile.SWITCH_ON.to_bytes(2, "little")
-        watch = axis.watch
-        rpdo: Sequence[Frame] = [(watch.rpdo_id, word)] if watch.rpdo_id else ()
         self._frames: dict[str, Sequence[Frame]] = {
-            "rpdo": rpdo,
+            "rpdo": [(axis.watch.rpdo_id, profile.SWITCH_ON.to_bytes(2, "little"))] if axis.watch.rpdo_id else (),
             "heartbeat": [(cia301.HEARTBEAT_BASE + master_node, _OPERATIONAL)],
         }
-        self._guard_id = cia301.HEARTBEAT_BASE + node
         self._sent_s: dict[str, float] = {}  # when each was fed last, or could first be
         self._periods_s = {"rpdo": _FEED_S, "heartbeat": beat_s, "guarding": beat_s, _POLL: _POLL_S}
 
@@ -95,10 +90,8 @@ class WatchdogTrial:
             self._network.meanwhile = None
         is_any_seen = any(seen and not too_early and not seen.late_s for _, seen, too_early in results)
         for means, seen, too_early in results:
-            is_first = means is self._axis.watch.acting
-            yield _finding(
-                self._axis.facts.name, means, seen, too_early=too_early, is_any_seen=is_any_seen, is_first=is_first
-            )
+            is_first, check = means is self._axis.watch.acting, f"{self._axis.facts.name}: {means.name}"
+            yield _finding(check, means, seen, too_early=too_early, is_any_seen=is_any_seen, is_first=is_first)
 
     def _try(self, means: Means) -> tuple[Seen, bool]:
         """Feed all means, then all but one; return what the drive did, and whether it acted while all were fed."""
@@ -193,7 +186,7 @@ class WatchdogTrial:
 
     def _send(self, kind: str) -> None:
         if kind == "guarding":
-            self._bus.send_remote(self._guard_id, 1)
+            self._bus.send_remote(cia301.HEARTBEAT_BASE + self._axis.node, 1)
         elif kind == _POLL:
             self._bus.send(cia301.SDO_REQUEST_BASE + self._axis.node, Upload(objects.STATUSWORD).first())
         else:
@@ -212,7 +205,7 @@ class WatchdogTrial:
         if can_id == cia301.HEARTBEAT_BASE + node:
             state = decode_heartbeat(data)
             if state is not None and state != cia301.NmtState.OPERATIONAL:
-                text = f"NMT state {_nmt_words(state)}"
+                text = f"NMT state {cia301.NMT_WORDS.get(state, f'{state:02X}h')}"
         elif can_id == cia301.SDO_RESPONSE_BASE + node:
             upload = Upload(objects.STATUSWORD)
             upload.take(data)
@@ -222,16 +215,8 @@ class WatchdogTrial:
             seen.states.append((after_s, text))
 
 
-def _nmt_words(state: int) -> str:
-    try:
-        return cia301.NmtState(state).name.lower().replace("_", "-")
-    except ValueError:
-        return f"{state:02X}h"
-
-
-def _finding(axis: str, means: Means, seen: Seen, *, too_early: bool, is_any_seen: bool, is_first: bool) -> Finding:
+def _finding(check: str, means: Means, seen: Seen, *, too_early: bool, is_any_seen: bool, is_first: bool) -> Finding:
     """Return the finding for one watchdog."""
-    check = f"{axis}: {means.name}"
     if seen.late_s:
         detail = f"not known: this computer fed the drive {1e3 * seen.late_s:.0f} ms too late; what came then: {seen}"
         return Finding(check, "warn", detail, "try it on a quiet computer: friction-hil latency shows", "FH-442")

@@ -290,10 +290,9 @@ def _state(access: "SdoClient", entry: Object) -> str:
 
 def _reaction(access: "SdoClient") -> str:
     """Let the drive react to a lost connection; return the reaction in words, "" if that is not known."""
-    if not access.try_write(objects.ABORT_CONNECTION_OPTION, 1):
-        found = access.find(objects.ABORT_CONNECTION_OPTION)
-        return f"{_REACTIONS[found]} (6007h = {found})" if found in _REACTIONS else ""
-    return f"{_REACTIONS[1]} (6007h = 1)"
+    entry = objects.ABORT_CONNECTION_OPTION
+    found = 1 if access.try_write(entry, 1) else access.find(entry)
+    return f"{_REACTIONS[found]} (6007h = {found})" if found in _REACTIONS else ""
 
 
 def _leaves_operational(access: "SdoClient") -> str:

@@ -163,12 +163,10 @@ class Conversation:
 
 def device_types(talk: Conversation, nodes: Iterable[int] = NODES) -> dict[int, int | None]:
     """Return the device type (None: it has none) of each node that answers."""
-    found = talk.hold({node: _device_type() for node in nodes})
-    return {node: answer[0] for node, answer in found.items() if answer is not None}
+    uploads = {node: Upload(objects.DEVICE_TYPE) for node in nodes}
+    talk.hold({node: _carried_out(upload) for node, upload in uploads.items()})
+    return {node: upload.value for node, upload in uploads.items() if not upload.is_silent}
 
 
-def _device_type() -> "Script[tuple[int | None] | None]":
-    """Return the device type, None for a node that does not answer."""
-    upload = Upload(objects.DEVICE_TYPE)
-    yield upload
-    return None if upload.is_silent else (upload.value,)
+def _carried_out(transfer: Transfer) -> "Script[None]":
+    yield transfer

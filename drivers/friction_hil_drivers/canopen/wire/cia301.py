@@ -64,6 +64,9 @@ class NmtState(IntEnum):
     PRE_OPERATIONAL = 0x7F
 
 
+NMT_WORDS = {state.value: state.name.lower().replace("_", "-") for state in NmtState}
+
+
 def consumer_heartbeats(count: int) -> list[Object]:
     """Return the entries of 1016h, of which a drive has ``count``."""
     return [replace(CONSUMER_HEARTBEAT, subindex=number) for number in range(1, count + 1)]
