@@ -89,6 +89,14 @@ class ObjectClient(ObjectReader):
             raise DriveError(text, code=codes.OBJECT_SIZE)
         self.write_bytes(entry, value.to_bytes((bits or entry.type.bits) // 8, "little", signed=value < 0), str(value))
 
+    def ensure(self, entry: Object, value: int, bits: int | None = None) -> None:
+        """Write an integer object as `write` does; a refusal is no obstacle where the drive holds the value already."""
+        try:
+            self.write(entry, value, bits)
+        except RefusedError:
+            if self.find(entry) != value:
+                raise
+
     def write_bytes(self, entry: Object, data: bytes, shown: str = "") -> None:
         """Write the content of an object; ``shown`` is its value in messages.
 

@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 from operator import itemgetter
 from typing import Any, NamedTuple, Protocol
 
-from friction_hil.drive import Command, DriveState, Mode, Request
+from friction_hil.drive import Command, DriveState, Mode
 from friction_hil.drive.encoder import derived_velocity
-from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.objects import Object
 from friction_hil_drivers.cia402.profile import drive_state
 from friction_hil_drivers.cia402.units import COUNTER_BITS, PER_MILLE, DriveUnits
@@ -140,17 +140,6 @@ class FeedbackDecoder:
     def _unpack_longer(self, frames: Sequence[bytes]) -> tuple[int, ...]:
         """Return the values of blocks some of which are longer than their mapping."""
         return tuple(value for unpack, data in zip(self._unpack, frames, strict=True) for value in unpack(data))
-
-
-def next_controlword(state: DriveState, request: Request, before: int) -> int:
-    """Return the controlword that takes a drive one transition towards ``request``.
-
-    ``state``: state that the drive reported last. ``before``: controlword of the cycle before: a fault is reset by a
-    rising edge.
-    """
-    if request is Request.RESET_FAULT:
-        return profile.reset_controlword(state, before)
-    return profile.next_controlword(state, request)
 
 
 class CommandEncoder:

@@ -13,12 +13,15 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from friction_hil.errors import DriveError
 from friction_hil_drivers.cia402 import codes, objects
 from friction_hil_drivers.cia402.access import RefusedError, hexadecimal
 from friction_hil_drivers.cia402.objects import Address, DataType, Object
+
+if TYPE_CHECKING:
+    from friction_hil_drivers.cia402.client import ObjectClient
 
 _VERSION = 1
 _IDENTITY = (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.SERIAL_NUMBER)
@@ -27,21 +30,6 @@ _IDENTITY = (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.SERIAL_NUMBER)
 _NOT_KEPT = frozenset({0x1010, 0x1011, 0x6040, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60FF})
 
 _MODES = [objects.axis_index(objects.MODE.index, axis) for axis in range(8)]
-
-
-class Access(Protocol):
-    """What the journal needs of a drive."""
-
-    axis: str
-    where: str
-
-    def peek(self, entry: Object) -> bytes | None:
-        """Return the content of an object, None where the drive does not show it."""
-        ...
-
-    def download(self, entry: Object, data: bytes) -> None:
-        """Write the content of an object, without the journal."""
-        ...
 
 
 @dataclass(slots=True)
@@ -88,7 +76,7 @@ class Journal:
 
     names: Mapping[Address, Object] = objects.TABLE  # what is known of objects that a file has
 
-    def __init__(self, access: Access, path_of: Callable[[str], Path]) -> None:
+    def __init__(self, access: "ObjectClient", path_of: Callable[[str], Path]) -> None:
         self._access = access
         self._path_of = path_of
         self._path: Path | None = None

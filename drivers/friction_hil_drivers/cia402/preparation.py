@@ -104,18 +104,6 @@ def require_unpowered(access: ObjectClient, state: DriveState) -> None:
         raise DriveError(f"{access.axis}: {access.where} {reason}", code=codes.ALREADY_POWERED)
 
 
-def _ensure(access: ObjectClient, entry: Object, value: int, bits: int | None = None) -> None:
-    """Write an object; a refusal is no obstacle where the drive holds the value already.
-
-    Raises `DriveError`: it refuses and holds another value, or does not answer.
-    """
-    try:
-        access.write(entry, value, bits)
-    except RefusedError:
-        if access.find(entry) != value:
-            raise
-
-
 def prepare_mode(access: ObjectClient, mode: Mode, period_s: float) -> list[str]:
     """Set zero torque, the present position as target, the mode and the interpolation period; return notes."""
     access.write(objects.CONTROLWORD, profile.DISABLE_VOLTAGE)
@@ -123,10 +111,10 @@ def prepare_mode(access: ObjectClient, mode: Mode, period_s: float) -> list[str]
     for entry in (objects.TARGET_TORQUE, objects.TORQUE_OFFSET, objects.TARGET_VELOCITY):
         bits = access.width(entry) or access.hidden_width(entry)
         if bits is not None:
-            _ensure(access, entry, 0, bits)
+            access.ensure(entry, 0, bits)
     if mode is Mode.CSP:
         access.write(objects.TARGET_POSITION, access.read(objects.POSITION_ACTUAL))
-    _ensure(access, objects.MODE, mode)
+    access.ensure(objects.MODE, mode)
     # where the drive can: it holds its position after a quick stop, until the loop has seen standstill
     access.try_write(objects.QUICK_STOP_OPTION, _STAY_IN_QUICK_STOP)
     return notes
@@ -142,8 +130,8 @@ def _set_interpolation_period(access: ObjectClient, mode: Mode, period_s: float)
         return []
     value, exponent = _interpolation_period(access.axis, period_s)
     try:
-        _ensure(access, objects.INTERPOLATION_EXPONENT, exponent)
-        _ensure(access, objects.INTERPOLATION_PERIOD, value)
+        access.ensure(objects.INTERPOLATION_EXPONENT, exponent)
+        access.ensure(objects.INTERPOLATION_PERIOD, value)
     except RefusedError as error:
         found = _with_present_exponent(access, period_s)
         power = access.find(objects.INTERPOLATION_EXPONENT)
@@ -161,18 +149,22 @@ def _set_interpolation_period(access: ObjectClient, mode: Mode, period_s: float)
 def _with_present_exponent(access: ObjectClient, period_s: float) -> int:
     """Write the value of 60C2h that fits the exponent in it, if one does; return the value in it then."""
     power = access.find(objects.INTERPOLATION_EXPONENT)
-    value = period_s * 10.0 ** -(-3 if power is None else power)
-    if 1.0 <= round(value) <= 255.0 and abs(value - round(value)) < 1e-6:
-        access.try_write(objects.INTERPOLATION_PERIOD, round(value))
+    if value := _value_of_period(period_s, -3 if power is None else power):
+        access.try_write(objects.INTERPOLATION_PERIOD, value)
     return access.read(objects.INTERPOLATION_PERIOD)
+
+
+def _value_of_period(period_s: float, exponent: int) -> int:
+    """Return the value that gives 60C2h a period with an exponent, 0 for none."""
+    value = period_s * 10.0**-exponent
+    return round(value) if 1.0 <= round(value) <= 255.0 and abs(value - round(value)) < 1e-6 else 0
 
 
 def _interpolation_period(axis: str, period_s: float) -> tuple[int, int]:
     """Return value and exponent of 60C2h: value times 10^exponent seconds."""
     for exponent in (-3, -4, -5, -6):
-        value = period_s * 10.0**-exponent
-        if 1.0 <= round(value) <= 255.0 and abs(value - round(value)) < 1e-6:
-            return round(value), exponent
+        if value := _value_of_period(period_s, exponent):
+            return value, exponent
     text = (
         f"{axis}: a drive cannot be given a period of {period_s:g} s ({objects.INTERPOLATION_PERIOD} is 1 to 255 "
         "times a power of ten)"

@@ -79,23 +79,21 @@ _TO_QUICK_STOP = {DriveState.OPERATION_ENABLED: QUICK_STOP, DriveState.QUICK_STO
 _STEPS = {Request.DISABLE: _TO_DISABLE, Request.ENABLE: _TO_ENABLE, Request.QUICK_STOP: _TO_QUICK_STOP}
 
 
-def next_controlword(state: DriveState, request: Request) -> int:
+def next_controlword(state: DriveState, request: Request, before: int | None = None) -> int:
     """Return the controlword that takes a drive in ``state`` one transition towards ``request``.
 
-    None of these resets a fault: that is the user's explicit decision (`reset_controlword`). A drive in Quick Stop
-    Active is enabled through Switch On Disabled, because few drives support the direct transition 16.
+    A fault is reset by the user's explicit request alone, and once: the drive needs a rising edge after ``before``, the
+    controlword of the cycle before. A drive in Quick Stop Active is enabled through Switch On Disabled, because few
+    drives support the direct transition 16.
 
-    Raises `ValueError`: ``request`` is `Request.LISTEN`, for which no controlword is written, or `Request.RESET_FAULT`,
-    which depends on the controlword before.
+    Raises `ValueError`: ``request`` is `Request.LISTEN`, for which no controlword is written, or `Request.RESET_FAULT`
+    without the controlword before.
     """
+    if request is Request.RESET_FAULT and before is not None:
+        return FAULT_RESET if state is DriveState.FAULT and not before & FAULT_RESET else DISABLE_VOLTAGE
     if request not in _STEPS:
         raise ValueError(f"no controlword follows from {request.name} and the drive's state alone")
     return _STEPS[request].get(state, DISABLE_VOLTAGE)
-
-
-def reset_controlword(state: DriveState, before: int) -> int:
-    """Return the controlword that resets a fault once: the drive needs a rising edge after ``before``."""
-    return FAULT_RESET if state is DriveState.FAULT and not before & FAULT_RESET else DISABLE_VOLTAGE
 
 
 def supported_modes(bits: int) -> tuple[Mode, ...]:

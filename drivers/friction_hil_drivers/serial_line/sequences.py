@@ -129,10 +129,7 @@ class Sequencer:
         }[request]
 
     def _controlword(self, request: Request, state: DriveState) -> Mapping[str, float]:
-        if request is Request.RESET_FAULT:
-            word = profile.reset_controlword(state, self._word)
-        else:
-            word = profile.next_controlword(state, request)
+        word = profile.next_controlword(state, request, self._word)
         is_reached = {
             Request.ENABLE: state is DriveState.OPERATION_ENABLED,
             Request.QUICK_STOP: state is DriveState.QUICK_STOP_ACTIVE or state in _OFF,

@@ -15,7 +15,6 @@ from friction_hil_drivers.cia402.codec import (
     FeedbackDecoder,
     Measurement,
     block_layout,
-    next_controlword,
 )
 from friction_hil_drivers.cia402.journal import Journal
 from friction_hil_drivers.cia402.load_encoder import LoadEncoderOptions, require_object, with_scale
@@ -117,7 +116,7 @@ class InMemory(ObjectClient):
 
     def cycle(self, request: Request, torque: float = 0.0) -> DriveState:
         """Pass a period: commands out, time, feedback in."""
-        self.sent = next_controlword(self.measured.state, request, self.sent)
+        self.sent = profile.next_controlword(self.measured.state, request, self.sent)
         position = self.measured.position
         image = bytearray(16)
         for offset, data in self.encoder.encode(self.sent, Command(request, position, 0.0, torque)):

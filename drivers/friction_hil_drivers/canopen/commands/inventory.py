@@ -16,14 +16,7 @@ from friction_hil.drive.inventory import DriveEntry, Scan, Stop, StopReport
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.commands.description import describe, mode_name, mode_names
-from friction_hil_drivers.canopen.connect.listening import (
-    LISTEN_S,
-    OtherMasters,
-    count_sent,
-    heard_by,
-    those_that_answer,
-    would_disturb,
-)
+from friction_hil_drivers.canopen.connect import listening
 from friction_hil_drivers.canopen.connect.twins import SETTLE_S, ask_identity, ask_often
 from friction_hil_drivers.canopen.sdo.conversation import (
     FIRST_ANSWER_S,
@@ -60,10 +53,10 @@ class CanopenInventory:
         self._config = config
         self._bus = bus
         self._may_disturb = may_disturb
-        self._others = OtherMasters(NODES, _NO_MASTER, config.sync_cob_id)
+        self._others = listening.OtherMasters(NODES, _NO_MASTER, config.sync_cob_id)
         if bus.is_echoing:
-            count_sent(bus, self._others)
-        heard_by(bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)
+            listening.count_sent(bus, self._others)
+        listening.heard_by(bus, self._others, time.monotonic() + listening.LISTEN_S, time.monotonic)
         heard = self._others.words
         self.notes: tuple[str, ...] = (
             (f"another master is at work: {heard}; it may enable a drive again that is stopped",) if heard else ()
@@ -101,7 +94,7 @@ class CanopenInventory:
         self._require_free_sdo([node])
         found = self._find([node], asking=self._before_reading)
         if node not in found:
-            others = those_that_answer(sorted(self._find(NODES, asking=self._before_reading)))
+            others = listening.those_that_answer(sorted(self._find(NODES, asking=self._before_reading)))
             heard = f", though its heartbeat says {self._nmt_of(node)}" if node in self._others.heard_nodes else ""
             text = f"node {node} on {bus_name(self._config)} answers no SDO request{heard}; {others}"
             raise DriveError(text, code=codes.NODE_SILENT)
@@ -185,7 +178,7 @@ class CanopenInventory:
         """Raise a `DriveError` for a node whose only SDO server another master was heard to use."""
         used = [node for node in nodes if self._others.uses_sdo_of(node)]
         if used and not self._may_disturb:
-            raise would_disturb(used, bus_name(self._config), "or let it fail: --may-disturb")
+            raise listening.would_disturb(used, bus_name(self._config), "or let it fail: --may-disturb")
 
     def _before_reading(self, can_id: int, data: bytes) -> None:
         """Note a request; stop reading a node as soon as another master is heard to ask it."""

@@ -10,24 +10,15 @@ from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.connect.eds import EdsObjects, load_eds
 from friction_hil_drivers.canopen.connect.mapping import MappedPdo, PdoRecord, switch_off
-from friction_hil_drivers.canopen.connect.negotiation import FoundPdo, Negotiated, PdoNegotiator, grouped
+from friction_hil_drivers.canopen.connect.negotiation import Negotiated, PdoNegotiator, grouped
 from friction_hil_drivers.canopen.connect.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.connect.watchdogs import NOT_WATCHED, Watch, arm
 from friction_hil_drivers.canopen.cycle import delays
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.wire import cia301
-from friction_hil_drivers.cia402 import objects, profile
+from friction_hil_drivers.cia402 import objects, preparation, profile
 from friction_hil_drivers.cia402.load_encoder import LoadEncoderOptions, require_object, with_scale
 from friction_hil_drivers.cia402.objects import Object
-from friction_hil_drivers.cia402.preparation import (
-    OPTIONAL_FEEDBACK,
-    check_mode,
-    command_objects,
-    feedback_objects,
-    identify,
-    prepare_mode,
-    require_unpowered,
-)
 from friction_hil_drivers.cia402.scales import (
     polarity_notes,
     read_scales,
@@ -89,10 +80,10 @@ def configure(
     options = canopen_options(axis)
     mode = Mode[axis.mode.upper()]
     taken = set() if taken is None else taken
-    identity = identify(access, options.identity)
-    notes = check_mode(access, mode, is_required=options.is_mode_check_required)
-    feedback, absent = feedback_objects(access)
-    commands, without = command_objects(access, mode, is_compensated=axis.compensation.enabled)
+    identity = preparation.identify(access, options.identity)
+    notes = preparation.check_mode(access, mode, is_required=options.is_mode_check_required)
+    feedback, absent = preparation.feedback_objects(access)
+    commands, without = preparation.command_objects(access, mode, is_compensated=axis.compensation.enabled)
     notes += absent + without
     load_encoder = options.load_encoder
     if load_encoder is not None:
@@ -113,7 +104,7 @@ def configure(
     rpdos: tuple[MappedPdo, ...] = ()
     watch = NOT_WATCHED
     if not dry_run:
-        require_unpowered(access, state)
+        preparation.require_unpowered(access, state)
     before_writing()
     if not access.is_read_only:
         notes += _set_sync_id(access, sync_id)
@@ -221,7 +212,7 @@ def _set_up_commands(
     taken: set[int],
 ) -> tuple[tuple[MappedPdo, ...], Watch, list[str]]:
     """Prepare the mode, map the RPDOs, switch the others off, set the watchdogs; return RPDOs, watchdogs and notes."""
-    notes = prepare_mode(access, mode, period_s)
+    notes = preparation.prepare_mode(access, mode, period_s)
     negotiator = PdoNegotiator(access, is_receive=True, node=options.node, axis=options.axis_number, taken=taken)
     values = {objects.MODE: int(mode).to_bytes(1, "little")}
     result = negotiator.negotiate(entries, values=values)
@@ -233,17 +224,14 @@ def _set_up_commands(
     number = next(number for number, pdo in enumerate(result.pdos) if objects.CONTROLWORD in pdo.entries)
     command = result.pdos[number]
     record = PdoRecord(True, command.number, options.node, options.axis_number)
-    armed = arm(access, options, times, (record, command.cob_id), _free_rpdos(result.unused, taken))
+    # RPDOs that a watchdog may use, each with an identifier that no other PDO has
+    unused = ((pdo.record, pdo.record.default_identifier or pdo.cob_id & 0x7FF) for pdo in result.unused)
+    free = [(each, identifier) for each, identifier in unused if identifier and identifier not in taken]
+    armed = arm(access, options, times, (record, command.cob_id), free)
     taken.add(armed.watch.rpdo_id)
     pdos = list(result.pdos)
     pdos[number] = replace(command, is_synchronous=command.is_synchronous and not armed.is_command_event_driven)
     return tuple(pdos), armed.watch, notes + armed.notes
-
-
-def _free_rpdos(unused: Sequence[FoundPdo], taken: set[int]) -> list[tuple[PdoRecord, int]]:
-    """Return the RPDOs that a watchdog may use, each with an identifier that no other PDO has."""
-    found = [(pdo.record, pdo.record.default_identifier or pdo.cob_id & 0x7FF) for pdo in unused]
-    return [(record, identifier) for record, identifier in found if identifier and identifier not in taken]
 
 
 def _set_up_feedback(
@@ -275,8 +263,8 @@ def _negotiate_feedback(
         count = len(grouped(entries, bits))
         if len(grouped((*entries, spare), bits)) == count:
             identifiers = set(taken)
-            result = negotiated((*entries, spare), (spare, *OPTIONAL_FEEDBACK), identifiers)
+            result = negotiated((*entries, spare), (spare, *preparation.OPTIONAL_FEEDBACK), identifiers)
             if len(result.pdos) <= count:
                 taken |= identifiers
                 return result
-    return negotiated(entries, tuple(OPTIONAL_FEEDBACK), taken)
+    return negotiated(entries, tuple(preparation.OPTIONAL_FEEDBACK), taken)

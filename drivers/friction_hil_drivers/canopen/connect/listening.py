@@ -15,12 +15,12 @@ from friction_hil.drive import DriveState
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.connect.mapping import PdoRecord
 from friction_hil_drivers.canopen.connect.twins import IDENTITY, SETTLE_S, SURE_REQUESTS, NodeAnswers
 from friction_hil_drivers.canopen.sdo.conversation import FIRST_ANSWER_S, Conversation, device_types
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402 import objects, profile
 from friction_hil_drivers.cia402.access import ObjectReader
-from friction_hil_drivers.cia402.objects import DataType, Object
 from friction_hil_drivers.cia402.preparation import why_powered
 
 if TYPE_CHECKING:
@@ -251,20 +251,8 @@ def require_one_node(client: "SdoClient", bus: "FrameBus", others: OtherMasters,
 class Look:
     """What a drive says of itself before anything is written to it."""
 
-    statusword: int
+    refusal: str  # why the drive must not be touched, "" where it may be
     heartbeat_ms: int  # period of its heartbeat, 0 for none
-
-    @property
-    def state(self) -> DriveState:
-        """State of the drive."""
-        return profile.drive_state(self.statusword)
-
-    @property
-    def refusal(self) -> str:
-        """Why the drive must not be touched, "" where it may be."""
-        if self.state is DriveState.UNKNOWN:
-            return f"reports statusword {self.statusword:04X}h, which does not say whether it has power"
-        return why_powered(self.state)
 
 
 def look(access: ObjectReader, node: int, others: OtherMasters) -> Look:
@@ -273,9 +261,12 @@ def look(access: ObjectReader, node: int, others: OtherMasters) -> Look:
     Raises `DriveError`: the drive does not answer, or has no statusword.
     """
     statusword = access.read(objects.STATUSWORD)
+    state = profile.drive_state(statusword)
+    refusal = why_powered(state)
+    if state is DriveState.UNKNOWN:
+        refusal = f"reports statusword {statusword:04X}h, which does not say whether it has power"
     for number in range(cia301.PDO_COUNT):
-        record = cia301.RPDO_PARAMETER + number
-        cob_id = access.find(Object(record, "COB-ID of an RPDO", DataType.UNSIGNED32, cia301.PDO_COB_ID))
+        cob_id = access.find(PdoRecord(True, number, node).cob_id)
         if cob_id is not None and not cob_id & cia301.PDO_INVALID:
             others.watch_rpdo(cob_id & 0x7FF, node)
     count = access.find(cia301.CONSUMER_HEARTBEAT_COUNT) or 0
@@ -283,7 +274,7 @@ def look(access: ObjectReader, node: int, others: OtherMasters) -> Look:
         master, time_ms = cia301.watched_node(access.find(entry) or 0)
         if master and time_ms:
             others.watch_heartbeat(master, node)
-    return Look(statusword, access.find(cia301.PRODUCER_HEARTBEAT) or 0)
+    return Look(refusal, access.find(cia301.PRODUCER_HEARTBEAT) or 0)
 
 
 def ask_nmt_state(

@@ -1,7 +1,7 @@
 """PDOs: which objects they carry, how they are set up in a drive, and how long a cycle of them occupies the bus."""
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -84,6 +84,12 @@ class PdoRecord:
         if position == 0:
             return Object(index, f"number of objects in {self.name}", DataType.UNSIGNED8, 0)
         return Object(index, f"object {position} of {self.name}", DataType.UNSIGNED32, position)
+
+    def mapping_steps(self, words: Sequence[int]) -> Iterator[tuple[Object, int]]:
+        """Yield what maps a PDO that is off: number of objects 0, the objects, their number (CiA 301)."""
+        yield self.mapping(0), 0
+        yield from ((self.mapping(position), word) for position, word in enumerate(words, 1))
+        yield self.mapping(0), len(words)
 
     @property
     def cob_id(self) -> Object:

@@ -4,6 +4,7 @@ What may be written differs: mappings that are fixed, fewer entries than eight, 
 each mapping is tried and read back; nothing is taken from the type of the drive.
 """
 
+import contextlib
 import itertools
 import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -280,19 +281,14 @@ class PdoNegotiator:
         return [mapped for _, mapped in done]
 
     def _set_up(self, pdo: FoundPdo, words: Sequence[int]) -> int | None:
-        """Map a PDO in the order that CiA 301 prescribes; return its COB-ID, None where the drive refuses.
-
-        Order: PDO off, count 0, entries, count, transmission type, PDO on.
-        """
+        """Map a PDO, with the order that CiA 301 prescribes; return its COB-ID, None where the drive refuses."""
         record = pdo.record
         try:
             if pdo.words != tuple(words):
                 if not pdo.cob_id & cia301.PDO_INVALID:
                     self._access.write(record.cob_id, cia301.PDO_INVALID | pdo.cob_id)
-                self._access.write(record.mapping(0), 0)
-                for position, word in enumerate(words, 1):
-                    self._access.write(record.mapping(position), word)
-                self._access.write(record.mapping(0), len(words))
+                for entry, value in record.mapping_steps(words):
+                    self._access.write(entry, value)
                 self._require_kept(record, words)
             return self._switch_on(pdo)
         except DriveError as error:
@@ -352,11 +348,10 @@ class PdoNegotiator:
 
     def _attempt(self, entry: Object, value: int) -> bool:
         """Write an object; return False if the drive refuses and does not hold the value already."""
-        try:
-            self._access.write(entry, value)
-        except RefusedError:
-            return self._access.find(entry) == value
-        return True
+        with contextlib.suppress(RefusedError):
+            self._access.ensure(entry, value)
+            return True
+        return False
 
     def _in_force(self, pdo: FoundPdo, cob_id: int, entries: tuple[Object, ...], code: str) -> MappedPdo:
         identifier = cob_id & 0x7FF
@@ -372,10 +367,8 @@ class PdoNegotiator:
         present = replace(pdo, words=tuple(access.find(record.mapping(p)) or 0 for p in range(1, len(pdo.words) + 1)))
         if present.words != pdo.words or access.find(record.mapping(0)) != len(pdo.words):
             self._attempt(record.cob_id, cia301.PDO_INVALID | pdo.cob_id)
-            self._attempt(record.mapping(0), 0)
-            for position, word in enumerate(pdo.words, 1):
-                self._attempt(record.mapping(position), word)
-            self._attempt(record.mapping(0), len(pdo.words))
+            for entry, value in record.mapping_steps(pdo.words):
+                self._attempt(entry, value)
         if pdo.transmission_type is not None and access.find(record.transmission_type) != pdo.transmission_type:
             self._attempt(record.transmission_type, pdo.transmission_type)
         if access.find(record.cob_id) != pdo.cob_id:

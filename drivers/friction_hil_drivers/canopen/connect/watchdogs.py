@@ -389,10 +389,9 @@ def _make_event_driven(access: "SdoClient", record: PdoRecord, identifier: int, 
 
 def _maps(access: "SdoClient", record: PdoRecord, word: int) -> bool:
     """Let an RPDO carry one object alone, unless it does; return True if it does."""
-    count, first = record.mapping(0), record.mapping(1)
-    if access.find(count) == 1 and access.find(first) == word:
+    if access.find(record.mapping(0)) == 1 and access.find(record.mapping(1)) == word:
         return True
-    return access.try_write(count, 0) and access.try_write(first, word) and access.try_write(count, 1)
+    return all(access.try_write(entry, value) for entry, value in record.mapping_steps([word]))
 
 
 def _holds_cob_id(access: "SdoClient", record: PdoRecord, value: int) -> bool:

@@ -20,7 +20,7 @@ from friction_hil_drivers.canopen.stop.by_sdo import STANDSTILL_COUNTS
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.canopen.wire.cia301 import Frame, decode_heartbeat
 from friction_hil_drivers.cia402 import profile
-from friction_hil_drivers.cia402.codec import CommandEncoder, FeedbackDecoder, Measurement, next_controlword
+from friction_hil_drivers.cia402.codec import CommandEncoder, FeedbackDecoder, Measurement
 from friction_hil_drivers.cia402.load_encoder import LoadEncoder
 from friction_hil_drivers.cia402.notices import Notices
 from friction_hil_drivers.cia402.profile import emergency_code
@@ -429,7 +429,7 @@ class CanopenAxis:
             if request is Request.DISABLE:
                 return profile.DISABLE_VOLTAGE
         state = self._measured.state
-        word = next_controlword(state, request, self.controlword)
+        word = profile.next_controlword(state, request, self.controlword)
         if request is not Request.RESET_FAULT:
             self._asked, self._state = request, state
         return word

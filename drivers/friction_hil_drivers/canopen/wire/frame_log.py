@@ -43,7 +43,8 @@ class FrameLog:
         lengths: list[int] = []
         data: list[bytes] = []
         self.problems: list[str] = []  # messages about the parts of the log that could not be read
-        for message in _messages(path, self.problems):
+        read = _candump if path.suffix.lower() in (".log", ".txt") else _vector
+        for message in read(path, self.problems):
             if message.is_extended_id or message.is_remote_frame or message.is_error_frame or len(message.data) > 8:
                 continue
             times.append(message.timestamp)
@@ -73,15 +74,8 @@ def _rows_by_identifier(identifiers: NDArray[np.int64]) -> dict[int, NDArray[np.
     return {int(identifiers[rows[0]]): rows for rows in np.split(order, bounds)}
 
 
-def _messages(path: Path, problems: list[str]) -> Iterator[can.Message]:
-    """Yield every frame that can be read; where the log ends too early, add that to ``problems``."""
-    if path.suffix.lower() in (".log", ".txt"):
-        yield from _candump(path, problems)
-    else:
-        yield from _vector(path, problems)
-
-
 def _vector(path: Path, problems: list[str]) -> Iterator[can.Message]:
+    """Yield every frame that can be read; where the log ends too early, add that to ``problems``."""
     count, last = 0, 0.0
     try:
         with path.open("rb") as file:
@@ -207,11 +201,8 @@ def _printed(path: Path, text: str, problems: list[str]) -> Iterator[can.Message
         problems.append(f"{without_time} frames have no time: left out")
     _note_wrong(wrong, problems)
     times = np.array([time for time, _, _ in found])
-    if (
-        len(times) > 1
-        and np.count_nonzero(np.diff(times) < 0.0) > _BACKWARD * len(times)
-        and times.max() < _LONGEST_STEP_S
-    ):
+    is_backward = len(times) > 1 and np.count_nonzero(np.diff(times) < 0.0) > _BACKWARD * len(times)
+    if is_backward and times.max() < _LONGEST_STEP_S:
         problems.append("the times are those since the frame before (candump -t d): added up")
         times = np.cumsum(times)
     for time, (_, identifier, data) in zip(times.tolist(), found, strict=True):
@@ -221,11 +212,8 @@ def _printed(path: Path, text: str, problems: list[str]) -> Iterator[can.Message
 def _time_of(text: str | None) -> float | None:
     if not text:
         return None
-    try:
+    with contextlib.suppress(ValueError):
         return float(text)
-    except ValueError:
-        pass
-    try:
+    with contextlib.suppress(ValueError):
         return datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
-    except ValueError:
-        return None
+    return None

@@ -63,8 +63,7 @@ def how_to_bring_up(name: str, bitrate: int | None, *, is_present: bool = True) 
 
 def ask_ip(name: str) -> Link:
     """Ask the program ``ip`` for an interface: the kernel's files have no bit rate."""
-    path = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
-    program = shutil.which("ip", path=path)
+    program = shutil.which("ip", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
     if program is None:
         return Link()
     words = [program, "-json", "-details", "link", "show", "dev", name]
@@ -91,13 +90,9 @@ def check_machine(root: Path, ask: Callable[[str], Link] = ask_ip) -> Iterator[F
     """Yield the state of each CAN interface."""
     names = can_interfaces(root)
     if not names:
-        yield Finding(
-            "CAN interfaces",
-            "warn",
-            "none; only CANopen drives on SocketCAN need one",
-            f"plug the adapter in; to try one: modprobe vcan && {how_to_bring_up('vcan0', None, is_present=False)}",
-            "FH-431",
-        )
+        detail = "none; only CANopen drives on SocketCAN need one"
+        fix = f"plug the adapter in; to try one: modprobe vcan && {how_to_bring_up('vcan0', None, is_present=False)}"
+        yield Finding("CAN interfaces", "warn", detail, fix, "FH-431")
     for name in names:
         found = check_interface(name, ask(name), None, root)
         # no configuration needs it yet
@@ -114,13 +109,9 @@ def check_interface(name: str, link: Link, bitrate: int | None, root: Path = _RO
         fix = f"check wires and bit rate; then: ip link set {name} type can restart"
         return Finding(check, "fail", detail, fix, "FH-433")
     if bitrate and link.bitrate and link.bitrate != bitrate:
-        return Finding(
-            check,
-            "fail",
-            f"it runs at {link.bitrate} bit/s, the configuration says {bitrate}",
-            f"correct bus.bitrate, or: ip link set {name} down && {how_to_bring_up(name, bitrate)}",
-            "FH-434",
-        )
+        detail = f"it runs at {link.bitrate} bit/s, the configuration says {bitrate}"
+        fix = f"correct bus.bitrate, or: ip link set {name} down && {how_to_bring_up(name, bitrate)}"
+        return Finding(check, "fail", detail, fix, "FH-434")
     facts = ["up"]
     if link.kind != "vcan":
         facts.append(f"{link.bitrate} bit/s" if link.bitrate else f"bit rate {NOT_REPORTED}")
