@@ -77,17 +77,14 @@ class Reading(Protocol):
 
 
 class ObjectReader(ABC):
-    """Objects of one drive."""
+    """Objects of one drive; all that reads or writes raises a `DriveError` if it does not answer."""
 
     axis: str  # its name, for messages
     where: str  # node and bus (or log), for messages
 
     @abstractmethod
     def bytes_of(self, entry: Object) -> bytes | None:
-        """Return the content of an object as on the wire, None where the drive has no such object.
-
-        Raises `DriveError`: the drive does not answer, or refuses.
-        """
+        """Return the content of an object as on the wire, None where the drive has no such object."""
 
     def why_absent(self, entry: Object) -> str:
         """Return why an object counts as absent, as the verb of a sentence: ``lacks``."""

@@ -37,10 +37,7 @@ class ObjectClient(ObjectReader):
 
     @abstractmethod
     def read_object(self, entry: Object) -> bytes:
-        """Return the content of an object as on the wire.
-
-        Raises `AbortError`: the drive refuses. Raises `DriveError`: it does not answer.
-        """
+        """Return the content of an object as on the wire; raises an `AbortError` if the drive refuses."""
 
     @abstractmethod
     def write_object(self, entry: Object, data: bytes) -> None:
@@ -79,10 +76,7 @@ class ObjectClient(ObjectReader):
         return entry.type.bits if self.why_hidden(entry) else None
 
     def write(self, entry: Object, value: int, bits: int | None = None) -> None:
-        """Write an integer object, with the width that its type has or ``bits``.
-
-        Raises `DriveError`: the drive does not answer, or refuses; the message has the value.
-        """
+        """Write an integer object, with the width of its type or ``bits``; raises a `RefusedError` with the value."""
         low, high = entry.type.bounds
         if not low <= value <= high:
             text = f"{self.axis}: {value} does not fit into {entry} ({low} to {high})"
@@ -98,10 +92,7 @@ class ObjectClient(ObjectReader):
                 raise
 
     def write_bytes(self, entry: Object, data: bytes, shown: str = "") -> None:
-        """Write the content of an object; ``shown`` is its value in messages.
-
-        Raises `DriveError`: the drive does not answer, or refuses.
-        """
+        """Write the content of an object; ``shown`` is its value in messages, as that of a `RefusedError`."""
         entry = entry.of_axis(self.axis_number)
         if self.is_read_only:
             raise RefusedError(f"{self.axis}: {entry} of {self.where} is not written: another master moves the drive")
@@ -121,10 +112,7 @@ class ObjectClient(ObjectReader):
             raise RefusedError(text) from error
 
     def peek(self, entry: Object) -> bytes | None:
-        """Return the content of an object, None where the drive does not show it for whatever reason; without a note.
-
-        Raises `DriveError`: the drive does not answer.
-        """
+        """Return the content of an object, None where the drive does not show it at all; without a note."""
         try:
             return self.read_object(entry)
         except AbortError:
@@ -134,8 +122,6 @@ class ObjectClient(ObjectReader):
         """Write an object that the drive may lack or refuse; return True if it then holds the value.
 
         One that the drive does not show is left alone: it could be neither read back nor restored.
-
-        Raises `DriveError`: the drive does not answer.
         """
         address = entry.of_axis(self.axis_number).address
         if self.find(entry) is None and address in self.refusals:

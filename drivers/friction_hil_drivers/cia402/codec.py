@@ -176,10 +176,7 @@ class CommandEncoder:
         self._carried = tuple(constants)
 
     def encode(self, controlword: int, command: Command) -> list[tuple[int, bytes]]:
-        """Return where each block of a command goes and its bytes, in the order of the blocks.
-
-        Raises `ValueError`: a value is not finite.
-        """
+        """Return the bytes of each block of a command with where they go; a `ValueError`: one is not finite."""
         units = self._units
         torque = units.torque_per_mille(command.torque)
         if self._is_csp:

@@ -87,19 +87,13 @@ class Journal:
         return bool(self._found)
 
     def leave_at_zero(self, entry: Object, size: int) -> None:
-        """Keep that a set-point of so many bytes is to be zero once the drive is left.
-
-        Raises `DriveError`: it cannot be kept on disk.
-        """
+        """Keep that a set-point of so many bytes is to be zero once the drive is left; raises as `before`."""
         self._open()
         self._found[entry.address] = Found(entry, bytes(size))
         self._save()
 
     def before(self, entry: Object, data: bytes) -> None:
-        """Keep what the drive holds, before ``data`` is written to an object.
-
-        Raises `DriveError`: it cannot be kept on disk.
-        """
+        """Keep what the drive holds, before ``data`` is written; raises a `DriveError` if the disk does not take it."""
         if not is_kept(entry):
             return
         self._open()

@@ -43,10 +43,7 @@ class LoadEncoderOptions(BaseModel):
 
 
 def require_object(access: ObjectReader, options: LoadEncoderOptions) -> Object:
-    """Return the object, which the drive has.
-
-    Raises `DriveError`: the drive lacks it, or it has not 32 bits.
-    """
+    """Return the object; raises a `DriveError` if the drive lacks it, or it has not 32 bits."""
     entry = options.entry
     bits = access.width(entry)
     if bits is None:

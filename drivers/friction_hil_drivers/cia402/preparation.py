@@ -69,10 +69,7 @@ def feedback_objects(access: ObjectClient) -> tuple[list[Object], list[str]]:
 
 
 def command_objects(access: ObjectClient, mode: Mode, *, is_compensated: bool) -> tuple[list[Object], list[str]]:
-    """Return the objects of a command.
-
-    Raises `DriveError`: the drive lacks the torque offset, and the configuration wants a compensation.
-    """
+    """Return the objects of a command; raises a `DriveError` if there is no torque offset to compensate by."""
     entries = list(COMMANDS[mode])
     offset = objects.TORQUE_OFFSET
     if mode is Mode.CST or access.width(offset) or access.hidden_width(offset):
@@ -121,10 +118,7 @@ def prepare_mode(access: ObjectClient, mode: Mode, period_s: float) -> list[str]
 
 
 def _set_interpolation_period(access: ObjectClient, mode: Mode, period_s: float) -> list[str]:
-    """Set 60C2h, where the drive has it; return a note where it stays different.
-
-    Raises `DriveError`: the drive would interpolate the positions of csp with another period.
-    """
+    """Set 60C2h, where the drive has it; return a note where it stays different, in csp raise a `DriveError`."""
     found = access.find(objects.INTERPOLATION_PERIOD)
     if found is None:
         return []

@@ -95,19 +95,13 @@ def read_units(access: ObjectReader, options: DriveOptions, kind: Kind) -> Drive
 
 
 def read_scales(access: ObjectReader, options: DriveOptions, kind: Kind) -> Scales:
-    """Return the scales of a drive.
-
-    Raises `DriveError`: neither the options nor the drive give one of them, or the drive's objects leave it open.
-    """
+    """Return the scales of a drive; raises a `DriveError` if neither options nor drive give one, or leave it open."""
     position = _position(access, options, kind)
     return Scales(position, _velocity(access, options, kind, position.value), _torque(access, options, kind))
 
 
 def require_velocity_unit(access: ObjectReader, options: DriveOptions) -> None:
-    """Refuse to assume a unit for velocity targets where the drive has one, but does not show it.
-
-    Raises `DriveError`: 60A9h could not be read, and the configuration does not give the unit.
-    """
+    """Raise a `DriveError` where the drive has a unit for velocity targets that neither it nor the options show."""
     hidden = access.why_hidden(objects.VELOCITY_UNIT)
     if hidden and options.velocity_unit is None:
         text = (
@@ -118,10 +112,7 @@ def require_velocity_unit(access: ObjectReader, options: DriveOptions) -> None:
 
 
 def require_agreement(access: ObjectReader, options: DriveOptions, scales: Scales) -> None:
-    """Refuse a configuration that contradicts the drive, unless `DriveOptions.trust` names the key.
-
-    Raises `DriveError` with both numbers for the first contradiction.
-    """
+    """Raise a `DriveError` with both numbers for a key that contradicts the drive and has no `trust`."""
     for key, scale in (
         ("counts_per_unit", scales.position),
         ("velocity_unit", scales.velocity),

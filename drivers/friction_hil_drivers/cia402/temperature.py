@@ -76,10 +76,7 @@ class TemperatureOptions(BaseModel):
 
 
 def read_first(access: ObjectReader, options: TemperatureOptions) -> float:
-    """Read the temperature before the cyclic phase, deg C.
-
-    Raises `DriveError`: the drive has no such object, or one of another size.
-    """
+    """Read the temperature before the cyclic phase, deg C; raises a `DriveError` if absent or of another size."""
     data = access.bytes_of(options.entry)
     if data is None:
         text = f"{access.axis}: {access.where} {access.why_absent(options.entry)} object {options.entry}"

@@ -118,20 +118,13 @@ VELOCITY_UNITS = tuple(_NAMES)
 
 
 def decode_position_unit(code: int) -> Unit | None:
-    """Decode object 60A8h; None for 0, which says nothing.
-
-    Raises `ValueError`: the code is not known.
-    """
+    """Decode object 60A8h; None for 0, which says nothing. Raises a `ValueError` for an unknown code."""
     return _decode(code, is_velocity=False)
 
 
 def decode_velocity_unit(code: int) -> Unit | None:
-    """Decode object 60A9h; None for 0, which says nothing.
+    """Decode object 60A9h as `decode_position_unit` does 60A8h.
 
-    Raises `ValueError`: the code is not known.
-
-    Examples
-    --------
     >>> decode_velocity_unit(0xFFB44700).text
     '0.1 rpm'
     """
@@ -158,10 +151,7 @@ def encode_unit(exponent: int, numerator: int, denominator: int = 0) -> int:
 
 
 def parse_velocity_unit(text: str) -> Unit:
-    """Return the unit of a text like ``rpm``, ``0.1 rpm``, ``counts/s`` or ``0.001 deg/s``.
-
-    Raises `ValueError`: the text is not a unit of velocity; the message lists them.
-    """
+    """Return the unit of a text like ``0.1 rpm`` or ``counts/s``; a `ValueError` for another one lists the units."""
     number, _, name = text.strip().rpartition(" ")
     try:
         factor = float(number) if number else 1.0

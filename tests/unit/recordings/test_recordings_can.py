@@ -299,7 +299,8 @@ def moving(*pdos: tuple[int, tuple[Object, ...]], told: bool = False) -> list[ca
     for row, at in enumerate(time):
         frames.append(message(0x080, b"", 1.0 + at))
         for cob_id, entries in pdos:
-            data = b"".join(struct.pack(f"<{entry.type.code}", int(values[entry][row])) for entry in entries)
+            layout = block_layout(entries, [entry.type.bits for entry in entries])
+            data = layout.pack(*(int(values[entry][row]) for entry in entries))
             frames.append(message(cob_id, data, 1.0 + at + 1e-4))
     return frames
 

@@ -105,10 +105,7 @@ def _identifiers(log: FrameLog) -> str:
 
 
 def _mapping_of(log: FrameLog, name: str, axis: "AxisConfig", path: Path) -> "tuple[LoggedObjects, LogMapping | None]":
-    """Return the objects of an axis and the mapping that its frames have; None if it has no frames.
-
-    Raises `RecordingError`: the frames contradict each mapping that is stated, or assumed.
-    """
+    """Return the objects of an axis, and the mapping that its frames do not contradict; None if it has no frames."""
     options = canopen_options(axis)
     access = LoggedObjects(log, name, options, path)
     reasons = []

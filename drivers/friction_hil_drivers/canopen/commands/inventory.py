@@ -87,10 +87,7 @@ class CanopenInventory:
         return Scan(tuple(sorted(entries, key=lambda entry: entry.node)), self.notes)
 
     def show(self, node: int) -> dict[str, Any]:
-        """Read all that a drive says of itself; see `friction_hil.drive.inventory.Inventory`.
-
-        Raises `DriveError`: the node does not answer, two nodes do, or another master uses its SDO server.
-        """
+        """Read all that a drive says, unless two nodes answer; see `friction_hil.drive.inventory.Inventory`."""
         self._require_free_sdo([node])
         found = self._find([node], asking=self._before_reading)
         if node not in found:
@@ -114,10 +111,7 @@ class CanopenInventory:
         return {node: twins.get(node) for node in found}
 
     def stop(self, nodes: Sequence[int]) -> list[Stop]:
-        """Stop drives at once and side by side; see `friction_hil.drive.inventory.Inventory`.
-
-        Raises `DriveError`: no nodes are given, and no drive answers.
-        """
+        """Stop drives, without numbers all that answer, side by side; see `friction_hil.drive.inventory.Inventory`."""
         asked = list(dict.fromkeys(nodes)) or sorted(self._find(NODES))
         if not asked:
             text = f"no node answers on {bus_name(self._config)}: it is not known whether a drive has power"

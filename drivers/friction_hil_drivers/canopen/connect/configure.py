@@ -183,10 +183,7 @@ def _check_eds(options: CanopenOptions, access: "SdoClient", entries: Sequence[O
 
 
 def _set_sync_id(access: "SdoClient", sync_id: int) -> list[str]:
-    """Let the drive take SYNC by its identifier; return a note where the drive does not show which one it takes.
-
-    Raises `DriveError`: it takes another one, and refuses this one.
-    """
+    """Let the drive take SYNC by its identifier, else raise a `DriveError`; return a note where that is not known."""
     found = access.find(cia301.SYNC_COB_ID)
     if found is None:
         if sync_id == cia301.SYNC_ID:

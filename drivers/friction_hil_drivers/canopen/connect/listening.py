@@ -214,10 +214,7 @@ def heard_by(bus: "FrameBus", others: OtherMasters, end: float, now: Callable[[]
 
 
 def ask_identities(clients: Sequence["SdoClient"], bus: "FrameBus", others: OtherMasters) -> None:
-    """Ask nodes who they are, and wait for the answers of a second one.
-
-    Raises `DriveError`: one does not answer; the message has those that do.
-    """
+    """Ask nodes who they are, as a second one may be; a `DriveError` for one that is silent names those that answer."""
     for client in clients:
         try:
             for entry in IDENTITY:
@@ -232,10 +229,7 @@ def ask_identities(clients: Sequence["SdoClient"], bus: "FrameBus", others: Othe
 
 
 def require_one_node(client: "SdoClient", bus: "FrameBus", others: OtherMasters, node: int, bus_name: str) -> None:
-    """Refuse a number that two nodes have, as far as the answers since the last call show it.
-
-    Raises `DriveError`: every answer comes twice.
-    """
+    """Raise a `DriveError` for a number that two nodes have, as far as the answers since the last call show it."""
     answers = others.answers_of(node)
     if answers.is_doubtful:
         answers.begin()
@@ -256,10 +250,7 @@ class Look:
 
 
 def look(access: ObjectReader, node: int, others: OtherMasters) -> Look:
-    """Read a drive's state, and which frames command it; nothing is written.
-
-    Raises `DriveError`: the drive does not answer, or has no statusword.
-    """
+    """Read a drive's state, without which a `DriveError` is raised, and what commands it; nothing is written."""
     statusword = access.read(objects.STATUSWORD)
     state = profile.drive_state(statusword)
     refusal = why_powered(state)

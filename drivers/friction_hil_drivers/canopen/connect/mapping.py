@@ -140,10 +140,7 @@ def wire_time_s(bitrate: int, pdos: Sequence[MappedPdo]) -> float:
 
 
 def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[MappedPdo]) -> str:
-    """Return the load of the bus in words, if a cycle fits with room for SDO, heartbeats and emergencies.
-
-    Raises `DriveError` with the calculation if it does not.
-    """
+    """Return the load of the bus in words, or raise a `DriveError` if a cycle leaves no room for the rest."""
     needed = wire_time_s(bitrate, pdos)
     if needed > _LARGEST_LOAD * period_s:
         sizes = " + ".join(f"{frame_bits(pdo.layout.size)}" for pdo in pdos)

@@ -129,10 +129,7 @@ def _carried_object(record: PdoRecord, word: int, position: int) -> Object:
 
 
 def free_identifier(pdo: FoundPdo, taken: Collection[int]) -> int:
-    """Return an identifier for a PDO: that of the pre-defined connection set, else its own, else a free one of the set.
-
-    Raises `ValueError`: all of them are taken.
-    """
+    """Return the identifier for a PDO of the pre-defined connection set, else its own, else a free one of the set."""
     record, own = pdo.record, pdo.cob_id & 0x7FF
     candidates = [own] if own and not pdo.cob_id & cia301.PDO_EXTENDED else []
     if record.default_identifier is not None:
@@ -308,10 +305,7 @@ class PdoNegotiator:
                 raise DriveError(text, code=codes.MAPPING_NOT_KEPT)
 
     def _switch_on(self, pdo: FoundPdo) -> int:
-        """Make a PDO synchronous, give it an identifier and switch it on; return its COB-ID.
-
-        Raises `DriveError`: the drive refuses, and what it has cannot be used either.
-        """
+        """Make a PDO synchronous and switch it on; return its COB-ID, or raise a `DriveError` if it cannot be used."""
         access, record = self._access, pdo.record
         identifier = free_identifier(pdo, self._taken)
         cob_id = pdo.cob_id & cia301.PDO_NO_RTR | identifier

@@ -103,10 +103,7 @@ class WatchdogTrial:
         return self._observe(others, 3e-3 * means.within_ms + 0.2), False
 
     def _switch_on(self, *, has_position: bool) -> None:
-        """Bring the node to Operational and the drive to Switched On, where it has no torque.
-
-        Raises `DriveError`: it does not go there.
-        """
+        """Bring the node to Operational and the drive to Switched On, without torque; else raise a `DriveError`."""
         self._nmt(cia301.NmtCommand.ENTER_PRE_OPERATIONAL)
         self._leave_fault()
         if not self._axis.watch.rpdo_id:

@@ -198,10 +198,7 @@ def arm(
 
 
 def _judge(access: "SdoClient", times: WatchdogTimes, watch: Watch) -> list[str]:
-    """Return a warning where the drive does not take times as short as the bridged periods ask for.
-
-    Raises `DriveError`: the user has written how many periods are bridged.
-    """
+    """Return a warning where the drive takes no times so short; raise a `DriveError` if the user has written them."""
     acting, longest_ms = watch.acting, max(times.timer_ms, times.loss_ms)
     if acting is None or acting.within_ms <= longest_ms:
         return []
@@ -223,10 +220,7 @@ def _summary(
     reaction: str,
     leaves: str,
 ) -> str:
-    """Return a note that says what watches the daemon.
-
-    Raises `DriveError`: nothing does, and the configuration does not accept that.
-    """
+    """Return what watches the daemon; raise a `DriveError` if nothing does, and that is not accepted."""
     if means:
         listed = ", ".join(map(str, means))
         text = f"the drive watches the daemon by {listed}; a loss is {reaction or leaves} ({NOT_TRIED}"

@@ -80,10 +80,7 @@ class Conversation:
         self._next_send = 0.0
 
     def hold(self, scripts: Mapping[int, "Script[_R]"]) -> dict[int, _R]:
-        """Run one script for each node to its end; return their results in the same order.
-
-        Raises `BusError`: the bus cannot send or is gone.
-        """
+        """Run one script for each node to its end; return their results in the same order."""
         results: dict[int, _R] = {}
         for node, script in scripts.items():
             self._advance(node, script, results)

@@ -36,10 +36,7 @@ def state_path(bus: "BusConfig", node: int, suffix: str) -> Path:
 
 
 class AxisLock:
-    """Lock of one node of a bus, held by the daemon of this machine that drives it.
-
-    Raises `DriveError`: another process holds it; the message names its process number and user.
-    """
+    """Lock of one node of a bus; a `DriveError` names process and user of the daemon that holds it already."""
 
     def __init__(self, bus: "BusConfig", node: int, axis: str) -> None:
         name = _socket_name(bus, node)

@@ -50,10 +50,7 @@ class FrameBus:
         self.is_echoing = False  # the bus delivers the frames of this process to it as well
 
     def send(self, can_id: int, data: bytes | bytearray) -> None:
-        """Send one data frame.
-
-        Raises `QueueFullError`: the send queue of the interface is full. Raises `BusError`: the bus cannot send.
-        """
+        """Send one data frame; raises a `QueueFullError`, or a `BusError` if the bus cannot send at all."""
         self._send_message(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
     def send_remote(self, can_id: int, length: int) -> None:
@@ -68,10 +65,7 @@ class FrameBus:
             raise self._send_error(error) from error
 
     def receive(self, timeout: float) -> Frame | None:
-        """Return the next data frame; None if none came within ``timeout`` seconds, and none is waiting.
-
-        Raises `BusError`: the bus is gone.
-        """
+        """Return the next data frame, None if none is waiting after ``timeout`` s; a `BusError`: the bus is gone."""
         now = time.monotonic()
         end, give_up = now + timeout, now + max(timeout, _LONGEST_DRAIN_S)
         while True:
