@@ -13,7 +13,6 @@ from friction_hil.recordings import Recording
 from friction_hil.recordings.contradictions import contradictions
 from friction_hil_drivers.canopen.commands.log_mapping import OWN, LoggedPdo, LogMapping, mappings
 from friction_hil_drivers.canopen.connect.eds import EdsObjects, load_eds
-from friction_hil_drivers.canopen.connect.mapping import PdoRecord
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.sdo.dialogue import UPLOAD, answered, expedited
 from friction_hil_drivers.canopen.wire import cia301
@@ -97,7 +96,7 @@ def _wanted(axis: "AxisConfig") -> str:
         return ", ".join(f"{pdo.cob_id:03X}h" for pdo in options.sidecar.tpdos)
     if options.axis_number:
         return "identifiers and mapping that the daemon writes for a further axis of a node, which are not in the log"
-    return f"{PdoRecord(False, 0, options.node).identifier:03X}h"
+    return f"{cia301.TPDO_BASES[0] + options.node:03X}h"
 
 
 def _identifiers(log: FrameLog) -> str:

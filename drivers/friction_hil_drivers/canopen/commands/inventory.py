@@ -17,7 +17,7 @@ from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.commands.description import describe, mode_name, mode_names
 from friction_hil_drivers.canopen.connect import listening
-from friction_hil_drivers.canopen.connect.twins import SETTLE_S, ask_identity, ask_often
+from friction_hil_drivers.canopen.connect.twins import IDENTITY, SETTLE_S, SURE_REQUESTS, ask
 from friction_hil_drivers.canopen.sdo.conversation import (
     FIRST_ANSWER_S,
     NODES,
@@ -92,7 +92,7 @@ class CanopenInventory:
         found = self._find([node], asking=self._before_reading)
         if node not in found:
             others = listening.those_that_answer(sorted(self._find(NODES, asking=self._before_reading)))
-            heard = f", though its heartbeat says {self._nmt_of(node)}" if node in self._others.heard_nodes else ""
+            heard = f", though its heartbeat says {nmt}" if (nmt := self._nmt_of(node)) else ""
             text = f"node {node} on {bus_name(self._config)} answers no SDO request{heard}; {others}"
             raise DriveError(text, code=codes.NODE_SILENT)
         self._refuse_twins([node])
@@ -106,7 +106,7 @@ class CanopenInventory:
         if self._others.words:
             return {}
         found = self._find(nodes)
-        self._talk().hold({node: ask_identity() for node in found})
+        self._talk().hold({node: ask(IDENTITY) for node in found})
         twins = self._twins(list(found))
         return {node: twins.get(node) for node in found}
 
@@ -184,13 +184,13 @@ class CanopenInventory:
         doubtful = [node for node in nodes if self._others.answers_of(node).is_doubtful]
         for node in doubtful:
             self._others.answers_of(node).begin()
-        self._talk().hold({node: ask_often() for node in doubtful})
+        self._talk().hold({node: ask(SURE_REQUESTS) for node in doubtful})
         refusals = {node: self._others.answers_of(node).refusal(node, bus_name(self._config)) for node in doubtful}
         return {node: refusal for node, refusal in refusals.items() if refusal is not None}
 
     def _refuse_twins(self, nodes: Sequence[int]) -> None:
         """Ask nodes who they are, and raise a `DriveError` for a number that two of them have."""
-        self._talk(asking=self._before_reading).hold({node: ask_identity() for node in nodes})
+        self._talk(asking=self._before_reading).hold({node: ask(IDENTITY) for node in nodes})
         for refusal in self._twins(nodes).values():
             raise refusal
 

@@ -214,7 +214,7 @@ def heard_by(bus: "FrameBus", others: OtherMasters, end: float, now: Callable[[]
 
 
 def ask_identities(clients: Sequence["SdoClient"], bus: "FrameBus", others: OtherMasters) -> None:
-    """Ask nodes who they are, as a second one may be; a `DriveError` for one that is silent names those that answer."""
+    """Ask nodes who they are, and wait for second ones; a `DriveError` for a silent one names those that answer."""
     for client in clients:
         try:
             for entry in IDENTITY:
@@ -233,8 +233,8 @@ def require_one_node(client: "SdoClient", bus: "FrameBus", others: OtherMasters,
     answers = others.answers_of(node)
     if answers.is_doubtful:
         answers.begin()
-        for _ in range(SURE_REQUESTS):
-            client.peek(objects.VENDOR_ID)
+        for entry in SURE_REQUESTS:
+            client.peek(entry)
         heard_by(bus, others, time.monotonic() + SETTLE_S, time.monotonic)
         if (refusal := answers.refusal(node, bus_name)) is not None:
             raise refusal

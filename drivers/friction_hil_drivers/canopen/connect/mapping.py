@@ -55,13 +55,6 @@ class PdoRecord:
         return bases[self.number] + self.node if self.axis == 0 and self.number < len(bases) else None
 
     @property
-    def identifier(self) -> int:
-        """Identifier of one of the first four PDOs."""
-        identifier = self.default_identifier
-        assert identifier is not None
-        return identifier
-
-    @property
     def _offset(self) -> int:
         return cia301.PDOS_PER_AXIS * self.axis + self.number
 

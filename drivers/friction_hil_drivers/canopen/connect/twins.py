@@ -5,6 +5,7 @@ by the share of the requests that got an answer too many.
 """
 
 from collections import Counter
+from collections.abc import Iterable
 
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
@@ -12,12 +13,13 @@ from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.sdo.conversation import Pause, Script
 from friction_hil_drivers.canopen.sdo.dialogue import SEGMENT, Upload, abort_code, answered, requested
 from friction_hil_drivers.cia402 import objects
-from friction_hil_drivers.cia402.objects import Address
+from friction_hil_drivers.cia402.objects import Address, Object
 
 # Asked of each node before anything else: what never changes in a node, and tells two of them apart
 IDENTITY = (objects.DEVICE_TYPE, objects.VENDOR_ID, objects.PRODUCT_CODE, objects.SERIAL_NUMBER)
 SETTLE_S = 0.05  # after the last request: the second node may be slower than the first
-SURE_REQUESTS = 40  # further ones, where some answers came twice
+# Where some answers came twice: asked so often that two nodes are told from frames that came twice by chance
+SURE_REQUESTS = (objects.VENDOR_ID,) * 40
 _DOUBTFUL, _SURE = 0.5, 0.8  # share of the requests that were answered twice
 _LEAST = 3  # answers too many
 _DOUBLE_CYCLES = 20  # with a TPDO too many, after which a second node sends them; a cycle without one takes three off
@@ -70,15 +72,13 @@ class NodeAnswers:
 
     def refusal(self, node: int, bus: str) -> DriveError | None:
         """Return why node ``node`` must not be touched, None where it is one node."""
+        text = f"two nodes answer as node {node} on {bus}"
         if self._contradiction:
-            text = f"two nodes answer as node {node} on {bus}: {self._contradiction}"
-            return DriveError(text, FIX, codes.TWO_NODES)
-        if self._share() < _SURE:
+            text = f"{text}: {self._contradiction}"
+        elif self._share() >= _SURE:
+            text = f"{text}, or an adapter or gateway repeats its frames: each request gets two equal answers"
+        else:
             return None
-        text = (
-            f"two nodes answer as node {node} on {bus}, or an adapter or gateway repeats its frames: each request gets "
-            "two equal answers"
-        )
         return DriveError(text, FIX, codes.TWO_NODES)
 
 
@@ -132,13 +132,7 @@ class TwinWatch:
         return coded(text, codes.TWO_NODES)
 
 
-def ask_identity() -> "Script[None]":
-    """Ask a node who it is, and wait for answers of a second one."""
-    yield from (Upload(entry) for entry in IDENTITY)
-    yield Pause(SETTLE_S)
-
-
-def ask_often() -> "Script[None]":
-    """Ask a node so often that two nodes are told from frames that came twice by chance."""
-    yield from (Upload(objects.VENDOR_ID) for _ in range(SURE_REQUESTS))
+def ask(entries: Iterable[Object]) -> "Script[None]":
+    """Ask a node for objects, and wait for the answers of a second one."""
+    yield from (Upload(entry) for entry in entries)
     yield Pause(SETTLE_S)

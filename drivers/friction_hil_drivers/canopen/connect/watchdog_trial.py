@@ -95,19 +95,21 @@ class WatchdogTrial:
 
     def _try(self, means: Means) -> tuple[Seen, bool]:
         """Feed all means, then all but one; return what the drive did, and whether it acted while all were fed."""
-        self._switch_on(has_position=means.kind == "rpdo")
+        self._switch_on()
         seen = self._observe(self._axis.watch.means, max(_FED_S, 4e-3 * means.within_ms))
         if seen or seen.late_s:
             return seen, True
         others = [one for one in self._axis.watch.means if one is not means]
         return self._observe(others, 3e-3 * means.within_ms + 0.2), False
 
-    def _switch_on(self, *, has_position: bool) -> None:
+    def _switch_on(self) -> None:
         """Bring the node to Operational and the drive to Switched On, without torque; else raise a `DriveError`."""
         self._nmt(cia301.NmtCommand.ENTER_PRE_OPERATIONAL)
         self._leave_fault()
         if not self._axis.watch.rpdo_id:
-            self._hold_position()
+            # the event-driven RPDO 1 carries the present position, no velocity and no torque
+            position = self._client.read(objects.POSITION_ACTUAL)
+            self._frames["rpdo"] = self._axis.idle_frames(profile.SWITCH_ON, position)
         self._nmt(cia301.NmtCommand.START)
         for word, state in (
             (profile.SHUTDOWN, DriveState.READY_TO_SWITCH_ON),
@@ -127,11 +129,6 @@ class WatchdogTrial:
                     self._sent_s[means.kind] = now
                 left_s = min(left_s, self._sent_s[means.kind] + self._periods_s[means.kind] - now)
         return max(left_s, _FEED_S)
-
-    def _hold_position(self) -> None:
-        """Let the event-driven RPDO 1 carry the present position, no velocity and no torque."""
-        position = self._client.read(objects.POSITION_ACTUAL)
-        self._frames["rpdo"] = self._axis.idle_frames(profile.SWITCH_ON, position)
 
     def _leave_fault(self) -> None:
         """Reset the fault that the trial before has caused."""

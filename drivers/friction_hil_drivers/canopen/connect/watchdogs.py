@@ -158,11 +158,7 @@ class Armed:
 
 
 def arm(
-    access: "SdoClient",
-    options: "CanopenOptions",
-    times: WatchdogTimes,
-    command: RpdoPlace,
-    free: Sequence[RpdoPlace],
+    access: "SdoClient", options: "CanopenOptions", times: WatchdogTimes, command: RpdoPlace, free: Sequence[RpdoPlace]
 ) -> Armed:
     """Let the drive watch the daemon by everything that it has.
 
