@@ -49,14 +49,6 @@ class LoggedPdo:
         """Number of bytes."""
         return sum(bits for _, bits in self.entries) // 8
 
-    def fields(self) -> Iterator[tuple[Object, int, np.dtype[np.generic]]]:
-        """Yield each object that is known with its offset in bytes and its type."""
-        offset = 0
-        for entry, bits in self.entries:
-            if entry is not None and bits in (8, 16, 32):
-                yield entry, offset, np.dtype(f"<{field_format(entry, bits)}")
-            offset += bits // 8
-
     def frames(self, log: FrameLog) -> NDArray[np.intp]:
         """Return the places of its frames in the log."""
         rows = log.rows_of(self.cob_id)
@@ -73,11 +65,14 @@ class LoggedPdo:
         return f"{self.cob_id:03X}h carries {common} bytes, and not the {self.size} of {carried}"
 
     def values(self, log: FrameLog, rows: NDArray[np.intp]) -> dict[Object, NDArray[np.generic]]:
-        """Return the values of its objects in some frames."""
-        return {
-            entry: log.data[rows, offset : offset + kind.itemsize].copy().view(kind).ravel()
-            for entry, offset, kind in self.fields()
-        }
+        """Return the values of those of its objects that are known, in some frames."""
+        found, offset = {}, 0
+        for entry, bits in self.entries:
+            if entry is not None and bits in (8, 16, 32):
+                content = log.data[rows, offset : offset + bits // 8].copy()
+                found[entry] = content.view(f"<{field_format(entry, bits)}").ravel()
+            offset += bits // 8
+        return found
 
 
 @dataclass(frozen=True, slots=True)
