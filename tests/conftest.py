@@ -1,6 +1,8 @@
 """What all tests need before they start."""
 
+import contextlib
 import gc
+import importlib
 import os
 import signal
 import sys
@@ -45,6 +47,21 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         from tests.kernels import compile_kernels
 
         compile_kernels(workers)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection(session: pytest.Session) -> None:
+    """Rewrite the assertions of a fresh checkout once: each worker begins with its part, then finds the others' files.
+
+    Otherwise all workers rewrite them all at the same time; that takes most of a fresh checkout's collection.
+    """
+    if (worker := getattr(session.config, "workerinput", None)) is None or sys.dont_write_bytecode:
+        return
+    root = session.config.rootpath
+    paths = sorted(path for each in session.config.args for path in (root / each).rglob("test_*.py"))
+    for path in paths[int(worker["workerid"].removeprefix("gw")) :: worker["workercount"]]:
+        with contextlib.suppress(Exception, pytest.skip.Exception):  # collection reports it
+            importlib.import_module(".".join(path.relative_to(root).with_suffix("").parts))
 
 
 def pytest_collection_finish() -> None:

@@ -109,7 +109,7 @@ class Run:
         for k, commands in enumerate(self.commands):
             assert commands[-1].request is Request.DISABLE
             assert commands[-1].torque == 0.0
-            self.drives._activate(k, self.drives.servos[k])
+            self.drives.activate(k, self.drives.servos[k])
             assert not self.drives.states[k].is_powered or self.drives.states[k] is DriveState.FAULT_REACTION_ACTIVE
 
     def assert_within_limits(self):

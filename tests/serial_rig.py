@@ -58,7 +58,7 @@ class Bench:
         del base["node"]
         self.config = configuration(**{name: {**base, **given} for name, given in axes.items()})
         self.clock = SteppedClock()
-        self._driver, simulated = PROTOCOLS[driver]
+        self.driver, simulated = PROTOCOLS[driver]
         self.simulated = simulated(self.config, self.config.axes, pace="sync")
         self.simulated.open()
         self._is_stopping = threading.Event()
@@ -67,7 +67,7 @@ class Bench:
         self.drives = self.daemon(dry_run=dry_run)
 
     def daemon(self, *, dry_run=False):
-        return self._driver(self.config, self.config.axes, self.clock, dry_run=dry_run)
+        return self.driver(self.config, self.config.axes, self.clock, dry_run=dry_run)
 
     def begin(self):
         (self.facts,) = self.drives.connect()

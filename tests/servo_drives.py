@@ -94,7 +94,7 @@ class ServoDrives(Drives):
     def receive(self, feedback, end_ns) -> None:
         for k, servo in enumerate(self.servos):
             servo.advance(round(self.period_s * servo.steps_per_second))
-            self._activate(k, servo)
+            self.activate(k, servo)
             f = feedback[k]
             f.position, f.velocity, f.torque = servo.position, servo.velocity, servo.torque
             f.state, f.is_fresh, f.error, f.message = self.states[k], True, "", ""
@@ -102,7 +102,7 @@ class ServoDrives(Drives):
             self.disturb(self.cycle, feedback)
         self.cycle += 1
 
-    def _activate(self, k, servo) -> None:
+    def activate(self, k, servo) -> None:
         command = self.pending[k]
         self.pending[k] = None
         if command is None:
@@ -166,14 +166,14 @@ class Rows:
         return [float(row[index]) for row in self.rows]
 
 
-def make_loop(config, drives, *, stop=None, clock=None, mailbox=None, **settings):
+def make_loop(config, drives, *, sink=None, stop=None, clock=None, mailbox=None, **settings):
     """Return a loop over ``drives``, its sink and its axes."""
     path_time = PathTime(0.25)
     axes = [
         AxisLoop(name, config.axes[name], facts, config.period_s, path_time)
         for name, facts in zip(config.axes, drives.connect(), strict=True)
     ]
-    sink = Rows(config)
+    sink = sink or Rows(config)
     settings = LoopSettings(period_s=config.period_s, **settings)
     clock, stop = clock or SteppedClock(), stop or StopRequest()
     return Loop(drives, axes, path_time, clock, sink, settings, stop, mailbox), sink, axes

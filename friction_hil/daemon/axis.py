@@ -106,7 +106,6 @@ class AxisLoop:
         "_make_checks",
         "_most_held",
         "_news",
-        "_notices",
         "_period_s",
         "_standstill",
         "_states",
@@ -123,6 +122,7 @@ class AxisLoop:
         "load_errors",
         "motion",
         "name",
+        "notices",
         "row_width",
         "setpoint_age_s",
         "setpoint_delay_s",
@@ -185,7 +185,7 @@ class AxisLoop:
         if facts.has_load_encoder:
             self.load_errors = FollowingErrors(period_s, path_time.ramp_s, motion_s)
         self._load_zero = self._load_position = math.nan
-        self._notices = CompensationNotices(name, unit, self.compensator)
+        self.notices = CompensationNotices(name, unit, self.compensator)
         self._watch_temperature()
         self._fault_reset = FaultReset(is_wanted=False)
         self._make_checks = functools.partial(_checks, name, unit, config, limits, facts, period_s, self.motion)
@@ -222,7 +222,7 @@ class AxisLoop:
             self._fade_s = change.record[0]["fade_s"].item()
         if change.friction is not None:
             self.lead_s = self.motion.lead_s = self.compensator.record[0]["lead_s"].item()
-            self._notices.renew(self.compensator)
+            self.notices.renew(self.compensator)
             self._watch_temperature()
         if change.static is not None:
             self._command.adopt(change.static, self._fade_s, self.lead_s)
@@ -286,7 +286,7 @@ class AxisLoop:
                 self.is_broken = True
                 text = f"{self.name}: the computation failed: {type(error).__name__}: {error}"
                 fault = FaultCode.COMPUTATION_FAILED.append_to(text)
-                warning = self._notices.next(self.compensator, self.compensator.velocity_estimate)
+                warning = self.notices.next(self.compensator, self.compensator.velocity_estimate)
         command.torque = command.velocity = 0.0
         row.clear(cycle * self._period_s, cycle)
         is_standing = self._judge_standstill(self._seems_to_stand(feedback), is_usable=feedback.is_fresh)
@@ -403,7 +403,7 @@ class AxisLoop:
         is_standing = self._judge_standstill(abs(estimate) <= self._standstill, is_usable=is_usable)
         is_reset_due = self._takes_reset(time_s, state, feedback, fault)
         fault = None if is_reset_due else fault  # what is to be reset does not end the run
-        warning = self._notices.next(compensator, estimate) or self._take_first_warning() or self._doubt_velocity()
+        warning = self.notices.next(compensator, estimate) or self._take_first_warning() or self._doubt_velocity()
         warning = warning or self._take_news()
         if warning is None and self._temperature_notices is not None:
             warning = self._temperature_notices.next(feedback.temperature)

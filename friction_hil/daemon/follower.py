@@ -169,7 +169,7 @@ class FollowerAxis(AxisLoop):
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))
         is_standing = supervisor.is_current and abs(estimate) <= self._standstill
-        warning = self._notices.next(compensator, estimate) or self._drive_notice.next(feedback) or self._take_news()
+        warning = self.notices.next(compensator, estimate) or self._drive_notice.next(feedback) or self._take_news()
         if warning is None and self._temperature_notices is not None:
             warning = self._temperature_notices.next(feedback.temperature)
         is_faded_out = compensator.is_faded_out and command.torque == 0.0

@@ -63,7 +63,7 @@ class Loop:
         self._run = RunControl(axes, path_time, settings, stop, self._log)
         self._warmer = CacheWarmer(drives, axes[0], self._parts[0])
         self._changes = None if mailbox is None else Changes(mailbox, axes, self._log, self._run)
-        self._reserve = Reserve()
+        self.reserve = Reserve()
         self._pacer = make_pacer(drives, clock, settings.period_s, self._warm_caches)
 
     def run(self) -> LoopResult:
@@ -91,7 +91,7 @@ class Loop:
 
     def _fail(self, cycle: int, error: Exception) -> None:
         """Keep an exception as a fault, with room to go on where it was for want of memory."""
-        self._reserve.release()
+        self.reserve.release()
         self._log.failure(cycle, error)
 
     def _cycle(self, cycle: int) -> None:
@@ -164,7 +164,7 @@ class Loop:
 
     def _finish(self, cycle: int) -> None:
         """Send zero torque and disable once more whatever happened, leave the bus, sum up."""
-        self._reserve.release()  # what follows, up to the summary of the command, must not fail for want of memory
+        self.reserve.release()  # what follows, up to the summary of the command, must not fail for want of memory
         try:
             if not self._settings.dry_run:
                 for command in self._commands:

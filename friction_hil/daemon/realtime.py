@@ -23,14 +23,14 @@ class RealClock:
     now_ns = staticmethod(time.monotonic_ns)
 
     def __init__(self, spin_us: int = 200) -> None:
-        self._spin_ns = spin_us * 1000
+        self.spin_ns = spin_us * 1000
 
     def doze_until(self, deadline_ns: int) -> bool:
         """Sleep until the spin before ``deadline_ns``; return True if the spin has not begun yet."""
-        left = deadline_ns - self._spin_ns - time.monotonic_ns()
+        left = deadline_ns - self.spin_ns - time.monotonic_ns()
         if left > 0:
             time.sleep(left * 1e-9)
-        return left > 0 and self._spin_ns > 0
+        return left > 0 and self.spin_ns > 0
 
     def sleep_until(self, deadline_ns: int) -> None:
         """Return at ``deadline_ns``, or at once if it has passed."""

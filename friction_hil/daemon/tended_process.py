@@ -34,6 +34,8 @@ class TendedProcess:
 
     Attributes
     ----------
+    process : Process
+        The one that was started last.
     severity : str
     """
 
@@ -58,7 +60,7 @@ class TendedProcess:
         self._launch()
 
     def _launch(self) -> None:
-        self._process = self._spawn(self._command, self._descriptors, self._stdout)
+        self.process = self._spawn(self._command, self._descriptors, self._stdout)
         self._lives.begin()
 
     @property
@@ -68,11 +70,11 @@ class TendedProcess:
 
     def tend(self) -> list[str]:
         """Start the process again if it has died; return what is to be reported. It never waits."""
-        if self._is_given_up or (status := self._process.poll()) is None:
+        if self._is_given_up or (status := self.process.poll()) is None:
             return []
         died = f"{self._title} died ({signal_text(-status) if status < 0 else f'exit status {status}'})"
-        if self._process.stdin is not None:
-            self._process.stdin.close()
+        if self.process.stdin is not None:
+            self.process.stdin.close()
         self._is_given_up = self._lives.end() or status == _WRONG_USE
         if status == _WRONG_USE:
             return [f"{died}; what it printed says why: {self._loss}, the loop goes on"]
@@ -87,10 +89,10 @@ class TendedProcess:
 
     def close(self) -> None:
         """End the process."""
-        if self._process.stdin is not None:
-            self._process.stdin.close()  # its signal to end
+        if self.process.stdin is not None:
+            self.process.stdin.close()  # its signal to end
         try:
-            self._process.wait(_END_S)
+            self.process.wait(_END_S)
         except subprocess.TimeoutExpired:
-            self._process.send_signal(signal.SIGKILL)
-            self._process.wait()
+            self.process.send_signal(signal.SIGKILL)
+            self.process.wait()

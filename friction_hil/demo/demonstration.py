@@ -108,7 +108,7 @@ def run_demo(folder: Path, pace: str, show: ShowProgress) -> Demo:
 def compile_demo(show: ShowProgress) -> None:
     """Compile for this machine what simulated drives, runs and learning need, by a fraction of a second of the demo."""
     with tempfile.TemporaryDirectory(prefix="friction-hil-") as work:
-        _run_processes(_private_configuration(Path(work)), "sync", show, _COMPILING_S)
+        _run_processes(private_configuration(Path(work)), "sync", show, _COMPILING_S)
 
 
 def claim(folder: Path) -> None:
@@ -116,7 +116,7 @@ def claim(folder: Path) -> None:
     claim_folder(folder, (REPORT, PICTURE, RECORDING), generator("demo"), "demo")
 
 
-def _private_configuration(work: Path) -> Path:
+def private_configuration(work: Path) -> Path:
     """Copy the configuration of the demo, turn learning on in it, and give it a bus of its own."""
     original = files("friction_hil.demo") / "demo.yaml"
     values = parse(original.read_text(encoding="utf-8"), str(original)).value
@@ -138,7 +138,7 @@ def _free_port() -> int:
 
 def _record(work: Path, pace: str, show: ShowProgress) -> tuple["Circularity", dict[str, Any], str, str]:
     """Draw the circle; return its analysis, the daemon's summary, its messages, and the pace."""
-    path = _private_configuration(work)
+    path = private_configuration(work)
     if pace == "auto":
         # imported here: not for those who choose the pace
         from friction_hil.config import load

@@ -106,8 +106,8 @@ class Learner:
         self._motions = Motions(self._file, _FIRST_PAUSE, period_s)
         self._resumed: Used | None = None
         self._misled = 0  # ticks in which the model file explained the torque better, one after the other
-        self._record = Record(period_s, resolution)
-        self.rows_per_tick = self._record.rows_per_tick
+        self.record = Record(period_s, resolution)
+        self.rows_per_tick = self.record.rows_per_tick
         self._fresh = 0  # ticks that no estimate has used yet
         self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
         self._trial: Trial | None = None
@@ -126,7 +126,7 @@ class Learner:
 
     def pause(self, reason: str) -> Proposal | None:
         """Forget the rows so far, after some that are not to be learned from; return what is taken back therefore."""
-        self._record.ticks.clear()
+        self.record.ticks.clear()
         self._motions.interrupt()
         self._fresh = self._same = 0
         if self._trial is None:
@@ -214,15 +214,15 @@ class Learner:
         """
         tick = {name: np.asarray(rows[name]) for name in COLUMNS}
         self.belief = self.belief.older(_DRIFT, TICK_S)
-        recent = [*list(self._record.ticks)[1 - oddity.FROZEN_TICKS :], tick]
+        recent = [*list(self.record.ticks)[1 - oddity.FROZEN_TICKS :], tick]
         if (reason := oddity.broken(joined(recent), self.belief.coordinates.model.level)) is not None:
             return self._stop(reason)
         if self._motions.take(tick["position_demand"], tick["velocity_demand"]):
             return self._change_motion()
         own = None if self._estimate is None else replace(self._used, x=self.belief.x)
-        if reason := self._record.oddity(tick, self._same - self._settling, own, self.belief, self._usual):
+        if reason := self.record.oddity(tick, self._same - self._settling, own, self.belief, self._usual):
             return self._stop(reason)
-        self._record.ticks.append(tick)
+        self.record.ticks.append(tick)
         self._fresh += 1
         self._same += is_in_force
         if self._resumed is not None and np.any(tick["velocity_demand"]):
@@ -252,10 +252,10 @@ class Learner:
     def _refine(self) -> None:
         """Refine the belief by the last window."""
         self._fresh, self._finding = 0, None
-        warm_s = self._record.warm_s
-        if not any(np.any(tick["velocity_demand"]) for tick in self._record.ticks):
+        warm_s = self.record.warm_s
+        if not any(np.any(tick["velocity_demand"]) for tick in self.record.ticks):
             return
-        window = self._record.window(self._used.layer, self.belief.model)
+        window = self.record.window(self._used.layer, self.belief.model)
         if self._has_families:
             self._families.look(window, self.belief, self._resolution, warm_s)
         try:
@@ -263,17 +263,17 @@ class Learner:
         except NUMERICAL:
             return
         self._estimate, self.belief, self._residual_torque = found, found.belief, found.residual
-        self._usual = rms(self._record.unexplained(replace(self._used, x=self.belief.x), self.belief)[WARM_TICKS:])
+        self._usual = rms(self.record.unexplained(replace(self._used, x=self.belief.x), self.belief)[WARM_TICKS:])
         self.figures.errors = self.belief.errors
         if self._has_layer:
-            left = left_over(self._record.window(), self.belief, self._resolution, warm_s)
+            left = left_over(self.record.window(), self.belief, self._resolution, warm_s)
             self._finding = self._residual.look(left, self._used.layer)
 
     def _propose(self) -> Proposal | None:
         """Return what is worth a trial."""
         if self._estimate is None or self._same < WINDOW_TICKS or self._motions.now.ranges is None:
             return None
-        before, now = self._record.work(self._same - self._settling), self._motions.now
+        before, now = self.record.work(self._same - self._settling), self._motions.now
         level = self.belief.coordinates.model.level
         refined = self.belief.shown(self._used.x)
         other = replace(self._used, x=refined)
@@ -283,7 +283,7 @@ class Learner:
         now.rest = 0
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
-        present, next_one = self._record.torques(self._used, other)
+        present, next_one = self.record.torques(self._used, other)
         change, decline = rms(next_one - present) / level, 1.0 - rms(next_one) / rms(present)
         falls = decline if decline > _FALLS and not self._used.has_model_of(self._file) else 0.0
         gain = self._next_gain(now.highest_gain(rms(next_one)), falls)
@@ -294,7 +294,7 @@ class Learner:
         tried = replace(self._used, x=refined if is_other else self._used.x, gain=gain)
         # more torque than the friction will be makes an axis swing, which the torque of now does not show
         is_less = falls > 0.0 or not (is_other or gain > self._used.gain)
-        if not is_less and not self._record.promises(
+        if not is_less and not self.record.promises(
             self.belief, replace(tried, gain=max(gain, self._used.gain)), self._used
         ):
             self._is_gain_doubted = False
@@ -318,7 +318,7 @@ class Learner:
     def _is_another(self, found: Used, refused: Used | None) -> bool:
         """Return True if parameters are others than those that were refused: friction has changed since then."""
         limit = _OTHER * self.belief.coordinates.model.level
-        return refused is not None and rms(np.subtract(*self._record.torques(refused, found))) > limit
+        return refused is not None and rms(np.subtract(*self.record.torques(refused, found))) > limit
 
     def _propose_layer(self) -> Proposal | None:
         """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
@@ -329,14 +329,14 @@ class Learner:
             self._residual.end(figures)
             self._motions.now.used = replace(self._used, layer=None)
             return self._hand_over(Step.BACK, self._motions.now.used, "the residual layer explains nothing any more")
-        before = self._record.work(self._same - self._settling)
+        before = self.record.work(self._same - self._settling)
         is_seen = before.is_moving and before.rms >= _LEAST_COUNTS * self._resolution
         if not (self._residual.is_worth(found, self._used.layer, figures) and is_seen):
             return None
         tried = replace(self._used, layer=found.layer)
         if found.x is not None:
             tried = replace(tried, x=replace(self.belief, x=found.x).shown(self._used.x))
-            if not self._record.promises(self.belief, tried, self._used):
+            if not self.record.promises(self.belief, tried, self._used):
                 return None
         self._residual.was_tried(found, self._used.layer, figures, before.rms)
         return self._try(Step.LAYER, tried, before, found.text)
@@ -345,7 +345,7 @@ class Learner:
         """Return a model of another family that is worth a trial, with the present gain."""
         if self._same < WINDOW_TICKS or self._motions.now.ranges is None or (best := self._families.best()) is None:
             return None
-        before = self._record.work(self._same - self._settling)
+        before = self.record.work(self._same - self._settling)
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
         self._families.was_tried(best.family, before.rms)
@@ -363,7 +363,7 @@ class Learner:
         return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
 
     def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:
-        self._trial = Trial(step, tried, before, self._used, self._record.left(self.belief, self._used)[0], text)
+        self._trial = Trial(step, tried, before, self._used, self.record.left(self.belief, self._used)[0], text)
         self._is_turn_of_layer = step is not Step.LAYER
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
@@ -385,16 +385,16 @@ class Learner:
     def _judge(self, trial: Trial) -> Proposal | None:
         """Look at a trial: it goes on, or it is kept, or it is taken back."""
         trial.ticks += 1
-        error = self._record.errors(max(trial.ticks - _UNJUDGED_TICKS, 1))
+        error = self.record.errors(max(trial.ticks - _UNJUDGED_TICKS, 1))
         is_judged = trial.ticks > _UNJUDGED_TICKS
         if is_judged and is_harmful(error, trial.before, self._resolution, self._period_s):
             return self._take_back(f"the error rose from {self._size(trial.before.rms)} to {self._size(rms(error))}")
-        if np.any(np.diff(self._record.rows(2)["gain_factor"]) < 0.0):
+        if np.any(np.diff(self.record.rows(2)["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
         if not trial.is_whole:
             if trial.ticks < self._first_ticks:
                 return None
-            if (both := no_help(error, self._record.expected(self.belief, trial), self._period_s)) is not None:
+            if (both := no_help(error, self.record.expected(self.belief, trial), self._period_s)) is not None:
                 shown, part = " -> ".join(map(self._size, both)), "a third of " * (trial.step is not Step.FAMILY)
                 return self._take_back(f"error {shown} with {part}the change")
             trial.is_whole = True
@@ -404,20 +404,20 @@ class Learner:
             return self._hand_over(trial.step, trial.tried, "the whole of a change of which a third did no harm")
         if trial.ticks < self._settling + WINDOW_TICKS:
             return None
-        after = self._record.work(self._same - self._settling)
+        after = self.record.work(self._same - self._settling)
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
-        expected = self._record.expected(self.belief, trial)
+        expected = self.record.expected(self.belief, trial)
         why = objection(after, expected, self._resolution)
         shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
         if expected is not trial.before:
             shown += f" (without the change {self._size(expected.rms)} by now)"
-        if why and not (why == CHANCE and self._record.explains_more(self.belief, trial.tried, trial.former)):
+        if why and not (why == CHANCE and self.record.explains_more(self.belief, trial.tried, trial.former)):
             return self._take_back(f"error {shown}: {why}")
         self._trial, self._kept = None, trial.tried
         self._motions.keep(trial.tried)
         if self._is_gain_doubted and trial.tried.gain < trial.former.gain - _GAIN_WORTH:
-            self._motions.now.limit = Limit(trial.tried.gain, rms(self._record.torques(trial.tried)[0]))
+            self._motions.now.limit = Limit(trial.tried.gain, rms(self.record.torques(trial.tried)[0]))
         self._is_gain_doubted = False
         if trial.step is Step.LAYER:
             self._residual.was_kept(trial.tried.layer, self.figures.layer, after.rms)
@@ -461,7 +461,7 @@ class Learner:
         self._trial = self._estimate = None
         self._is_gain_doubted = False
         self._residual.changed_motion(now.used.layer, self.figures.layer)
-        self._record.ticks.clear()
+        self.record.ticks.clear()
         self._fresh = self._same = 0
         if now.used is self._used:
             proposal = None
@@ -478,7 +478,7 @@ class Learner:
             self.figures.stopped += 1
             self.notes.append(f"learning stops for {_STOPPED_TICKS * TICK_S:g} s: {reason}")
         self._stopped, self._why_stopped, self._fresh = _STOPPED_TICKS, reason, 0
-        self._record.ticks.clear()
+        self.record.ticks.clear()
         self._motions.interrupt()
         self._estimate = None
         self.belief = self.belief.doubted()
@@ -489,10 +489,10 @@ class Learner:
 
     def _fall_back(self) -> Proposal | None:
         """Return to the model file where that explains the torque clearly better than what was kept elsewhere."""
-        if self._trial is not None or self._used.has_model_of(self._file) or len(self._record.ticks) < WARM_TICKS + 1:
+        if self._trial is not None or self._used.has_model_of(self._file) or len(self.record.ticks) < WARM_TICKS + 1:
             return None
-        ticks = list(self._record.ticks)[-WARM_TICKS - 1 :]
-        used, file = (self._record.unexplained(each, self.belief, ticks)[-1] for each in (self._used, self._file))
+        ticks = list(self.record.ticks)[-WARM_TICKS - 1 :]
+        used, file = (self.record.unexplained(each, self.belief, ticks)[-1] for each in (self._used, self._file))
         level = self.belief.coordinates.model.level
         self._misled = self._misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
         if self._misled < _MISLED_TICKS:

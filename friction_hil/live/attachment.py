@@ -184,21 +184,21 @@ class Live:
         self.is_over = False
         self._files: Mapping[str, str] = answer["files"]
         width, axes, columns = len(self.facts.columns) + int(answer["state_width"]), self.facts.axes, self.facts.columns
-        self._ring = RingObserver(ring_descriptor)
-        if self._ring.width != len(axes) * width:
+        self.ring = RingObserver(ring_descriptor)
+        if self.ring.width != len(axes) * width:
             raise ValueError("the rows have another width than the columns")
         self._wanted = (np.arange(len(axes))[:, None] * width + np.arange(len(columns))).ravel()
         self._journal, self._learning = journal_descriptor, learning_descriptor
         self._is_there = is_there
         self._missed = 0
-        self._written, self._written_s = self._ring.rows_written, time.monotonic()
+        self._written, self._written_s = self.ring.rows_written, time.monotonic()
         self._next_sight_s = 0.0
         self._settings = self._read_settings(0)
 
     @property
     def has_ended(self) -> bool:
         """True once the loop has written its last row; there may be rows to read."""
-        return self._ring.is_closed
+        return self.ring.is_closed
 
     @property
     def settings(self) -> Settings:
@@ -212,10 +212,10 @@ class Live:
         least every 2 s; rows that are overwritten before are lost, and counted.
         """
         has_ended = self.has_ended  # before the rows: what is written then is complete
-        events = tuple(map(self._event, self._ring.new_events()))  # before the rows: those before an event are there
-        rows = self._ring.new_rows(self._wanted)
-        lost = self._ring.rows_missed - self._missed
-        self._missed = self._ring.rows_missed
+        events = tuple(map(self._event, self.ring.new_events()))  # before the rows: those before an event are there
+        rows = self.ring.new_rows(self._wanted)
+        lost = self.ring.rows_missed - self._missed
+        self._missed = self.ring.rows_missed
         stands = self._stands()
         self.is_over = self.is_over or has_ended or (stands and not self._is_in_sight())
         facts = self.facts
@@ -228,7 +228,7 @@ class Live:
     def close(self) -> None:
         """Detach; safe to call twice."""
         if self._journal >= 0:
-            os.close(self._ring.descriptor)
+            os.close(self.ring.descriptor)
             os.close(self._journal)
             self._journal = -1
             if self._learning is not None:
@@ -243,7 +243,7 @@ class Live:
 
     def _stands(self) -> bool:
         """Return True if no row was written for a second."""
-        written, now_s = self._ring.rows_written, time.monotonic()
+        written, now_s = self.ring.rows_written, time.monotonic()
         if written != self._written:
             self._written, self._written_s = written, now_s
         return now_s - self._written_s >= STANDS_S

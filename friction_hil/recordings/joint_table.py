@@ -69,7 +69,7 @@ class JointTable:
     def __init__(self, path: Path, memory: Memory) -> None:
         self._path = path
         self._memory = memory
-        self._rows: dict[tuple[str, str], list[tuple[int, float, float, float]]] = {}
+        self.rows: dict[tuple[str, str], list[tuple[int, float, float, float]]] = {}
         self._damaged = 0
         self._repeated = 0
 
@@ -94,8 +94,8 @@ class JointTable:
         stamp = int(seconds) * 1_000_000_000 + int(rest) or received_ns
         for place, name in enumerate(names):
             position, velocity, effort = (values[place] if values else np.nan for values in arrays)
-            self._rows.setdefault((topic, name), []).append((stamp, position, velocity, effort))
-            if len(self._rows) > MOST_AXES:
+            self.rows.setdefault((topic, name), []).append((stamp, position, velocity, effort))
+            if len(self.rows) > MOST_AXES:
                 raise RecordingError(f"{self._path} has the joints of more than {MOST_AXES} axes")
 
     def selected(self, select: Callable[[list[str]], list[str]]) -> list[Recording]:
@@ -114,8 +114,8 @@ class JointTable:
 
     def _recordings(self) -> Iterator[Recording]:
         """Yield an axis for each joint; of a joint in several topics, with the name of the topic before."""
-        joints = [name for _, name in self._rows]
-        for (topic, name), rows in self._rows.items():
+        joints = [name for _, name in self.rows]
+        for (topic, name), rows in self.rows.items():
             axis = name if joints.count(name) == 1 else f"{topic.strip('/')}/{name}"
             stamps = np.array([row[0] for row in rows], dtype=np.int64)
             order = np.argsort(stamps, kind="stable")

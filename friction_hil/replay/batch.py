@@ -47,7 +47,7 @@ def replay_many(
     return outcomes
 
 
-def _processors() -> int:
+def processors() -> int:
     """Return the number of processors that this process may use; where the system does not say that, of all."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
@@ -55,7 +55,7 @@ def _processors() -> int:
 
 
 def _map(tasks: Sequence[ReplayTask]) -> Iterator[tuple[int, list[ReplayOutcome]]]:
-    workers = min(len(tasks), _processors())
+    workers = min(len(tasks), processors())
     size = sum(os.path.getsize(task.source) for task in tasks if os.path.isfile(task.source))
     if workers < 2 or (len(tasks) < _MANY and size < _LARGE):
         for index, task in enumerate(tasks):

@@ -195,7 +195,7 @@ class Observer:
         self._left = 0.0
         self._belief: Belief | None = None
         self._slow: list[Recording] = []  # sweeps of all parts
-        self._model: FrictionModel | None = None  # of the parts so far
+        self.model: FrictionModel | None = None  # of the parts so far
 
     def take(self, part: ExperimentPart) -> Unknown:
         """Return what is unknown after a further part.
@@ -219,13 +219,13 @@ class Observer:
 
     def _taken(self, part: ExperimentPart, resolution: float) -> Unknown:
         slow = sliding_part(part.recording, self._configuration, part.duration_s)
-        if self._model is None:
+        if self.model is None:
             self._has_presliding = shows_presliding([part.recording])
             self._left = self._left_anyway(slow, resolution)
-        former = self._model
+        former = self.model
         take = self._take_dynamic if self._has_presliding else self._take_static
         alone, known, covariance = take(part.recording if self._has_presliding else slow, resolution)
-        self._model = known.model
+        self.model = known.model
         return self._unknown(None if former is None else (former, alone), known, covariance, resolution)
 
     def _take_dynamic(self, recording: Recording, resolution: float) -> tuple[FrictionModel, Coordinates, Array]:
@@ -233,7 +233,7 @@ class Observer:
         former = self._belief
         if former is None:
             kind = self._configuration.axes[self._name].model.axis
-            former = _belief(_plain_fit([recording], IdentificationSettings(families=("lugre",), axis=kind)))
+            former = _belief(plain_fit([recording], IdentificationSettings(families=("lugre",), axis=kind)))
         segment = max(prepare(recording), key=lambda each: len(each.torque))
         # what is known already would make a part that contradicts it look like a disturbance
         vague = replace(former, covariance=np.diag(former.first**2))
@@ -246,8 +246,8 @@ class Observer:
         """As `_take_dynamic`, from where the axis slides."""
         self._slow.append(slow)
         settings = sliding_settings(slow, self._configuration, ("stribeck",))
-        fit = _plain_fit(self._slow, settings)
-        alone = fit if len(self._slow) == 1 else _plain_fit([slow], settings)
+        fit = plain_fit(self._slow, settings)
+        alone = fit if len(self._slow) == 1 else plain_fit([slow], settings)
         coordinates = coordinates_of(_model_of(fit), {})
         found, count = fit.inference, len(coordinates.names)
         errors, correlations = np.zeros(count), np.eye(count)
@@ -311,7 +311,8 @@ class Observer:
         return experiment_of(self._name, self._configuration.axes[self._name]).duration_s
 
 
-def _plain_fit(recordings: Sequence[Recording], settings: IdentificationSettings) -> Fit:
+def plain_fit(recordings: Sequence[Recording], settings: IdentificationSettings) -> Fit:
+    """Return the best model without modifiers, by regression alone."""
     return identify(recordings, replace(settings, has_modifiers=False, refine=False)).best
 
 

@@ -271,11 +271,11 @@ class CanRig(InstalledRig):
 
     def trip(self) -> None:
         """See `Rig.trip`."""
-        self.counterpart._nodes[0].drive.fault(0x2310, 0)
+        self.counterpart.nodes[0].drive.fault(0x2310, 0)
 
     def has_power(self, axis: int) -> bool:
         """See `Rig.has_power`."""
-        return bool(self.counterpart._nodes[axis].drive.state.is_powered)
+        return bool(self.counterpart.nodes[axis].drive.state.is_powered)
 
     def leave_enabled(self) -> None:
         """See `Rig.leave_enabled`: by SDO, as another master does it."""
@@ -293,7 +293,7 @@ class CanRig(InstalledRig):
     def kill(self) -> None:
         """See `Rig.kill`: time passes with SYNC, which another master goes on to send here."""
         cycles = round(_LONGEST_WATCHDOG_S / PERIOD_S)
-        node = self.counterpart._nodes[0]
+        node = self.counterpart.nodes[0]
         end_ns = node.now_ns + round((cycles - 1) * PERIOD_S * 1e9)
         for _ in range(cycles):
             self._send(0x080, b"")
@@ -332,8 +332,8 @@ class SerialRig(InstalledRig):
         common = {"line": line, "is_watchdog_required": False}
         super().__init__(driver, {name: {**common, **keys} for name, keys in axes.items()})
         self._grammar = grammar
-        self._written = bytearray()
-        self._patch = patch
+        self._written = bytearray()  # since the last count: whole requests
+        self._counted = 0
         owner, write = threading.get_ident(), os.write
 
         def tapped(descriptor: int, data: bytes) -> int:
@@ -345,7 +345,9 @@ class SerialRig(InstalledRig):
         patch.setattr(os, "write", tapped)
 
     def count_commands(self) -> int:
-        return sum(self._grammar(bytes(self._written)))
+        self._counted += sum(self._grammar(bytes(self._written)))
+        self._written.clear()
+        return self._counted
 
     def trip(self) -> None:
         """See `Rig.trip`."""
@@ -358,7 +360,7 @@ class SerialRig(InstalledRig):
     def leave_enabled(self) -> None:
         """See `Rig.leave_enabled`."""
         for drive in self._drives:
-            drive._enter(DriveState.OPERATION_ENABLED)
+            drive.enter(DriveState.OPERATION_ENABLED)
 
     def detach(self) -> None:
         """See `Rig.detach`."""
@@ -370,8 +372,8 @@ class SerialRig(InstalledRig):
 
     @property
     def _drives(self) -> Any:
-        (line,) = self.counterpart._lines
-        return line._drives
+        (line,) = self.counterpart.lines
+        return line.drives
 
 
 # Requests of each protocol, one after the other: True for those that change a drive.

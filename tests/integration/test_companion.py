@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +17,7 @@ import pytest
 
 import friction_hil as fh
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, client, free_path
-from friction_hil.daemon.spawner.client import Spawner
+from friction_hil.daemon.spawner.client import Process, Spawner, spawn_directly
 from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.interrupts import Interrupted
@@ -151,8 +151,8 @@ def test_a_worker_that_dies_again_and_again_is_given_up(companion: Companion) ->
 
 def test_the_death_of_the_supervisor_stops_nothing(companion: Companion) -> None:
     push(companion, 0, 100)
-    companion._process.kill()
-    companion._process.wait()
+    companion.process.kill()
+    companion.process.wait()
     push(companion, 100, 200)
     assert companion.next_message() == {"problem": "the supervisor of the companion died; its worker goes on"}
     report = companion.close()
@@ -161,7 +161,7 @@ def test_the_death_of_the_supervisor_stops_nothing(companion: Companion) -> None
 
 def kill_both(companion: Companion) -> None:
     """Kill supervisor and worker, as ``pkill -9 -f companion`` does."""
-    os.kill(companion._process.pid, signal.SIGKILL)
+    os.kill(companion.process.pid, signal.SIGKILL)
     os.kill(companion.worker_pid, signal.SIGKILL)
 
 
@@ -216,8 +216,8 @@ def test_a_companion_that_is_killed_again_and_again_is_given_up(
 
 
 def test_a_companion_that_cannot_be_started_again_ends_no_run(companion: Companion, spawner: Spawner) -> None:
-    spawner._process.kill()
-    spawner._process.wait()
+    spawner.process.kill()
+    spawner.process.wait()
     kill_both(companion)
     (problem,) = tend(companion)
     assert problem == (
@@ -242,14 +242,14 @@ def test_a_system_without_processes_for_the_companion_is_told(job: Job, monkeypa
 
 def test_the_death_by_a_signal_without_a_name_is_told_too(companion: Companion) -> None:
     os.kill(companion.worker_pid, signal.SIGSTOP)  # or it might say first that it goes on alone
-    os.kill(companion._process.pid, signal.SIGRTMIN + 3)
+    os.kill(companion.process.pid, signal.SIGRTMIN + 3)
     os.kill(companion.worker_pid, signal.SIGKILL)
     assert tend(companion) == [f"the companion process died (signal {signal.SIGRTMIN + 3}); the next one takes over"]
 
 
 def stop(companion: Companion) -> None:
     """Stop supervisor and worker (SIGSTOP)."""
-    for pid in (companion._process.pid, companion.worker_pid):
+    for pid in (companion.process.pid, companion.worker_pid):
         os.kill(pid, signal.SIGSTOP)
         while Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "T":
             os.sched_yield()
@@ -287,9 +287,9 @@ def test_rows_that_are_still_to_be_written_are_neither_safe_nor_lost(
     assert (report.rows + report.pending, report.lost) == (101, 0)
     assert report.pending >= 1
     assert report.problems[-1].startswith(f"the recording is not finished: process {worker} made no progress for 0.2 s")
-    for pid in (worker, companion._process.pid):
+    for pid in (worker, companion.process.pid):
         os.kill(pid, signal.SIGCONT)
-    companion._process.wait()
+    companion.process.wait()
     assert cycles(report.recording) == list(range(101))
 
 
@@ -309,12 +309,14 @@ def test_a_signal_ends_the_wait_for_a_file_that_does_not_open(job: Job, monkeypa
     with pytest.raises(UsageError, match=r"run\.mcap is a pipe: a recording needs a file"):
         Companion.start(job)
     monkeypatch.setattr(client, "prepare", lambda *_, **__: None)  # as if the server of the folder did not answer
-    started = []
-    launch = Companion._launch
-    monkeypatch.setattr(Companion, "_launch", lambda self, *args: (launch(self, *args), started.append(self)))
+    started: list[Process] = []
+
+    def spawn(words: Sequence[str], descriptors: Sequence[int], stdout: int | None) -> Process:
+        started.append(spawn_directly(words, descriptors, stdout))
+        return started[0]
 
     def is_opening() -> bool:
-        return len(members(started[0]._process.pid)) == 2 if started else False
+        return len(members(started[0].pid)) == 2 if started else False
 
     def end() -> None:
         while not is_opening():
@@ -324,15 +326,15 @@ def test_a_signal_ends_the_wait_for_a_file_that_does_not_open(job: Job, monkeypa
     with stop_on_signals() as request, request.raised():
         threading.Thread(target=end).start()
         with pytest.raises(Interrupted, match="SIGTERM"):
-            Companion.start(replace(job, overwrite=True))
-    while members(started[0]._process.pid):  # nothing is left behind
+            Companion.start(replace(job, overwrite=True), spawn=spawn)
+    while members(started[0].pid):  # nothing is left behind
         os.sched_yield()
 
 
 def test_signals_of_the_terminal_are_left_to_the_control_process(companion: Companion) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(companion.worker_pid, number)
-        companion._process.send_signal(number)
+        companion.process.send_signal(number)
     push(companion, 0, 1200)
     report = companion.close()
     assert report.problems == ()
@@ -501,7 +503,7 @@ def test_a_killed_companion_and_its_successor_number_their_files_on(job: Job, tm
         push(companion, 0, 2500)
         while companion.free_slots() < 8000 - 500:
             os.sched_yield()
-        for pid in (companion._process.pid, companion.worker_pid):
+        for pid in (companion.process.pid, companion.worker_pid):
             os.kill(pid, signal.SIGKILL)
         while not companion.tend():
             os.sched_yield()

@@ -280,7 +280,7 @@ def test_a_fault_of_a_drive_from_another_hand_is_told_and_reset(slave_program, t
         mbpoll = Mbpoll(port_in(configuration))
         cycles = Cycles(configuration).__enter__()
         cycles.pass_(Request.ENABLE, 0.0, count=20)
-        for bus in cycles.drives._buses:
+        for bus in cycles.drives.buses:
             bus.scheduler.line.close()  # as if the daemon had died
         wait_until(lambda: mbpoll.read(STATUS)[0] & 0x6F == 0x08, "the drive's watchdog")
         with Cycles(configuration) as again:

@@ -97,6 +97,6 @@ def test_doctor_elsewhere_checks_the_configuration_and_no_hardware(tmp_path, mon
 def test_processors_are_counted_where_the_system_does_not_say_which_are_ours(monkeypatch):
     monkeypatch.delattr(batch.os, "sched_getaffinity")
     monkeypatch.setattr(batch.os, "cpu_count", lambda: 3)
-    assert batch._processors() == 3
+    assert batch.processors() == 3
     monkeypatch.setattr(batch.os, "cpu_count", lambda: None)
-    assert batch._processors() == 1
+    assert batch.processors() == 1

@@ -124,9 +124,9 @@ def controlled(tmp_path_factory):
             found["readings"] += [watch.live.read()]
             daemon.send_signal(signal.SIGINT)
             until(lambda: found["readings"].append(watch.live.read()) or watch.live.is_over)
-            found["live"] = watch.live.facts, os.fstat(watch.live._ring.descriptor).st_mode
+            found["live"] = watch.live.facts, os.fstat(watch.live.ring.descriptor).st_mode
             with pytest.raises(OSError):  # noqa: PT011 - whoever looks cannot write
-                os.pwrite(watch.live._ring.descriptor, b"x", 0)
+                os.pwrite(watch.live.ring.descriptor, b"x", 0)
             found["gone"] = watch.poll()
             watch.close()
             found["stdout"] = daemon.stdout.read()

@@ -182,7 +182,7 @@ def test_beside_an_independent_master_only_offsets_are_sent(configuration):
     configuration.write_text(yaml.safe_dump(values))
     bus = {key: value for key, value in values["bus"].items() if key not in ("role", "sync_cob_id")}
     with ExitStack() as until_silence, machine(configuration, "--pace", "real"), PlcMaster(bus, 1) as plc:
-        plc._map(0x1403, 0x500, EVENT_DRIVEN, (0x60B20010,))
+        plc.map(0x1403, 0x500, EVENT_DRIVEN, (0x60B20010,))
         before = plc.dictionary()
         frames = until_silence.enter_context(frame_log(configuration))  # a log from before may lag behind these SDOs
         done = run("run", configuration, "--duration", "3", "--json", check=False)

@@ -98,8 +98,8 @@ class PlcMaster:
     def _configure(self) -> None:
         self._network.nmt.send_command(0x80)
         kind = EVENT_DRIVEN if self._is_event_driven else SYNCHRONOUS
-        self._map(0x1400, 0x200, kind, (0x60400010, 0x607A0020))
-        self._map(0x1800, 0x180, kind, (0x60410010, 0x60640020))
+        self.map(0x1400, 0x200, kind, (0x60400010, 0x607A0020))
+        self.map(0x1800, 0x180, kind, (0x60410010, 0x60640020))
         if self._is_event_driven:
             self._write(0x1800, 5, "H", 10)  # ms, event timer
         self._write(0x60C2, 1, "B", round(self._period_s * 1e3))
@@ -108,7 +108,7 @@ class PlcMaster:
         self._network.subscribe(0x180 + self._node, self._take)
         self._network.nmt.send_command(0x01)
 
-    def _map(self, record: int, base: int, kind: int, words: tuple[int, ...]) -> None:
+    def map(self, record: int, base: int, kind: int, words: tuple[int, ...]) -> None:
         cob_id = base + self._node
         self._write(record, 1, "I", 0x80000000 | cob_id)
         self._write(record + 0x200, 0, "B", 0)

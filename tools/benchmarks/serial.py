@@ -101,7 +101,7 @@ def _rates(label: str, path: Path, target_us: float) -> list[Row]:
         try:
             limit = 1.0 / _wire_s(drives)
             took_s, busy_s = _back_to_back(drives)
-            fresh, used_s, warming_s = _paced(drives, configuration.period_s)
+            fresh, used_s, warming_s = paced(drives, configuration.period_s)
         finally:
             drives.close()
     rate, period_hz = CYCLES / took_s, 1.0 / configuration.period_s
@@ -144,7 +144,7 @@ def _cycle(
 
 def _wire_s(drives: SerialDrives) -> float:
     """Return the mean time of a cycle on the wire, s: commands, feedback, and one background read after the other."""
-    (bus,) = drives._buses
+    (bus,) = drives.buses
     background: list[tuple[Exchange, ...]] = [(each,) for each in bus.plan.background] or [()]
     cycles = [bus.wire_s(*bus.plan.push, *each, *bus.plan.poll) for each in background]
     return sum(cycles) / len(cycles)
@@ -161,7 +161,7 @@ def _back_to_back(drives: SerialDrives) -> tuple[float, float]:
     return took_s, statistics.median(after - before for before, after in itertools.pairwise(marks))
 
 
-def _paced(drives: SerialDrives, period_s: float) -> tuple[float, float, float]:
+def paced(drives: SerialDrives, period_s: float) -> tuple[float, float, float]:
     """Run cycles that begin at their deadlines.
 
     Returns

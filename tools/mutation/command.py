@@ -64,7 +64,7 @@ def command(only: tuple[str, ...], sample: float | None, seed: str | None, jobs:
             click.echo(f"{len(changes[path]):4}  {path}")
         return 0
     seed = seed or _date_of_commit()
-    chosen = _choice(changes, random.Random(seed))
+    chosen = choice(changes, random.Random(seed))
     total = sum(len(numbers) for _, numbers in chosen)
     click.echo(f"{total} of {sum(map(len, changes.values()))} mutants, seed {seed!r}", err=True)
     began_s = time.monotonic()
@@ -72,7 +72,7 @@ def command(only: tuple[str, ...], sample: float | None, seed: str | None, jobs:
     return _report(outcomes, time.monotonic() - began_s)
 
 
-def _choice(changes: dict[str, list[Change]], rng: random.Random) -> list[tuple[str, list[int]]]:
+def choice(changes: dict[str, list[Change]], rng: random.Random) -> list[tuple[str, list[int]]]:
     """Return the mutants to try, by module."""
     every = [(path, number) for path, found in changes.items() for number in range(len(found))]
     rng.shuffle(every)

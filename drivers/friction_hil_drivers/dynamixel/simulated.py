@@ -180,8 +180,8 @@ class DynamixelResponder:
         options: Mapping[str, DynamixelOptions],
     ) -> None:
         self._packets = Packets()
-        self._servos = {options[axis].id: _Servo(drives[axis], descriptions[axis]) for axis in drives}
-        self._present = dict(self._servos)  # those that are not rebooting
+        self.by_address = {options[axis].id: _Servo(drives[axis], descriptions[axis]) for axis in drives}
+        self._present = dict(self.by_address)  # those that are not rebooting
         self._has_fast_read = {options[axis].id: descriptions[axis].fast_sync_read for axis in drives}
 
     def take(self, received: bytearray) -> bytes | None:
@@ -195,7 +195,7 @@ class DynamixelResponder:
         """Do nothing: the next request is recognised by its header."""
 
     def _answer(self, packet: Packet) -> bytes:
-        self._present = {servo: each for servo, each in self._servos.items() if each.is_up}
+        self._present = {servo: each for servo, each in self.by_address.items() if each.is_up}
         if packet.id == BROADCAST:
             for each in self._present.values():
                 each.fed()
@@ -251,7 +251,7 @@ class DynamixelResponder:
 
     def _read(self, servo: int, address: int, size: int) -> bytes:
         try:
-            return self._status(servo, self._servos[servo].read(address, size))
+            return self._status(servo, self.by_address[servo].read(address, size))
         except RequestError as error:
             return self._status(servo, error=error.number)
 
@@ -266,10 +266,10 @@ class DynamixelResponder:
                 return bytes(packet) if k else b""
             error, data = 0, bytes(size)
             try:
-                data = self._servos[servo].read(address, size)
+                data = self.by_address[servo].read(address, size)
             except RequestError as refusal:
                 error = refusal.number
-            packet += bytes((error | self._servos[servo].alert, servo)) + data
+            packet += bytes((error | self.by_address[servo].alert, servo)) + data
             packet += self._packets.crc(packet).to_bytes(CRC, "little")
         return bytes(packet)
 
@@ -277,12 +277,12 @@ class DynamixelResponder:
         """Write bytes of a servo that does not answer, so that a refusal is not reported."""
         if servo in self._present:
             try:
-                self._servos[servo].write(address, data)
+                self.by_address[servo].write(address, data)
             except RequestError:
                 return
 
     def _status(self, servo: int, data: bytes = b"", error: int = 0) -> bytes:
-        return self._packets.pack(servo, STATUS, bytes((error | self._servos[servo].alert,)) + data)
+        return self._packets.pack(servo, STATUS, bytes((error | self.by_address[servo].alert,)) + data)
 
 
 def _word(data: bytes, offset: int) -> int:

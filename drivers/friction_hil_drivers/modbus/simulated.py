@@ -193,7 +193,7 @@ class ModbusResponder:
         descriptions: Mapping[str, ModbusDescription],
         options: Mapping[str, ModbusOptions],
     ) -> None:
-        self._units = {options[axis].unit: _RegisterSpace(drives[axis], descriptions[axis]) for axis in drives}
+        self.by_address = {options[axis].unit: _RegisterSpace(drives[axis], descriptions[axis]) for axis in drives}
         self._is_tcp = next(iter(options.values())).line.is_tcp
         self._rtu = FramerRTU(DecodePDU(True))
         self._tcp = FramerSocket(DecodePDU(True))
@@ -228,7 +228,7 @@ class ModbusResponder:
         del received[:size]
         unit, pdu = frame[0], frame[1:-_CRC]
         if unit == _BROADCAST:
-            for space in self._units.values():
+            for space in self.by_address.values():
                 space.answer(pdu)
             return b""
         reply = self._answer(unit, pdu)
@@ -250,7 +250,7 @@ class ModbusResponder:
         return self._tcp.encode(reply, unit, transaction) if reply else b""
 
     def _answer(self, unit: int, pdu: bytes) -> bytes:
-        return self._units[unit].answer(pdu) if unit in self._units else b""
+        return self.by_address[unit].answer(pdu) if unit in self.by_address else b""
 
 
 def _has_crc(frame: bytes | bytearray) -> bool:

@@ -143,7 +143,7 @@ class SerialDrives(Driver):
         self._dry_run = dry_run
         self._margin_ns = round(min(_COMPUTATION_S, 0.1 * configuration.period_s) * 1e9)
         self._selector = LineSelector()  # for the wait that ends at the same time in each period
-        self._buses: list[SerialBus] = []
+        self.buses: list[SerialBus] = []
         self._schedulers: list[BusScheduler] = []
         self._axes: list[SerialAxis] = []  # in the order of the configuration
         self._bus_of: list[SerialBus] = []  # of each of these axes
@@ -172,13 +172,13 @@ class SerialDrives(Driver):
         for names in by_port(self._configs):
             on_bus = {name: descriptions[name] for name in names}
             bus = commissioning.make_bus(on_bus)
-            self._buses.append(bus)
+            self.buses.append(bus)
             bus.scheduler.line.open()
             axes.update((axis.name, axis) for axis in bus.axes)
             facts.update((each.name, each) for each in commissioning.prepare(bus, on_bus))
         self._axes = [axes[name] for name in self._configs]
-        self._schedulers = [bus.scheduler for bus in self._buses]
-        buses = {axis.name: bus for bus in self._buses for axis in bus.axes}
+        self._schedulers = [bus.scheduler for bus in self.buses]
+        buses = {axis.name: bus for bus in self.buses for axis in bus.axes}
         self._bus_of = [buses[name] for name in self._configs]
         return [facts[name] for name in self._configs]
 
@@ -197,7 +197,7 @@ class SerialDrives(Driver):
         is_real = self._clock.is_real
         self._end_ns = end_ns
         deadline_ns = end_ns - self._margin_ns if is_real else time.monotonic_ns() + _SIMULATED_TIMEOUT_NS
-        for bus in self._buses:
+        for bus in self.buses:
             if not (bus.protocol.ahead_chars or bus.scheduler.is_finished):
                 bus.finish_background_read(deadline_ns)
             # in simulated time the wire takes no time: it is unknown when a reply will come
@@ -247,7 +247,7 @@ class SerialDrives(Driver):
                     if command.request in _STOPS:
                         stopping.add(axis.name)
         is_sent = True
-        for bus in self._buses:
+        for bus in self.buses:
             bus.send_commands(steps, end_ns, is_commanding=self._is_commanding, stopping=stopping)
             if bus.scheduler.queue:
                 is_sent = False
@@ -267,10 +267,10 @@ class SerialDrives(Driver):
         """Disable every drive, and close the lines; return the states read back after that."""
         try:
             if self._is_started and self._is_commanding:
-                for bus in self._buses:
+                for bus in self.buses:
                     self._release(bus)
         finally:
-            for bus in self._buses:
+            for bus in self.buses:
                 bus.scheduler.line.close()
             self._selector.close()
             self._is_started = False

@@ -129,6 +129,8 @@ class LineState:
     timeliness : Timeliness
     permission : Permission
         Permission in the state of the reception.
+    transitions, permissions : dict
+        Tables that are in force on this line.
     is_normal : bool
         True if replies are in step with the requests, and every drive answers in time.
     is_discarding : bool
@@ -138,8 +140,8 @@ class LineState:
     """
 
     def __init__(self, *, names_drives: bool) -> None:
-        self._transitions = TRANSITIONS if names_drives else TRANSITIONS | ANONYMOUS_TRANSITIONS
-        self._permissions = PERMISSIONS if names_drives else PERMISSIONS | ANONYMOUS_PERMISSIONS
+        self.transitions = TRANSITIONS if names_drives else TRANSITIONS | ANONYMOUS_TRANSITIONS
+        self.permissions = PERMISSIONS if names_drives else PERMISSIONS | ANONYMOUS_PERMISSIONS
         self.reception = Reception.IN_SYNC
         self.timeliness = Timeliness.ON_TIME
         self._update()
@@ -147,7 +149,7 @@ class LineState:
     def apply(self, event: LineEvent) -> None:
         """Change the state by the table; an event without a row for the present state changes nothing."""
         for state in (self.reception, self.timeliness):
-            following = self._transitions.get((state, event))
+            following = self.transitions.get((state, event))
             if isinstance(following, Reception):
                 self.reception = following
             elif following is not None:
@@ -155,7 +157,7 @@ class LineState:
         self._update()
 
     def _update(self) -> None:
-        self.permission = self._permissions[self.reception]
+        self.permission = self.permissions[self.reception]
         self.is_normal = self.reception is Reception.IN_SYNC and self.timeliness is Timeliness.ON_TIME
         self.is_discarding = self.reception >= Reception.DISCARDING
         self.is_noisy = self.reception in (Reception.NOISY, Reception.DISCARDING_NOISY)

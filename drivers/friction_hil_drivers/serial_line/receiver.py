@@ -64,7 +64,7 @@ class ReplyReceiver:
         self._images = tuple(images)
         self._now_ns = now_ns
         self._silence_ns = silence_ns
-        self._reply_limit_ns = reply_limit_ns
+        self.reply_limit_ns = reply_limit_ns
         self._discard_ns = self._min_discard_ns = max(silence_ns, _MIN_QUIET_NS)
         self._stale_ns = max(self._min_discard_ns, anonymous_reply_ns)
         self._discard_end_ns = 0
@@ -212,8 +212,8 @@ class ReplyReceiver:
 
     def _expect_late(self) -> None:
         """Stop waiting for the outstanding replies, and expect them as late ones."""
-        if self._reply_limit_ns and self.outstanding:
-            self._late.expect(self.outstanding, self._sent_ns + self._reply_limit_ns)
-            self._late.limit_ns = self._reply_limit_ns
+        if self.reply_limit_ns and self.outstanding:
+            self._late.expect(self.outstanding, self._sent_ns + self.reply_limit_ns)
+            self._late.limit_ns = self.reply_limit_ns
             self.state.apply(LineEvent.REPLY_OVERDUE)
         self.outstanding.clear()

@@ -96,7 +96,7 @@ class BusScheduler(ReplyReceiver):
         self.queue: deque[Exchange] = deque()
         self.sent: set[Exchange] = set()
         self._singles: dict[Exchange, Batch] = {}
-        self._busy_until_ns = 0
+        self.busy_until_ns = 0
         self._next_reopen_ns = 0
         self.deadline_ns: int | None = None
 
@@ -220,7 +220,7 @@ class BusScheduler(ReplyReceiver):
                     f"{self.outstanding[0].label}: no whole reply in time, only {self._show(self._received)}"
                 )
             self._late.note_silent(self.outstanding)
-            if not self._reply_limit_ns:
+            if not self.reply_limit_ns:
                 self.state.apply(LineEvent.REPLY_MISSED)
             self._expect_late()
             self.line.acknowledge()
@@ -255,7 +255,7 @@ class BusScheduler(ReplyReceiver):
         if ahead_chars and self._unread_chars + chars + ahead_chars > self._ahead_chars:
             return _WAIT
         if deadline_ns is not None:
-            busy_ns = self._busy_until_ns
+            busy_ns = self.busy_until_ns
             if (busy_ns if busy_ns > now_ns else now_ns) + batch.wire_ns > deadline_ns:
                 return _TOO_LATE
         return _SEND
@@ -354,8 +354,8 @@ class BusScheduler(ReplyReceiver):
         size = len(data)
         self._unread_chars += size
         self._sent_ns = now_ns
-        busy_ns = self._busy_until_ns
-        self._busy_until_ns = busy_ns = (busy_ns if busy_ns > now_ns else now_ns) + size * self._character_ns
+        busy_ns = self.busy_until_ns
+        self.busy_until_ns = busy_ns = (busy_ns if busy_ns > now_ns else now_ns) + size * self._character_ns
         if self._silence_ns and not answered:
             self._quiet_until_ns = busy_ns + self._silence_ns
 

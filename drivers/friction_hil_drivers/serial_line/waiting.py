@@ -38,6 +38,8 @@ class PeriodicTimer:
     ----------
     descriptor : int
         Readable when the timer has expired since `clear`.
+    expiry_ns : int
+        One of its expiries, of the monotonic clock, ns; 0: it does not run.
 
     Raises
     ------
@@ -47,7 +49,7 @@ class PeriodicTimer:
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
-        self._expiry_ns = 0  # one of its expiries; 0: it does not run
+        self.expiry_ns = 0
         self._libc = ctypes.CDLL(None, use_errno=True)
         if not hasattr(self._libc, "timerfd_create"):
             raise OSError("no timerfd")
@@ -67,15 +69,15 @@ class PeriodicTimer:
         """
         if moment_ns - now_ns > self._period_ns:  # not in this period
             return False
-        lead_ns = (moment_ns - self._expiry_ns) % self._period_ns
-        if lead_ns <= _MAX_LEAD_NS and self._expiry_ns:
-            return max(now_ns + 1, self._expiry_ns) <= moment_ns - lead_ns  # false in the period in which it was set
-        self._expiry_ns = moment_ns - _LEAD_NS + self._period_ns
-        period, first = divmod(self._period_ns, 1_000_000_000), divmod(self._expiry_ns, 1_000_000_000)
+        lead_ns = (moment_ns - self.expiry_ns) % self._period_ns
+        if lead_ns <= _MAX_LEAD_NS and self.expiry_ns:
+            return max(now_ns + 1, self.expiry_ns) <= moment_ns - lead_ns  # false in the period in which it was set
+        self.expiry_ns = moment_ns - _LEAD_NS + self._period_ns
+        period, first = divmod(self._period_ns, 1_000_000_000), divmod(self.expiry_ns, 1_000_000_000)
         setting = _Setting(_Time(*period), _Time(*first))
         is_absolute = 1
         if self._libc.timerfd_settime(self.descriptor, is_absolute, ctypes.byref(setting), None) != 0:
-            self._expiry_ns = 0
+            self.expiry_ns = 0
         return False
 
     def clear(self) -> None:
@@ -100,10 +102,10 @@ class LineSelector:
     """
 
     def __init__(self, period_ns: int | None = None) -> None:
-        self._timer: PeriodicTimer | None = None
+        self.timer: PeriodicTimer | None = None
         if period_ns is not None:
             with contextlib.suppress(OSError):  # without a timer each wait has a time-out
-                self._timer = PeriodicTimer(period_ns)
+                self.timer = PeriodicTimer(period_ns)
         self._poll = select.poll()
         self._polled: list[int] = []
 
@@ -126,7 +128,7 @@ class LineSelector:
         """
         wait_ns = until_ns - now_ns
         wait_ms = wait_ns // 1_000_000
-        timer = self._timer
+        timer = self.timer
         if wait_ms < _TICK_MS:
             if not (is_periodic and timer is not None and timer.expire_before(until_ns, now_ns)):
                 return select.select(descriptors, (), (), wait_ns * 1e-9 if wait_ns > 0 else 0.0)[0]
@@ -142,20 +144,20 @@ class LineSelector:
         self._poll = select.poll()
         for descriptor in descriptors:
             self._poll.register(descriptor, select.POLLIN)
-        if self._timer is not None:
-            self._poll.register(self._timer.descriptor, select.POLLIN)
+        if self.timer is not None:
+            self._poll.register(self.timer.descriptor, select.POLLIN)
         self._polled = list(descriptors)
 
     def forget(self) -> None:
         """Clear an expiry of the timer until now: it does not end a later wait."""
-        if self._timer is not None:
-            self._timer.clear()
+        if self.timer is not None:
+            self.timer.clear()
 
     def close(self) -> None:
         """Release the timer. Safe to call twice."""
-        if self._timer is not None:
-            self._timer.close()
-            self._timer = None
+        if self.timer is not None:
+            self.timer.close()
+            self.timer = None
             self._polled = []
 
 

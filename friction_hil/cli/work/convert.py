@@ -136,7 +136,7 @@ def _print_info(source: Path, found: dict[str, Recording], options: dict[str, An
         print_json({"path": str(source), "axes": axes})
         return
     for name, facts in axes.items():
-        _print(name, facts)
+        print_axis(name, facts)
         for problem in facts["problems"]:
             say(f"{source}: {name}: {problem}")
         for note in facts["suggestion"]["notes"]:
@@ -232,7 +232,8 @@ def _kinds(recording: Recording) -> "tuple[AxisKind, ...]":
     return ("rotary", "linear") if kind is None else (kind,)
 
 
-def _print(name: str, facts: dict[str, Any]) -> None:
+def print_axis(name: str, facts: dict[str, Any]) -> None:
+    """Print what one axis of a recording has."""
     rate = f" at {facts['rate_hz']:.6g} Hz" if facts["rate_hz"] else ""
     duration = "no time stamps" if facts["duration_s"] is None else f"{facts['duration_s']:.6g} s"
     click.echo(f"{name}: {facts['rows']} rows, {duration}{rate}")

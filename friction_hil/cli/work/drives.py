@@ -27,7 +27,7 @@ def scan_bus(*, config: str | None, bus: str | None, bitrate: int | None, may_di
     if as_json:
         print_json({"drives": [_entry_json(each) for each in found.drives], "notes": found.notes})
     else:
-        _print_scan(found.drives)
+        print_scan(found.drives)
         _print_notes(found.notes)
         _print_next(found.drives, config, bus)
     return 0 if found.drives and not any(each.problem for each in found.drives) else 1
@@ -149,7 +149,8 @@ def _stop_json(stop: Stop) -> dict[str, Any]:
     return {"node": stop.node, "before": before, "after": after, "result": stop.result, "detail": stop.reason}
 
 
-def _print_scan(entries: Sequence[DriveEntry]) -> None:
+def print_scan(entries: Sequence[DriveEntry]) -> None:
+    """Print the drives that were found on a bus."""
     if not entries:
         click.echo("no node answers: is the bus the right one, with the right bit rate, and are the drives on?")
         return

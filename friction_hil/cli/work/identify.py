@@ -227,9 +227,9 @@ def _print_details(
     """Print all candidates, parameters and notes."""
     for note in result.notes:
         say(note)
-    _print_candidates(result)
+    print_candidates(result)
     click.echo()
-    _print_parameters(result.best)
+    print_parameters(result.best)
     click.echo()
     for text in (*(f"! {_capital(each.text)}." for each in findings), *(f"- {flag}" for flag in result.best.flags)):
         say(text, stderr=False)
@@ -255,7 +255,8 @@ def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _print_candidates(result: Identification) -> None:
+def print_candidates(result: Identification) -> None:
+    """Print the models that were tried, the best one first."""
     is_grouped = len({record.group for record in result.records}) > 1
     groups = f"the recordings of each {result.settings.group_by}" if is_grouped else "blocks of time"
     say(
@@ -284,7 +285,8 @@ def _shown(fits: Sequence[Fit]) -> list[Fit]:
     return shown
 
 
-def _print_parameters(best: Fit) -> None:
+def print_parameters(best: Fit) -> None:
+    """Print the parameters of a model with their standard errors."""
     table = new_table("parameter", number("value"), number("standard error"))
     for name, value in best.values.items():
         error = best.inference.standard_errors.get(name, math.nan)

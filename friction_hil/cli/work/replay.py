@@ -64,7 +64,7 @@ def replay(
     if as_json:
         print_json({"recordings": [outcome.facts for outcome in outcomes]})
     else:
-        _print(outcomes)
+        print_outcomes(outcomes)
         _print_summary(outcomes)
     for outcome in outcomes:
         if "error" in outcome.facts:
@@ -120,7 +120,8 @@ def _progress(files: int) -> Iterator[Callable[[], None]]:
         yield advance
 
 
-def _print(outcomes: Sequence[ReplayOutcome]) -> None:
+def print_outcomes(outcomes: Sequence[ReplayOutcome]) -> None:
+    """Print the errors of the models on each recording."""
     labels = _labels([each["model"] for outcome in outcomes for each in outcome.facts["models"]])
     factor, unit = _common_unit(outcomes)
     table = new_table("recording", "axis", "model", number(f"rmse{unit}"), number("relative_error"))

@@ -14,7 +14,7 @@ from friction_hil.service.install import Installation, services
 
 def install(*, name: str, config: Path, root: Path, force: bool, as_json: bool) -> int:
     """Install a service, and say what was written and what comes next."""
-    done = service.install(name, config, root.absolute(), _executable(), overwrite=force)
+    done = service.install(name, config, root.absolute(), executable(), overwrite=force)
     _print(done, as_json=as_json)
     if as_json:
         return 0
@@ -49,7 +49,7 @@ def status(*, name: str | None, as_json: bool) -> int:
     return 0 if all(state.active == "active" for state in states.values()) else 1
 
 
-def _executable() -> str:
+def executable() -> str:
     """Return the absolute path of the command that is running, without resolving the links of an environment."""
     found = shutil.which(sys.argv[0]) or shutil.which("friction-hil") or sys.argv[0]
     return os.path.abspath(found)

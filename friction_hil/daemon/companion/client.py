@@ -57,6 +57,8 @@ class Companion:
     push, push_event, free_slots : callable
         Methods of `friction_hil.daemon.ring.RingWriter`. They never wait, and work on if the companion dies: rows that
         no companion takes in time are lost, and counted.
+    process : Process
+        The supervisor.
     worker_pid : int
         Process that writes the recording.
     is_given_up : bool
@@ -81,7 +83,7 @@ class Companion:
         self.free_slots = self._ring.free_slots
         self.worker_pid = 0
         self.is_given_up = False
-        self._process: Process
+        self.process: Process
         self._launch()
 
     @classmethod
@@ -107,8 +109,8 @@ class Companion:
         try:
             companion._begin()
         except BaseException:  # a signal too: opening a file may take forever
-            companion._process.kill()  # and with it a worker that is still opening its file
-            companion._process.wait()
+            companion.process.kill()  # and with it a worker that is still opening its file
+            companion.process.wait()
             companion._close_descriptors()
             raise
         return companion
@@ -121,7 +123,7 @@ class Companion:
     @property
     def is_alive(self) -> bool:
         """True while the supervisor runs."""
-        return self._process.poll() is None
+        return self.process.poll() is None
 
     def tend(self) -> list[str]:
         """Take the messages of the companion, and start another one where it has died; return new problems.
@@ -151,7 +153,7 @@ class Companion:
         rows, lost = self._ring.rows_kept, self._ring.rows_lost
         pending = self._ring.rows_pushed - rows - lost
         if is_finished:
-            self._process.wait()
+            self.process.wait()
             lost, pending = lost + pending, 0
         else:
             self._problems.append(
@@ -179,29 +181,29 @@ class Companion:
         """
         descriptors = [self._ring.descriptor, self._job_descriptor, self._journal_descriptor]
         command = ["-m", "friction_hil.daemon.companion", *map(str, (*descriptors, self._opened + 1, death))]
-        self._process = self._spawn(command, [each for each in descriptors if each >= 0], None)
+        self.process = self._spawn(command, [each for each in descriptors if each >= 0], None)
         self._lives.begin()
         self.worker_pid = 0
-        assert self._process.stdout is not None
+        assert self.process.stdout is not None
         self._poll = select.poll()
-        self._poll.register(self._process.stdout, select.POLLIN)
+        self._poll.register(self.process.stdout, select.POLLIN)
 
     def _begin(self) -> None:
         answer = self.next_message()
         if answer is None:
-            raise RecordingError(f"the companion process did not start (exit status {self._process.wait()})")
+            raise RecordingError(f"the companion process did not start (exit status {self.process.wait()})")
         if "failed" in answer:
             raise RecordingError(answer["failed"])
 
     def _restart(self) -> bool:
         """Start another companion after the death of supervisor and worker; return False if none is there now."""
-        status = self._process.poll()
+        status = self.process.poll()
         if status is None:  # both have closed their output: the supervisor is about to be dead
             return False
         if status >= 0:
             self.is_given_up = True  # it has said why, or has done its work
             return False
-        death, pipes = signal_text(-status), (self._process.stdin, self._process.stdout)
+        death, pipes = signal_text(-status), (self.process.stdin, self.process.stdout)
         if self._lives.end():
             self.is_given_up = True
             self._problems.append(
@@ -229,7 +231,7 @@ class Companion:
         self._is_woken = is_late
 
     def _wake(self) -> None:
-        self._process.send_signal(signal.SIGCONT)
+        self.process.send_signal(signal.SIGCONT)
         if self.worker_pid:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.kill(self.worker_pid, signal.SIGCONT)
@@ -243,8 +245,8 @@ class Companion:
 
     def _read(self) -> bool:
         """Read what the companion has sent; return False when it has ended."""
-        assert self._process.stdout is not None
-        data = os.read(self._process.stdout.fileno(), 1 << 16)
+        assert self.process.stdout is not None
+        data = os.read(self.process.stdout.fileno(), 1 << 16)
         self._received += data
         return bool(data)
 
@@ -282,14 +284,14 @@ class Companion:
             elif self._ring.rows_done == self._ring.rows_pushed or self.is_given_up:
                 return True
             else:
-                self._process.wait()
+                self.process.wait()
                 if not self._restart():
                     return True
             while self._take_message() is not None:
                 pass
 
     def _close_descriptors(self) -> None:
-        _close(self._process.stdin, self._process.stdout)
+        _close(self.process.stdin, self.process.stdout)
         os.close(self._ring.descriptor)
         os.close(self._job_descriptor)
 

@@ -162,12 +162,18 @@ class SpawnedProcess:
 
 
 class Spawner:
-    """A running spawner; `spawn` never waits. To be started before the loop, and closed after all its processes."""
+    """A running spawner; `spawn` never waits. To be started before the loop, and closed after all its processes.
+
+    Attributes
+    ----------
+    process : Popen
+        The process that starts the others.
+    """
 
     def __init__(self) -> None:
         self._connection, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with other:
-            self._process = subprocess.Popen(
+            self.process = subprocess.Popen(
                 # -P: do not import modules from the current directory, which may be the user's
                 [sys.executable, "-P", "-m", "friction_hil.daemon.spawner", str(other.fileno())],
                 stdin=subprocess.DEVNULL,
@@ -238,7 +244,7 @@ class Spawner:
         """End the spawner; processes that it has started and that still run go on."""
         self._connection.close()
         try:
-            self._process.wait(_END_S)
+            self.process.wait(_END_S)
         except subprocess.TimeoutExpired:  # stopped
-            self._process.kill()
-            self._process.wait()
+            self.process.kill()
+            self.process.wait()

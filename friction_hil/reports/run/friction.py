@@ -79,9 +79,9 @@ def _measured(
         velocity = np.concatenate([each.velocity for each in segments])
         ratio = model.mechanics.torque_ratio
         friction = np.concatenate([each.torque / ratio - mechanics_torque(model, each) for each in segments])
-        return _thinned(velocity, friction), True
+        return thinned(velocity, friction), True
     if "velocity" in recording:
-        return _thinned(recording["velocity"], recording["torque"]), False
+        return thinned(recording["velocity"], recording["torque"]), False
     return None, False
 
 
@@ -97,10 +97,10 @@ def _compensation(recording: Recording, fade_s: float) -> tuple[Array, Array] | 
         rows &= recording["state"] == LoopState.RUNNING
     if not rows.any():
         return None
-    return _thinned(recording["velocity_estimate"][rows], recording["compensation"][rows])
+    return thinned(recording["velocity_estimate"][rows], recording["compensation"][rows])
 
 
-def _thinned(velocity: Array, torque: Array) -> tuple[Array, Array] | None:
+def thinned(velocity: Array, torque: Array) -> tuple[Array, Array] | None:
     """Return a fair sample of the points, and the extremes of the torque at each velocity; None without any point.
 
     The sample is spread by the golden ratio: even steps might meet the same points of each period of the motion.

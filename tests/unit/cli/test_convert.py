@@ -1,6 +1,7 @@
 """``friction-hil convert``, as a user types it."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -166,7 +167,8 @@ def test_a_conversion_that_fails_leaves_what_was_there(
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("friction_hil.recordings.source._publish", fail)
+    for name in ("link", "replace"):  # one of them gives the complete file its name
+        monkeypatch.setattr(os, name, fail)
     assert main(["convert", str(table), str(out), *(["--force"] if force else [])]) == 1
     assert [path.name for path in out.parent.iterdir()] == ([out.name] if force else [])
     assert not force or out.read_bytes() == b"precious"
@@ -182,15 +184,19 @@ def test_rows_that_cannot_be_written_leave_no_file(tmp_path: Path, capsys: pytes
 def test_one_axis_that_cannot_be_written_leaves_no_other(
     two_axes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    publish, calls = source._publish, []
+    link, calls = os.link, []
 
-    def fail_at_the_second(*words: Path, **options: bool) -> None:
+    def full(*_: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    def fail_at_the_second(*words: Path) -> None:
         calls.append(words)
         if len(calls) == 2:
-            raise OSError(28, "No space left on device")
-        publish(*words, **options)
+            full()
+        link(*words)
 
-    monkeypatch.setattr(source, "_publish", fail_at_the_second)
+    monkeypatch.setattr(os, "link", fail_at_the_second)
+    monkeypatch.setattr(os, "replace", full)
     (tmp_path / "out").mkdir()
     assert main(["convert", str(two_axes), str(tmp_path / "out" / "x.csv")]) == 1
     assert list((tmp_path / "out").iterdir()) == []

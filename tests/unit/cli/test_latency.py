@@ -116,7 +116,7 @@ def test_a_configuration_gives_period_spin_and_priority(monkeypatch, capsys, ans
     asked = []
 
     def measure(clock, period_s, cycles):
-        asked.append((clock._spin_ns, period_s, cycles))
+        asked.append((clock.spin_ns, period_s, cycles))
         return latency.Latency(np.ones(1), 0)
 
     monkeypatch.setattr(command, "measure", measure)

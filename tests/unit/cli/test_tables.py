@@ -97,7 +97,7 @@ def test_drives_of_a_bus_are_shown_in_parts_where_the_terminal_is_narrow(width, 
         **{"profile": 402, "nmt": "pre-operational", "state": DriveState.SWITCH_ON_DISABLED, "mode": "csp"},
         **{"modes": ("pp", "pv", "tq", "hm", "csp", "csv", "cst"), "answers": True},
     )
-    drives._print_scan([entry])
+    drives.print_scan([entry])
     shown = capsys.readouterr().out.splitlines()
     assert max(map(len, shown)) <= width
     for text in ("0x66f 0x535000a1 0x1e240", "pre-operational", "switch on disabled", "pp pv tq hm csp csv cst"):
@@ -138,10 +138,10 @@ def test_other_tables_fit(width, capsys, monkeypatch):
     }
     facts = {"rows": 1, "duration_s": 1.0, "rate_hz": 1.0, "jitter_s": 0.0, "gaps": 0, "longest_gap_s": 0.0}
     printed = (
-        lambda: identify._print_candidates(found),
-        lambda: identify._print_parameters(fit),
-        lambda: replay._print([outcome]),
-        lambda: convert._print("x", {**facts, "columns": columns, "metadata": [], "events": []}),
+        lambda: identify.print_candidates(found),
+        lambda: identify.print_parameters(fit),
+        lambda: replay.print_outcomes([outcome]),
+        lambda: convert.print_axis("x", {**facts, "columns": columns, "metadata": [], "events": []}),
     )
     for show in printed:
         show()

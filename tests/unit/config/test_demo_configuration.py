@@ -52,7 +52,7 @@ def test_nothing_else_differs_between_the_laps():
 
 
 def test_only_bus_and_learning_differ_from_the_file_in_the_demo(tmp_path):
-    copy = load(demonstration._private_configuration(tmp_path))
+    copy = load(demonstration.private_configuration(tmp_path))
     for name, axis in copy.axes.items():
         given = AXES[name].compensation
         assert (given.learning, axis.compensation.learning) == ("off", "on")

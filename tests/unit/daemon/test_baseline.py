@@ -126,7 +126,7 @@ def test_friction_over_velocity_is_thinned_evenly_and_keeps_its_extremes():
     turn = np.arange(200_000) * 2.0 * np.pi / 200.0  # even steps of 100 rows would meet two points again and again
     velocity, torque = np.sin(turn), np.sign(np.sin(turn))
     torque[123_456], torque[77] = 9.0, -9.0
-    shown, friction_torque = friction._thinned(velocity, torque)
+    shown, friction_torque = friction.thinned(velocity, torque)
     assert 5000 < len(shown) < 7000
     assert friction_torque.max() == 9.0
     assert friction_torque.min() == -9.0

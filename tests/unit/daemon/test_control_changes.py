@@ -2,6 +2,7 @@
 
 import copy
 import json
+import mmap
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -415,8 +416,8 @@ def test_garbage_in_the_mailbox_is_reported_once_and_changes_nothing():
     class Scribbled(Changed):
         def before(self, drives):
             if 100 <= drives.cycle < 900 and drives.cycle % 3 == 0:
-                generator = np.random.default_rng(drives.cycle)
-                self.writer._memory[8:600] = generator.bytes(592)
+                with mmap.mmap(self.mailbox.descriptor, 0) as memory:
+                    memory[8:600] = np.random.default_rng(drives.cycle).bytes(592)
             super().before(drives)
 
     quiet = Changed(configuration(x=quick()), {}, until=1000)

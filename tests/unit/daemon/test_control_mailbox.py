@@ -1,7 +1,9 @@
 """The mailbox of the loop: whole messages arrive, and nothing else is ever taken for one."""
 
 import math
+import mmap
 import os
+import sys
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from friction_hil.daemon.control.packed import MOST_GAIN, room, unpack
 from friction_hil.drive import AxisFacts
 from tests.servo_drives import axis_dict, configuration
 
+SEQUENCE = 8  # byte at which the number of the message begins; it is odd while one is written
 FACTS = AxisFacts("x", "servo", 1e-4, 6.4e-4, 2.5e-3, 1.5e-3)
 
 
@@ -56,7 +59,8 @@ def test_a_message_that_is_being_written_is_left_until_it_is_whole(ends):
     reader, writer = ends
     writer.post(b"first")
     reader.take(0)
-    writer._words[1] |= 1  # as while it is written, or after the death of who wrote it
+    memory = mmap.mmap(reader.descriptor, 0)
+    memory[SEQUENCE] |= 1  # as while it is written, or after the death of who wrote it
     assert reader.has_news
     assert reader.take(1) is None
     assert reader.garbage == ""
@@ -71,8 +75,9 @@ def test_no_garbage_is_taken_for_a_message_and_the_next_message_arrives(garbage,
     writer = MailboxWriter(reader.descriptor)
     writer.post(b"first")
     reader.take(0)
-    writer._memory[at : at + len(garbage)] = garbage
-    writer._words[1] = sequence
+    memory = mmap.mmap(reader.descriptor, 0)
+    memory[at : at + len(garbage)] = garbage
+    memory[SEQUENCE : SEQUENCE + 8] = sequence.to_bytes(8, sys.byteorder, signed=True)
     assert reader.take(1) in (None, b"first")
     reader.take(50)  # it rests
     writer.post(b"second")

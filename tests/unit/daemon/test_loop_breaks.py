@@ -111,7 +111,7 @@ def test_the_reserve_is_released_before_the_drives_are_stopped():
     original, there = drives.send, []
 
     def starving(commands):
-        there.append(loop._reserve.is_there)
+        there.append(loop.reserve.is_there)
         if len(there) == 300:
             raise MemoryError
         original(commands)
@@ -244,13 +244,13 @@ def test_a_warning_of_the_cycle_in_which_the_computation_fails_is_not_lost():
                 raise ZeroDivisionError("by hand")
 
         axes[0].shadows["bad"] = Fails()
-        notices = axes[0]._notices
+        notices = axes[0].notices
 
         class Notices:
             def next(self, *arguments):
                 return notices.next(*arguments) or "look out"
 
-        axes[0]._notices = Notices()
+        axes[0].notices = Notices()
 
     run = Run(on_axes=sabotage)
     assert run.result.faults == ["x: the computation failed: ZeroDivisionError: by hand [FH-111]"]

@@ -45,8 +45,7 @@ def test_the_loop_keeps_nothing_of_a_cycle():
             tracemalloc.start()
 
     config = configuration(x=axis())
-    loop, *_ = make_loop(config, Drives(config, before), duration_s=WARM_S + COUNTED_S + 0.2)
-    loop._sink = loop._log._sink = Discard()
+    loop, *_ = make_loop(config, Drives(config, before), sink=Discard(), duration_s=WARM_S + COUNTED_S + 0.2)
     try:
         result = loop.run()
     finally:
@@ -67,10 +66,10 @@ def test_the_process_that_records_keeps_no_more_than_an_entry_of_a_chunk(tmp_pat
         black_box=str(tmp_path / "run.mcap"),
     )
     ring = RingWriter(job.row_width, ROWS_PER_S)
-    outputs = _Outputs(job, RingReader(ring.descriptor), allocate(job), Changes(-1))
+    reader = RingReader(ring.descriptor)
+    outputs = _Outputs(job, reader, allocate(job), Changes(-1))
     assert outputs.recorder is not None
     outputs.recorder.open(1)
-    reader = outputs._ring
     row = np.random.default_rng(1).normal(size=(2, len(NAMES) + 6))
     taken = []
     for cycle in range((WARM_S + COUNTED_S) * ROWS_PER_S + 1):

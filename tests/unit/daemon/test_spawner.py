@@ -69,8 +69,8 @@ def test_without_the_spawner_processes_go_on_and_no_other_is_started(spawner: Sp
     assert process.stdout is not None
     assert process.stdout.read(4) == b"here"
     assert process.pid
-    spawner._process.kill()
-    spawner._process.wait()
+    spawner.process.kill()
+    spawner.process.wait()
     assert process.poll() is None
     with pytest.raises(OSError, match="the process that starts others has died"):
         spawner.spawn(["-c", WAIT], [], None)
@@ -84,7 +84,7 @@ def test_a_control_process_that_is_gone_ends_the_spawner(spawner: Spawner) -> No
     assert process.stdout is not None
     assert process.stdout.read(4) == b"here"
     spawner._connection.shutdown(2)
-    assert spawner._process.wait(20.0) == 0
+    assert spawner.process.wait(20.0) == 0
     assert process.stdin is not None
     process.stdin.close()
     assert process.stdout.read() == b""

@@ -360,7 +360,7 @@ def test_what_the_servo_does_not_take_is_told() -> None:
 def test_a_silent_servo_costs_its_neighbours_no_more_than_a_few_cycles(silent: str) -> None:
     """Behind it in a Sync Read nobody answers: it must come last, and be left out for most of the time."""
     bench, time = Bench(1, 2, 3), Time()
-    del bench.responder._servos[int(silent)]
+    del bench.responder.by_address[int(silent)]
 
     def answer(data: bytes) -> bytes:
         received, replies = bytearray(data), []

@@ -54,14 +54,14 @@ def test_missed_periods_do_not_end_the_record(one):
     assert taken(one, 0) == ("watching", "")
     assert taken(one, 1, missing=[100, 101]) == ("watching", "")
     assert taken(one, 2, missing=[TICK - 1]) == ("watching", "")
-    assert len(one.learner._record.ticks) == 3
+    assert len(one.learner.record.ticks) == 3
 
 
 def test_a_record_with_too_many_gaps_begins_anew(one):
     taken(one, 0)
     assert taken(one, 1, missing=range(50, 90)) == ("waiting", "too many rows are missing")
     assert taken(one, 2)[0] == "watching"
-    assert len(one.learner._record.ticks) == 1
+    assert len(one.learner.record.ticks) == 1
 
 
 def test_an_axis_at_rest_is_not_in_compensated_motion_whatever_is_missing(one):
@@ -74,4 +74,4 @@ def test_a_process_that_is_too_busy_says_so_and_goes_on_with_its_record(one):
     taken(one, 0)
     assert taken(one, 1, is_busy=True) == ("waiting", "this process has used its share of the processor")
     assert taken(one, 2) == ("watching", "")
-    assert len(one.learner._record.ticks) == 3
+    assert len(one.learner.record.ticks) == 3

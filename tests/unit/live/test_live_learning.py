@@ -165,7 +165,7 @@ def test_a_process_that_is_not_started_any_more_is_not_shown_as_learning():
         return subprocess.Popen(wrong, stdin=subprocess.PIPE)
 
     service = LearningService(spawn, board, "mill.sock", 1e-3, is_simulated=False)
-    service._process.wait()
+    service.process.wait()
     assert "nothing is learned any more" in service.tend()[0]
     assert service.tend() == []
     found = board.report()["axes"]["x"]

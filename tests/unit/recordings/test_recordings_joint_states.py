@@ -117,7 +117,7 @@ def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes_or_refused(tmp_path: P
 def test_bytes_that_are_no_message_are_counted(data: bytes, is_ros2: bool) -> None:
     table = JointTable(Path(__file__), Memory(Path(__file__)))
     table.add("x", (b"\0\1\0\0" if is_ros2 else b"") + data, is_ros2=is_ros2)
-    for read in table.selected(lambda names: names) if table._rows else []:
+    for read in table.selected(lambda names: names) if table.rows else []:
         assert len(read) == 1
 
 

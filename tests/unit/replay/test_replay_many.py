@@ -1,6 +1,7 @@
 """Many files through many models: as one at a time, whatever happens to some of them."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +151,7 @@ def test_the_pool_gives_what_one_process_gives(
 def test_a_worker_that_dies_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Mortal(farm.ReplayTask):
         def __reduce__(self) -> Any:  # what a worker runs when it unpickles its task
-            return __import__("os")._exit, (1,)
+            return os._exit, (1,)
 
     monkeypatch.setattr(farm, "_MANY", 2)
     monkeypatch.setattr(farm.os, "sched_getaffinity", lambda _: {0, 1})

@@ -47,7 +47,7 @@ def test_a_rehearsal_takes_what_has_come_and_changes_nothing_else(kind, tmp_path
         folder.mkdir()
         told = []
         with Bench(kind, folder).begin() as bench:
-            (bus,) = bench.drives._buses
+            (bus,) = bench.drives.buses
             for k in range(80):
                 until = time.monotonic() + 10.0
                 while is_rehearsed and bus.scheduler.outstanding and time.monotonic() < until:
@@ -67,8 +67,8 @@ def test_in_simulated_time_the_wire_is_never_busy(tmp_path, monkeypatch):
     """What all characters would take on the wire sums up faster than cycles do that wait for nothing."""
     with Bench("odrive", tmp_path).begin().enable() as bench:
         monkeypatch.setattr(drives, "_SIMULATED_TIMEOUT_NS", 2_000_000_000)
-        (bus,) = bench.drives._buses
-        bus.scheduler._busy_until_ns = time.monotonic_ns() + 60_000_000_000
+        (bus,) = bench.drives.buses
+        bus.scheduler.busy_until_ns = time.monotonic_ns() + 60_000_000_000
         for _ in range(5):
             bench.cycle(Request.ENABLE)
             assert bench.feedback.is_fresh, bench.feedback
@@ -77,7 +77,7 @@ def test_in_simulated_time_the_wire_is_never_busy(tmp_path, monkeypatch):
 @pytest.mark.parametrize("kind", ["rtu", "odrive"])
 def test_what_nobody_asked_for_is_dropped_before_the_drive_is_asked(tmp_path, kind):
     with Bench(kind, tmp_path).begin().enable() as bench:
-        (bus,), (simulated,) = bench.drives._buses, bench.simulated._lines
+        (bus,), (simulated,) = bench.drives.buses, bench.simulated.lines
         scheduler = bus.scheduler
         wait_for(lambda: scheduler.poll() or scheduler.is_finished)
         simulated.port.write(b"noise\r\n")
@@ -101,8 +101,8 @@ def test_after_closing_in_motion_no_drive_keeps_its_power(kind, tmp_path):
 
 def test_a_cycle_that_was_broken_off_does_not_keep_the_power_from_being_taken_away(kind, tmp_path, monkeypatch):
     with Bench(kind, tmp_path).begin().enable() as bench:
-        (bus,) = bench.drives._buses
-        (there,) = bench.simulated._lines[0]._drives
+        (bus,) = bench.drives.buses
+        (there,) = bench.simulated.lines[0].drives
         bench.clock.is_real = True
 
         def interrupted(*_, **__):
@@ -129,7 +129,7 @@ def test_the_states_after_the_stop_are_read_back(kind, tmp_path):
 def test_a_drive_that_is_powered_already_is_refused(kind, tmp_path):
     """A daemon that was killed leaves it so, until the drive's watchdog ends it."""
     with Bench(kind, tmp_path).begin().enable() as bench:
-        for bus in bench.drives._buses:
+        for bus in bench.drives.buses:
             bus.scheduler.line.close()
         bench.drives = bench.daemon()
         with pytest.raises(DriveError, match="operation enabled already"):
@@ -139,13 +139,13 @@ def test_a_drive_that_is_powered_already_is_refused(kind, tmp_path):
 def test_what_is_still_said_to_a_former_master_is_dropped_before_anything_is_asked(tmp_path, monkeypatch):
     """Servos do not number their replies: a late one to somebody else would be taken for the state."""
     with Bench("dynamixel", tmp_path).begin().enable() as bench:
-        (bus,) = bench.drives._buses
+        (bus,) = bench.drives.buses
         bus.scheduler.line.close()
         said, drained = [], []
         discard_input = SerialBus.discard_input
 
         def late(bus, time_s):
-            (simulated,) = bench.simulated._lines
+            (simulated,) = bench.simulated.lines
             simulated.port.write(b"of somebody else")
             discard_input(bus, time_s)
             drained.append(time_s)
@@ -195,8 +195,8 @@ def test_a_line_that_goes_away_is_told_and_bridged_until_then(kind, tmp_path):
 def test_a_line_that_is_back_when_the_driver_closes_takes_the_power_away(tmp_path, kind):
     """It was gone in the last cycle, so that no cycle has opened it again; a connection takes a moment."""
     with Bench(kind, tmp_path).begin().enable() as bench:
-        (bus,) = bench.drives._buses
-        (there,) = bench.simulated._lines[0]._drives
+        (bus,) = bench.drives.buses
+        (there,) = bench.simulated.lines[0].drives
         bench.clock.is_real = True
         os.close(bus.scheduler.line.descriptor)
         bench.cycle(Request.ENABLE)
@@ -235,8 +235,8 @@ def test_by_default_a_single_lost_reply_is_bridged(tmp_path, period_s, max_misse
         bench.config = bench.config.model_copy(update={"period_s": period_s, "realtime": realtime})
         bench.drives = bench.daemon()
         bench.drives.connect()
-        (bus,) = bench.drives._buses
-        assert bus.scheduler._reply_limit_ns * 1e-9 <= 0.5 * max_missed * period_s
+        (bus,) = bench.drives.buses
+        assert bus.scheduler.reply_limit_ns * 1e-9 <= 0.5 * max_missed * period_s
 
 
 def refused(tmp_path, kind="rtu", **changes):
@@ -288,9 +288,8 @@ class Chain(Bench):
 
     def silence(self, number):
         """Cut the wire of one drive; from now on time is real, so that nobody waits for its reply for ever."""
-        (line,) = self.simulated._lines
-        units = line._responder._units if hasattr(line._responder, "_units") else line._responder._servos
-        del units[number]
+        (line,) = self.simulated.lines
+        del line.responder.by_address[number]
         self.clock.is_real = True
 
 
@@ -298,7 +297,7 @@ def test_a_silent_drive_on_the_line_leaves_no_other_one_under_power(tmp_path):
     """Unit 3 falls silent, which is asked first; unit 4 must be disabled when the driver closes all the same."""
     with Chain("rtu", tmp_path, [("unit", 3), ("unit", 4)]).begin().enable() as bench:
         bench.cycle(Request.ENABLE, 0.3, count=5)
-        there = bench.simulated._lines[0]._drives[1]
+        there = bench.simulated.lines[0].drives[1]
         assert there.state.is_powered
         bench.silence(3)
         silent, answering = bench.drives.close()
@@ -322,7 +321,7 @@ def test_a_silent_servo_leaves_its_neighbours_their_feedback_and_takes_no_power_
         bench.cycle(Request.ENABLE, count=3)
         bench.silence(silent)
         there = [n for n in range(3) if n + 1 != silent]
-        neighbours = [bench.simulated._lines[0]._drives[n] for n in there]
+        neighbours = [bench.simulated.lines[0].drives[n] for n in there]
 
         def are_heard_and_disabled():
             bench.cycle(Request.QUICK_STOP)
@@ -418,7 +417,7 @@ def test_a_command_that_a_drive_refuses_now_and_then_is_a_notice(tmp_path, monke
 
 def test_a_tripped_bus_watchdog_says_that_it_is_one(tmp_path):
     with Bench("dynamixel", tmp_path).begin().enable() as bench:
-        bench.simulated._lines[0]._drives[0].fail()
+        bench.simulated.lines[0].drives[0].fail()
         for _ in range(30):
             bench.cycle(Request.ENABLE)
         assert bench.feedback.state is DriveState.FAULT

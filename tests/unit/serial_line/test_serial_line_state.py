@@ -32,7 +32,7 @@ def test_the_documented_transitions_are_those_of_the_code(names_drives, column):
         for row in table("| state | event | next state |")
         if row[column] != row[0]
     }
-    assert documented == LineState(names_drives=names_drives)._transitions
+    assert documented == LineState(names_drives=names_drives).transitions
 
 
 @pytest.mark.parametrize(("names_drives", "index"), [(True, 0), (False, -1)])
@@ -40,7 +40,7 @@ def test_the_documented_permissions_are_those_of_the_code(names_drives, index):
     documented = {}
     for state, *cells in table("| state | requests with a reply |"):
         documented[Reception[state]] = Permission(*(cell.split(" / ")[index] == "yes" for cell in cells))
-    assert documented == LineState(names_drives=names_drives)._permissions
+    assert documented == LineState(names_drives=names_drives).permissions
 
 
 def test_every_state_and_event_is_documented():

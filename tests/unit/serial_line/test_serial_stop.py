@@ -16,13 +16,13 @@ from tests.serial_rig import KINDS, Bench
 
 
 def drive_of(bench: Bench) -> SimulatedDrive:
-    (line,) = bench.simulated._lines
-    (drive,) = line._drives
+    (line,) = bench.simulated.lines
+    (drive,) = line.drives
     return drive
 
 
 def served(bench: Bench, method: str) -> Stop:
-    (found,) = getattr(bench._driver, method)(bench.config, bench.config.axes).stops
+    (found,) = getattr(bench.driver, method)(bench.config, bench.config.axes).stops
     return found
 
 
@@ -61,7 +61,7 @@ def test_a_drive_that_does_not_give_up_its_power_is_not_called_stopped(
         raise RefusedError("not this one")
 
     with Bench(kind, tmp_path) as bench:
-        drive_of(bench)._enter(DriveState.OPERATION_ENABLED)
+        drive_of(bench).enter(DriveState.OPERATION_ENABLED)
         monkeypatch.setattr(SimulatedDrive, "write", refuse)
         found = served(bench, "stop_axes")
         assert (found.result, found.after, found.is_proved) == ("powered", DriveState.OPERATION_ENABLED, False)
@@ -88,7 +88,7 @@ def pushed(bench: Bench) -> Bench:
 def test_a_stop_clears_the_torque_that_a_killed_run_left(kind: str, tmp_path: Path) -> None:
     with Bench(kind, tmp_path) as bench:
         pushed(bench)
-        (bus,) = bench.drives._buses
+        (bus,) = bench.drives.buses
         bus.scheduler.line.close()  # as the kernel does
         found = served(bench, "stop_axes")
         assert (found.result, found.is_proved, found.reason) == ("stopped", True, "")

@@ -37,16 +37,16 @@ def test_it_runs_from_the_second_period_on_wherever_the_moment_lies(phases, jitt
         for k, jitter in enumerate(jitters):
             moment_ns = now_ns + phase + k * PERIOD_NS + jitter
             before_ns = moment_ns - since_ns
-            expiry_ns = ticker._expiry_ns
+            expiry_ns = ticker.expiry_ns
             told = ticker.expire_before(moment_ns, before_ns)
-            if k > 0 and ticker._expiry_ns != expiry_ns:  # the jitter took the moment out of the timer's reach
+            if k > 0 and ticker.expiry_ns != expiry_ns:  # the jitter took the moment out of the timer's reach
                 assert (moment_ns - expiry_ns) % PERIOD_NS > MOST_LEAD_NS
                 assert not told
                 continue
             if k == 0:
                 assert ticker.expire_before(moment_ns, before_ns) == told, "if it was set now, it does not run yet"
                 continue
-            assert told == (since_ns > (moment_ns - ticker._expiry_ns) % PERIOD_NS)
+            assert told == (since_ns > (moment_ns - ticker.expiry_ns) % PERIOD_NS)
             assert not (told and since_ns == 0)
             assert told or since_ns <= MOST_LEAD_NS
         now_ns += 1000 * PERIOD_NS + 12345
@@ -56,9 +56,9 @@ def test_it_runs_from_the_second_period_on_wherever_the_moment_lies(phases, jitt
 def test_a_moment_that_is_not_of_this_period_leaves_it_alone(ticker):
     now = time.monotonic_ns()
     assert not ticker.expire_before(now + 15 * MS, now)
-    expiry = ticker._expiry_ns
+    expiry = ticker.expiry_ns
     assert not ticker.expire_before(now + 100 * MS + 7, now)
-    assert ticker._expiry_ns == expiry
+    assert ticker.expiry_ns == expiry
 
 
 def test_it_expires_in_each_period_and_not_before_its_time(ticker):
@@ -96,7 +96,7 @@ class Talk:
 
     @property
     def ticker(self):
-        return self.selector._timer
+        return self.selector.timer
 
     def wait(self):
         """Ask, and wait until the first limit of a period to come."""

@@ -1,5 +1,6 @@
 """A watchdog is claimed of what was read back, and what a drive says against its set-up is not passed over."""
 
+import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,19 +9,19 @@ import pytest
 import yaml
 from friction_hil_drivers.ascii import DESCRIPTIONS
 from friction_hil_drivers.ascii.description import AsciiDescription
-from friction_hil_drivers.modbus.simulated import _RegisterSpace
 from friction_hil_drivers.serial_line.description import Description
 from friction_hil_drivers.serial_line.protocol import Exchange
 from friction_hil_drivers.serial_line.read_back import contradiction
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
-from friction_hil_drivers.serial_line.simulated.drive import RequestError
 
 from friction_hil.drive import DriveState, Request
 from friction_hil.errors import DriveError
 from tests.serial_bench import OWN, TinyDescription
 from tests.serial_rig import Bench
 
+READ, ILLEGAL_ADDRESS = 3, 2  # function and exception of Modbus
+WATCHDOG = 0x0107  # its register in generic_cia402
 WATCHED = ("rtu, function 23", "tcp", "dynamixel", "odrive")
 
 
@@ -103,15 +104,16 @@ def test_a_watchdog_that_cannot_be_read_is_not_claimed(tmp_path: Path) -> None:
 def test_a_register_that_the_drive_lets_nobody_read_is_not_claimed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = _RegisterSpace._words
-
-    def secretive(space: _RegisterSpace, found: Any) -> list[int]:
-        if any(entry is not None and entry[0].name == "watchdog" for entry in found):
-            raise RequestError(2)
-        return words(space, found)
-
-    monkeypatch.setattr(_RegisterSpace, "_words", secretive)
     with Bench("tcp", tmp_path) as bench:
+        space = bench.simulated.lines[0].responder.by_address[3]
+        answer = space.answer
+
+        def secretive(pdu: bytes) -> bytes:
+            first, count = struct.unpack_from(">HH", pdu, 1)
+            is_asked = pdu[0] == READ and first <= WATCHDOG < first + count
+            return bytes((READ | 0x80, ILLEGAL_ADDRESS)) if is_asked else answer(pdu)
+
+        monkeypatch.setattr(space, "answer", secretive)
         bench.begin()
         assert any("watchdog is written, not read back" in note for note in bench.facts.notes)
         bench.enable()

@@ -134,8 +134,8 @@ def test_a_clock_that_is_given_is_the_clock(tmp_path: Path) -> None:
         return now
 
     try:
-        serve(drives._lines, lambda: now >= 50_000_000, period_ns=1_000_000, spin_ns=10**9, now_ns=clock)
-        assert drives._lines[0]._drives[0].time_s == pytest.approx(0.05)
+        serve(drives.lines, lambda: now >= 50_000_000, period_ns=1_000_000, spin_ns=10**9, now_ns=clock)
+        assert drives.lines[0].drives[0].time_s == pytest.approx(0.05)
     finally:
         drives.close()
 

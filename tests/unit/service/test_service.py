@@ -242,7 +242,7 @@ def test_the_state_is_read_from_systemctl():
 
 
 def test_the_command_says_what_it_wrote_and_what_comes_next(configuration, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("friction_hil.cli.work.service._executable", lambda: EXECUTABLE)
+    monkeypatch.setattr("friction_hil.cli.work.service.executable", lambda: EXECUTABLE)
     root = str(tmp_path / "root")
     assert main(["service", "install", "table", str(configuration), "--root", root]) == 0
     said = capsys.readouterr().out.splitlines()

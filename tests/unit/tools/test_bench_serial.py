@@ -22,7 +22,7 @@ class SlowDrives:
 
 def test_cycles_without_time_for_a_rehearsal_are_measured_all_the_same(capsys):
     drives = SlowDrives()
-    fresh, used_s, warming_s = serial._paced(drives, 1e-9)  # each deadline has passed when it is looked at
+    fresh, used_s, warming_s = serial.paced(drives, 1e-9)  # each deadline has passed when it is looked at
     assert not drives.is_warmed
     assert (fresh, math.isnan(warming_s)) == (0.0, True)
     assert 0.0 <= used_s < 1.0

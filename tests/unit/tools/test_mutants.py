@@ -120,7 +120,7 @@ def test_the_choice_is_that_of_the_seed_and_has_a_most() -> None:
     import random
 
     changes = {path: changes_of(Path(path).read_text()) for path in MODULES}
-    one, same, other = (tool._choice(changes, random.Random(seed)) for seed in ("a", "a", "b"))
+    one, same, other = (tool.choice(changes, random.Random(seed)) for seed in ("a", "a", "b"))
     assert one == same
     assert one != other
     assert sum(len(numbers) for _, numbers in one) == 400

@@ -91,7 +91,7 @@ def test_what_is_unknown_is_the_error_of_the_torque_and_falls_from_part_to_part(
     assert second.deviation < first.deviation
     assert second.is_negligible
     assert second.motion == "own"
-    off = own_torque(observer._model) - own_torque(LUGRE)
+    off = own_torque(observer.model) - own_torque(LUGRE)
     assert float(np.sqrt(np.mean(off**2))) / LUGRE.level < max(3.0 * second.deviation, 0.01)
 
 
@@ -148,7 +148,7 @@ def test_an_error_of_the_program_costs_the_estimate_and_is_named(monkeypatch) ->
         raise ValueError("math domain error")
 
     monkeypatch.setattr("friction_hil.tuning.sequential.estimate", broken)
-    monkeypatch.setattr("friction_hil.tuning.sequential._plain_fit", broken)
+    monkeypatch.setattr("friction_hil.tuning.sequential.plain_fit", broken)
 
     with pytest.raises(
         FrictionHilError, match=r"the estimate fails: an internal error \(ValueError: math domain error"

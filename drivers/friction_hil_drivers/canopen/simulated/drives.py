@@ -58,7 +58,7 @@ class SimulatedCanopenDrives(SimulatedDriver):
         self._given_bus = bus
         self._bus: FrameBus | None = None
         self._presence: Presence | None = None
-        self._nodes: list[SimulatedNode] = []
+        self.nodes: list[SimulatedNode] = []
         self._start_ns = 0
 
     @staticmethod
@@ -127,11 +127,11 @@ class SimulatedCanopenDrives(SimulatedDriver):
             name: make_node(self._configuration, axis, servos[name], self._send, is_real=self._is_real)
             for name, axis in self._axes.items()
         }
-        self._nodes = list(nodes.values())
+        self.nodes = list(nodes.values())
         if self._presence is not None:
             self._presence.require_silence(self._bus)
         self._bus.on_remote = self._take_remote
-        for node in self._nodes:
+        for node in self.nodes:
             node.boot()
         listed = ", ".join(f"{name}=node {node.number}" for name, node in nodes.items())
         notes = [f"\nnote: {name}: {note}" for name, node in nodes.items() for note in node.notes]
@@ -171,7 +171,7 @@ class SimulatedCanopenDrives(SimulatedDriver):
             if frame is None:
                 self._advance(now_ns, is_sync_near=left_ns < _AHEAD_NS)
             else:
-                if any(frame[0] == node.sync_id for node in self._nodes):
+                if any(frame[0] == node.sync_id for node in self.nodes):
                     next_sync_ns = now_ns + period_ns
                 self._take(*frame, now_ns)
             self._poll(now_ns)
@@ -179,31 +179,31 @@ class SimulatedCanopenDrives(SimulatedDriver):
 
     def _wait_s(self) -> float:
         """Return how long to wait for a frame where time passes at SYNC only, s."""
-        late = [due_s for node in self._nodes if (due_s := node.answers_in_s) is not None]
+        late = [due_s for node in self.nodes if (due_s := node.answers_in_s) is not None]
         return min(_SYNC_TIMEOUT_S, *late) if late else _SYNC_TIMEOUT_S
 
     def _answer(self) -> None:
         """Send the late SDO answers that are due."""
-        for node in self._nodes:
+        for node in self.nodes:
             node.answer()
 
     def _advance(self, now_ns: int, *, is_sync_near: bool) -> None:
         """Let time pass, shortly before a SYNC up to the state that it will sample."""
-        for node in self._nodes:
+        for node in self.nodes:
             node.advance_to(now_ns)
             if is_sync_near:
                 node.prepare()
 
     def _poll(self, now_ns: int) -> None:
         """Let the nodes whose timers are due act."""
-        for node in self._nodes:
+        for node in self.nodes:
             if node.needs_poll(now_ns):
                 node.advance_to(now_ns)
                 node.poll()
 
     def _take(self, can_id: int, data: bytes, now_ns: int) -> None:
         """Give a frame to the nodes that it concerns; all answer before any of them does its other work."""
-        receivers = [node for node in self._nodes if node.listens_to(can_id)]
+        receivers = [node for node in self.nodes if node.listens_to(can_id)]
         for node in receivers:
             node.advance_to(now_ns)
             node.receive(can_id, data)
@@ -213,7 +213,7 @@ class SimulatedCanopenDrives(SimulatedDriver):
 
     def _take_remote(self, can_id: int, _: int) -> None:
         """Give a remote frame to the nodes."""
-        for node in self._nodes:
+        for node in self.nodes:
             if self._is_real:
                 node.advance_to(time.monotonic_ns() - self._start_ns)
             node.receive_remote(can_id)

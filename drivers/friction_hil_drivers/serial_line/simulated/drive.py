@@ -144,7 +144,7 @@ class SimulatedDrive:
             if self._is_watched and self._steps >= self._silent_at:
                 self.fail()
             elif self.state is _STOPPING and self._states.after_stop is not _STOPPING and self._has_stopped:
-                self._enter(self._states.after_stop)
+                self.enter(self._states.after_stop)
         if not math.isfinite(self.servo.true_position):
             raise DriveError("the simulated servo diverged: look at mechanics, friction and loops under simulation")
 
@@ -194,7 +194,7 @@ class SimulatedDrive:
             self._set_watchdog()
         wanted = self._states.wanted(name, self._values, self.state)
         if wanted is not self.state:
-            self._enter(wanted)
+            self.enter(wanted)
 
     def fed(self) -> None:
         """Reset the watchdog: a command came, or another request that resets it."""
@@ -203,14 +203,14 @@ class SimulatedDrive:
     def fail(self) -> None:
         """Enter the fault state: no power until the fault is reset."""
         self._states.fail()
-        self._enter(self._states.fault)
+        self.enter(self._states.fault)
 
     # Supply
 
     def switch_off(self) -> None:
         """Switch the supply off: the drive loses power and settings; the mechanics keeps moving."""
         self.is_on = False
-        self._enter(_OFF)
+        self.enter(_OFF)
 
     def switch_on(self, kept: Collection[str] = ()) -> None:
         """Switch the supply on, and enter the state after power-on; the signals ``kept`` have their last numbers."""
@@ -221,7 +221,7 @@ class SimulatedDrive:
         self._watchdog_steps = 0  # integration steps without a command that trip the watchdog; 0: it is off
         self._silent_at = 0  # integration step at which it trips
         self._states.forget()
-        self._enter(self._states.disabled)
+        self.enter(self._states.disabled)
 
     # Consequences
 
@@ -243,7 +243,8 @@ class SimulatedDrive:
         self._watchdog_steps = max(1, round(time_s * self._per_second)) if is_armed else 0
         self.fed()
 
-    def _enter(self, state: DriveState) -> None:
+    def enter(self, state: DriveState) -> None:
+        """Enter a state, whatever led there."""
         self.state = state
         self._targets = {}
         self._pending = set()

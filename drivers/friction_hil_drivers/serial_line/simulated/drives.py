@@ -54,7 +54,7 @@ class SimulatedSerialDrives(SimulatedDriver):
         self._configuration = configuration
         self._axes = dict(axes)
         self._is_real = pace == "real"
-        self._lines: list[SimulatedLine] = []
+        self.lines: list[SimulatedLine] = []
 
     @staticmethod
     def make_private(configuration: "Configuration", folder: Path) -> "tuple[Configuration, str]":
@@ -96,19 +96,19 @@ class SimulatedSerialDrives(SimulatedDriver):
         DriveError
             A simulated servo diverged.
         """
-        if not self._lines:
+        if not self.lines:
             raise BusError("no port is open: call open() first")
         if not self._is_real:
-            serve_in_steps(self._lines, is_stopping)
+            serve_in_steps(self.lines, is_stopping)
             return
         spin_ns = self._configuration.realtime.spin_us * 1000
-        serve(self._lines, is_stopping, period_ns=round(self._configuration.period_s * 1e9), spin_ns=spin_ns)
+        serve(self.lines, is_stopping, period_ns=round(self._configuration.period_s * 1e9), spin_ns=spin_ns)
 
     def close(self) -> None:
         """Close the ports. Safe to call twice."""
-        for line in self._lines:
+        for line in self.lines:
             line.port.close()
-        self._lines.clear()
+        self.lines.clear()
 
     def _open(self, names: list[str]) -> str:
         """Open the line of some axes."""
@@ -126,7 +126,7 @@ class SimulatedSerialDrives(SimulatedDriver):
                 )
         line = self._line(names[0])
         port = open_port(line)
-        self._lines.append(
+        self.lines.append(
             SimulatedLine(
                 port,
                 responder,

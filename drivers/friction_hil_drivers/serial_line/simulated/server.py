@@ -75,8 +75,8 @@ class SimulatedLine:
     ) -> None:
         self.port = port
         self.expected_ns: int | None = None  # expected beginning of the next cycle
-        self._responder = responder
-        self._drives = tuple(drives)
+        self.responder = responder
+        self.drives = tuple(drives)
         self._is_real = is_real
         self._character_ns = character_s(options) * _S
         self._silence_ns = round(silence_chars * self._character_ns)
@@ -108,7 +108,7 @@ class SimulatedLine:
             self._late.clear()
             self._forget()
         elif data:
-            for piece in _divided(data, self._responder.request_end):
+            for piece in _divided(data, self.responder.request_end):
                 begun_ns = max(now_ns, self._heard_ns)
                 self._heard_ns = begun_ns + (round(len(piece) * self._character_ns) if self._is_real else 0)
                 self._arriving.append((self._heard_ns, now_ns, piece))
@@ -134,19 +134,19 @@ class SimulatedLine:
     def advance_to(self, now_ns: int) -> None:
         """Advance the drives to ``now_ns`` after the start."""
         self.port.idle()
-        for drive in self._drives:
+        for drive in self.drives:
             drive.advance_to(now_ns)
         if self._reboots or self._boot_s is not None:
             self._watch_supply()
 
     @property
     def _samples(self) -> int:
-        return sum(drive.samples for drive in self._drives)
+        return sum(drive.samples for drive in self.drives)
 
     def _answer(self, data: bytes, complete_ns: int) -> None:
         self.advance_to(complete_ns)
         self._received += data
-        while self._received and (reply := self._responder.take(self._received)) is not None:
+        while self._received and (reply := self.responder.take(self._received)) is not None:
             for piece in self._late:
                 self.port.write(piece)
             self._late.clear()
@@ -176,21 +176,21 @@ class SimulatedLine:
 
     def _forget(self) -> None:
         self._received.clear()
-        self._responder.forget()
+        self.responder.forget()
 
     def _watch_supply(self) -> None:
         """Switch the drives' supply off and on when it is time."""
-        now_s = max(drive.time_s for drive in self._drives)
+        now_s = max(drive.time_s for drive in self.drives)
         if self._reboots and now_s >= self._reboots[0]:
             self._reboots.popleft()
             self._boot_s = now_s + BOOT_S
             self._departing.clear()
             self._late.clear()
-            for drive in self._drives:
+            for drive in self.drives:
                 drive.switch_off()
         elif self._boot_s is not None and now_s >= self._boot_s:
             self._boot_s = None
-            for drive in self._drives:
+            for drive in self.drives:
                 drive.switch_on()
 
 
