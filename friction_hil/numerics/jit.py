@@ -90,7 +90,7 @@ class Kernel:
         return getattr(self.dispatcher, name)
 
     def __reduce__(self) -> str:
-        return self.__qualname__  # type: ignore[attr-defined, no-any-return]
+        return self.__qualname__  # type: ignore[no-any-return]
 
     @cached_property
     def dispatcher(self) -> Any:

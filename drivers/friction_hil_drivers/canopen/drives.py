@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from friction_hil.drive import AxisFacts, Clock, Command, Drives, DriveState, Feedback
+from friction_hil.drive import AxisFacts, Clock, Drives, DriveState
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
 from friction_hil_drivers.canopen import codes
@@ -39,13 +39,14 @@ from friction_hil_drivers.canopen.connect.pdo_journal import CanopenJournal
 from friction_hil_drivers.canopen.connect.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.connect.watchdogs import watchdog_pdos
 from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
+from friction_hil_drivers.canopen.cycle.bus_drives import BusDrives
 from friction_hil_drivers.canopen.cycle.exchange import CyclicExchange
 from friction_hil_drivers.canopen.cycle.passive import PassiveExchange, nothing_to_hear, passive_exchange
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.sidecar.drives import SidecarDrives
 from friction_hil_drivers.canopen.stop.leaving import read_state, restore, send_nmt, switch_off, watchdog_frames
 from friction_hil_drivers.canopen.wire import cia301, interfaces
-from friction_hil_drivers.canopen.wire.exclusive import AxisLock, state_path
+from friction_hil_drivers.canopen.wire.exclusive import state_path
 from friction_hil_drivers.canopen.wire.interfaces import bus_name
 from friction_hil_drivers.cia402 import codes as cia402_codes
 from friction_hil_drivers.cia402 import objects
@@ -68,7 +69,7 @@ _OF_MAPPING = (
 _PRE_OPERATIONAL = (cia301.NmtState.BOOT_UP, cia301.NmtState.PRE_OPERATIONAL)  # a node boots into the latter
 
 
-class CanopenDrives(CanopenService):
+class CanopenDrives(BusDrives, CanopenService):
     """Drives of some axes on one bus; see `friction_hil.drive.Drives`.
 
     Attributes
@@ -167,14 +168,8 @@ class CanopenDrives(CanopenService):
         dry_run: bool,
         bus: "can.BusABC | None" = None,
     ) -> None:
-        self._configuration = configuration
-        self._configs = dict(axes)
-        self._clock = clock
-        self._dry_run = dry_run
-        self._given_bus = bus
-        self._bus: FrameBus | None = None
+        super().__init__(configuration, axes, clock, dry_run=dry_run, bus=bus)
         self._network: SdoNetwork | None = None
-        self._locks: list[AxisLock] = []
         self._clients: dict[str, SdoClient] = {}
         self._looks: dict[str, Look] = {}
         self._journals: dict[int, CanopenJournal] = {}
@@ -182,39 +177,32 @@ class CanopenDrives(CanopenService):
         self._states: dict[str, DriveState] = {}  # read back while leaving
         self.is_passive = False
         self._is_reading = True  # nothing was written yet
-        self.leftovers: list[str] = []
         self.remarks: list[str] = []
         self._others = OtherMasters((), 0)
         self._axes: list[CanopenAxis] = []
         self._identifiers: set[int] = set()  # of all PDOs in use
-        self._exchange: CyclicExchange | PassiveExchange | None = None
-        self._is_started = False
 
     # Connecting
 
     def connect(self) -> Sequence[AxisFacts]:
         """Configure every drive; nothing is enabled. See `friction_hil.drive.Drives.connect`."""
-        # imported here: python-can and canopen take 0.5 s each, and reading a configuration needs neither
+        # imported here: canopen takes 0.5 s, and reading a configuration does not need it
         from friction_hil_drivers.canopen.sdo.client import SdoNetwork
-        from friction_hil_drivers.canopen.wire.bus import open_frame_bus
 
-        config = self._configuration.bus
-        assert config is not None  # the driver's options have checked it
+        config = self._bus_config
         for axis in self._configs.values():
             read_eds(axis)  # an invalid file is found before any drive is configured
-        owners = {canopen_options(axis).node: name for name, axis in reversed(self._configs.items())}
-        for node, name in owners.items():
-            self._locks.append(AxisLock(config, node, name))
-        self._bus = open_frame_bus(config, self._given_bus)
-        self._others = OtherMasters(owners, self._first_options.master_node, config.sync_cob_id)
-        if self._bus.is_echoing:
-            count_sent(self._bus, self._others)
-        heard_by(self._bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)
+        bus = self._open_bus()
+        nodes = {canopen_options(axis).node for axis in self._configs.values()}
+        self._others = OtherMasters(nodes, self._first_options.master_node, config.sync_cob_id)
+        if bus.is_echoing:
+            count_sent(bus, self._others)
+        heard_by(bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)
         self._refuse_other_masters()
-        self._network = SdoNetwork(self._bus, self._others.take, self._before_request)
+        self._network = SdoNetwork(bus, self._others.take, self._before_request)
         for name, axis in self._configs.items():
             self._clients[name] = self._client(self._network, name, canopen_options(axis).node)
-        self._meet(self._bus)
+        self._meet(bus)
         self._look()
         for name, axis in self._configs.items():
             self._axes.append(self._connect_axis(name, axis))
@@ -222,12 +210,11 @@ class CanopenDrives(CanopenService):
             pdos = [pdo for axis in self._axes for pdo in axis.pdos]
             pdos += watchdog_pdos(axis.watch.feed_cycles for axis in self._axes if axis.watch.rpdo_id)
             check_bus_load(config.bitrate, self._configuration.period_s, pdos)
-        self._exchange = self._make_exchange(self._bus)
+        self._exchange = self._make_exchange(bus)
         return [axis.facts for axis in self._axes]
 
     def _client(self, network: "SdoNetwork", name: str, node: int) -> "SdoClient":
-        config = self._configuration.bus
-        assert config is not None
+        config = self._bus_config
         client = network.client(node, name, f"node {node} on {bus_name(config)}")
         client.axis_number = canopen_options(self._configs[name]).axis_number
         if node not in self._journals:
@@ -242,8 +229,7 @@ class CanopenDrives(CanopenService):
         node = can_id - cia301.SDO_REQUEST_BASE
         if self._is_reading and self._others.uses_sdo_of(node):
             self._refuse_other_masters()
-            assert self._configuration.bus is not None
-            bus = bus_name(self._configuration.bus)
+            bus = bus_name(self._bus_config)
             raise would_disturb([node], bus, "or take bus.role: sidecar, which needs no SDO")
         self._others.requested(can_id, data)
 
@@ -261,8 +247,8 @@ class CanopenDrives(CanopenService):
 
     def _refuse_twins(self, client: "SdoClient", node: int) -> None:
         """Refuse a number that two nodes have; see `listening.require_one_node`."""
-        assert self._bus is not None and self._configuration.bus is not None  # noqa: PT018 - it is being connected
-        require_one_node(client, self._bus, self._others, node, bus_name(self._configuration.bus))
+        assert self._bus is not None  # it is being connected
+        require_one_node(client, self._bus, self._others, node, bus_name(self._bus_config))
 
     def _look(self) -> None:
         """Read the state of every drive, before anything is written to any of them.
@@ -295,13 +281,11 @@ class CanopenDrives(CanopenService):
         """
         heard = self._others.words
         if heard and not self._dry_run:
-            assert self._configuration.bus is not None
-            text = f"another master is at work on {bus_name(self._configuration.bus)}: {heard}"
+            text = f"another master is at work on {bus_name(self._bus_config)}: {heard}"
             raise DriveError(text, "stop it first, or listen with --dry-run", code=codes.SECOND_MASTER)
 
     def _connect_axis(self, name: str, config: "AxisConfig") -> CanopenAxis:
         options, client = canopen_options(config), self._clients[name]
-        assert self._configuration.bus is not None
         client.is_read_only = self.is_passive
         try:
             drive = configure(
@@ -313,7 +297,7 @@ class CanopenDrives(CanopenService):
                 dry_run=self._dry_run,
                 taken=self._identifiers,
                 before_writing=lambda: self._prepare_nmt(client, options.node),
-                sync_id=self._configuration.bus.sync_cob_id,
+                sync_id=self._bus_config.sync_cob_id,
             )
         except DriveError as error:
             if self.is_passive and error.code in _OF_MAPPING:
@@ -359,8 +343,7 @@ class CanopenDrives(CanopenService):
         return replace(times, is_demanded="max_missed" in realtime.model_fields_set)
 
     def _make_exchange(self, bus: "FrameBus") -> CyclicExchange | PassiveExchange:
-        assert self._configuration.bus is not None
-        sync_id = self._configuration.bus.sync_cob_id
+        sync_id = self._bus_config.sync_cob_id
         if self.is_passive:
             period_s = self._configuration.period_s
             return passive_exchange(
@@ -403,21 +386,6 @@ class CanopenDrives(CanopenService):
             for entry in objects.ACTING_SETPOINTS:
                 if (bits := client.width(entry) or client.hidden_width(entry)) and client.journal is not None:
                     client.journal.leave_at_zero(entry.of_axis(client.axis_number), bits // 8)
-
-    def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
-        """Send SYNC and collect the feedback of every drive; see `exchange.CyclicExchange.receive`."""
-        assert self._exchange is not None, "start first"
-        self._exchange.receive(feedback, end_ns)
-
-    def send(self, commands: Sequence[Command]) -> None:
-        """Send one command to each axis; see `exchange.CyclicExchange.send`."""
-        assert self._exchange is not None, "start first"
-        self._exchange.send(commands)
-
-    def warm_caches(self) -> None:
-        """Decode and encode as in a cycle, on a copy of the first axis; see `friction_hil.drive.Drives.warm_caches`."""
-        assert self._exchange is not None, "start first"
-        self._exchange.warm_caches()
 
     # Leaving
 

@@ -9,7 +9,7 @@ from friction_hil.drive import Command, DriveState, Mode
 from friction_hil.drive.encoder import derived_velocity
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.objects import Object
-from friction_hil_drivers.cia402.profile import drive_state
+from friction_hil_drivers.cia402.profile import STATE_MASK, STATES
 from friction_hil_drivers.cia402.units import COUNTER_BITS, PER_MILLE, DriveUnits
 
 _HALF, _MASK = 1 << (COUNTER_BITS - 1), (1 << COUNTER_BITS) - 1
@@ -20,6 +20,7 @@ FEEDBACK = (
     (objects.STATUSWORD, objects.POSITION_ACTUAL, objects.TORQUE_ACTUAL),
     (objects.VELOCITY_ACTUAL, objects.MODE_DISPLAY),
 )
+_MEASURED = {entry for block in FEEDBACK for entry in block}
 COMMANDS = {  # the target of the mode comes second
     Mode.CSP: (objects.CONTROLWORD, objects.TARGET_POSITION, objects.TORQUE_OFFSET),
     Mode.CSV: (objects.CONTROLWORD, objects.TARGET_VELOCITY, objects.TORQUE_OFFSET),
@@ -104,7 +105,8 @@ class FeedbackDecoder:
         self._period_s = period_s
         slots: dict[Object, int] = {}
         # objects that no block carries are read from before the values of the blocks
-        self._without = (0, int(mode))
+        carried = {entry for block in blocks for entry in block.entries}
+        self._without = () if carried.issuperset(_MEASURED) else (0, int(mode))
         for slot, entry in enumerate((entry for block in blocks for entry in block.entries), len(self._without)):
             slots.setdefault(entry, slot)
         self._has_velocity = objects.VELOCITY_ACTUAL in slots
@@ -124,17 +126,22 @@ class FeedbackDecoder:
         """
         data = b"".join(frames)
         values = self._unpack_all(data) if len(data) == self._size else self._unpack_longer(frames)
-        statusword, raw, increments, torque, mode = self._pick(self._without + values)
+        if self._without:
+            values = self._without + values
+        statusword, raw, increments, torque, mode = self._pick(values)
         counts = before.counts
-        # as `friction_hil.drive.encoder.unwrap`, without the call
-        counts = raw if counts is None else counts + ((raw - counts + _HALF) & _MASK) - _HALF
+        if counts is None or -_HALF <= raw - counts < _HALF:
+            counts = raw
+        else:  # as `friction_hil.drive.encoder.unwrap`, without the call
+            counts += ((raw - counts + _HALF) & _MASK) - _HALF
         position = counts / self._counts_per_unit
         velocity = 0.0
         if self._has_velocity:
             velocity = increments / self._velocity_per_unit
         elif before.counts is not None:
             velocity = derived_velocity(position - before.position, elapsed_s, before.velocity, self._period_s)
-        state, si_torque = drive_state(statusword), torque * self._rated_torque / PER_MILLE
+        state = STATES[statusword & STATE_MASK]  # as `profile.drive_state`, without the call
+        si_torque = torque * self._rated_torque / PER_MILLE
         return _make(Measurement, (state, counts, position, velocity, si_torque, mode, statusword))
 
     def _unpack_longer(self, frames: Sequence[bytes]) -> tuple[int, ...]:

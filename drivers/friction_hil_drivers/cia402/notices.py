@@ -1,7 +1,6 @@
 """What a node says beside its feedback, in words: emergencies, bits of the statusword, PDOs of a wrong length."""
 
 from friction_hil_drivers.cia402 import profile
-from friction_hil_drivers.cia402.profile import emergency_text
 
 _MOST = 100  # different notices of one axis; a node that babbles must not fill the memory
 _WATCHED = profile.WARNING | profile.REMOTE | profile.INTERNAL_LIMIT | profile.FOLLOWS_COMMAND
@@ -29,10 +28,10 @@ class Notices:
             self._known.add(text)
             self.waiting.append(text)
 
-    def take_emergency(self, data: bytes) -> None:
-        """Keep an emergency message; the same one again has happened again."""
+    def tell(self, text: str) -> None:
+        """Keep a notice of an event: the same one again has happened again."""
         if len(self.waiting) < _MOST:
-            self.waiting.append(emergency_text(data))
+            self.waiting.append(text)
 
     def take_statusword(self, statusword: int, *, is_enabled: bool) -> None:
         """Keep changes of bits that matter while the drive is enabled."""

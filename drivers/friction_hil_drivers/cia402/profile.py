@@ -42,12 +42,13 @@ def _decode(bits: int) -> DriveState:
     return DriveState.UNKNOWN
 
 
-_STATES = tuple(_decode(bits) for bits in range(0x70))
+STATE_MASK = 0x6F  # bits of the statusword from which the state follows
+STATES = tuple(_decode(bits) for bits in range(STATE_MASK + 1))
 
 
 def drive_state(statusword: int) -> DriveState:
     """Return the state that a statusword reports, `DriveState.UNKNOWN` for bits that the profile does not define."""
-    return _STATES[statusword & 0x6F]
+    return STATES[statusword & STATE_MASK]
 
 
 _SAID_WHILE_DISABLED = (  # (bit, value that is told, text)

@@ -336,7 +336,7 @@ def test_a_copy_decodes_by_itself():
 
 
 def decoder(mode=Mode.CSP):
-    return FeedbackDecoder(Bench().axis.tpdos, UNITS, mode, 1e-3)
+    return FeedbackDecoder(Bench().axis.drive.tpdos, UNITS, mode, 1e-3)
 
 
 def test_a_position_is_unwrapped_from_the_cycle_before():

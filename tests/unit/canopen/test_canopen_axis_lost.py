@@ -436,8 +436,8 @@ def test_tpdos_that_come_late_are_found_by_a_cycle_without_sync():
     for _ in range(5):
         cycle_of(bench, [])
     cycle_of(bench, [2])  # of five cycles ago
-    assert bench.axis.is_doubtful
-    assert not bench.axis.is_complete, "newer ones are waited for"
+    assert bench.axis.answers.is_doubtful
+    assert not bench.axis.answers.is_complete, "newer ones are waited for"
     assert not cycle_of(bench, [3], is_probe=True).is_fresh
     for counts in (4, 5):
         feedback = cycle_of(bench, [counts])
@@ -454,11 +454,11 @@ def test_lost_tpdos_are_not_taken_for_late_ones():
     for _ in range(3):
         cycle_of(bench, [])
     assert cycle_of(bench, [5]).is_fresh
-    assert bench.axis.is_doubtful
+    assert bench.axis.answers.is_doubtful
     assert not cycle_of(bench, [], is_probe=True).is_fresh
     assert cycle_of(bench, [7]).is_fresh
-    assert bench.axis.is_complete
-    assert not bench.axis.is_doubtful
+    assert bench.axis.answers.is_complete
+    assert not bench.axis.answers.is_doubtful
 
 
 def test_a_second_answer_to_the_same_sync_does_not_count():

@@ -2,7 +2,7 @@
 
 import can
 import pytest
-from friction_hil_drivers.canopen.cycle.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
+from friction_hil_drivers.canopen.cycle.listener import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
 from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.wire import cia301
 

@@ -277,7 +277,7 @@ def test_emergencies_and_reboots_are_noticed_and_are_no_fault():
     axis.handlers[0x701](b"\0")
     axis.report(heard, 0)
     assert heard.notices == [
-        "node 1: emergency 8611h following error, error register 08h",
+        "emergency 8611h following error, error register 08h",
         "node 1 restarted (boot-up message)",
     ]
     assert heard.error == "8611h following error"

@@ -89,16 +89,16 @@ def session(mode: Mode, *, start: int = 2**31 - 700) -> tuple[list[can.Message],
         counts = (start + cycle * 37 + 2**31) % 2**32 - 2**31  # through the end of the counter
         feedback, command = Feedback(), Command(Request.ENABLE, 0.1 * cycle, -0.2 * cycle, 0.003 * cycle)
         data = [
-            axis.tpdos[0].layout.pack(0x27, counts, 5 * cycle - 100),
-            axis.tpdos[1].layout.pack(-11 * cycle, mode),
+            axis.drive.tpdos[0].layout.pack(0x27, counts, 5 * cycle - 100),
+            axis.drive.tpdos[1].layout.pack(-11 * cycle, mode),
         ]
         axis.begin_cycle(0)
-        for pdo, content in zip(axis.tpdos, data, strict=True):
+        for pdo, content in zip(axis.drive.tpdos, data, strict=True):
             axis.handlers[pdo.cob_id](content)
         axis.report(feedback, 0)
         [(identifier, content)] = axis.encode(command)
         frames.append(message(0x080, b"", at))
-        frames += [message(pdo.cob_id, d, at + 1e-4) for pdo, d in zip(axis.tpdos, data, strict=True)]
+        frames += [message(pdo.cob_id, d, at + 1e-4) for pdo, d in zip(axis.drive.tpdos, data, strict=True)]
         frames.append(message(identifier, content, at + 3e-4))
         frames.append(message(0x701, b"\x05", at + 4e-4))
         truth.append((feedback, command))

@@ -1,22 +1,20 @@
 """The cyclic phase: SYNC, feedback of every drive, command to every drive, in one thread."""
 
 from collections.abc import Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import Clock, Command, Feedback, Request
-from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.connect.listening import MasterAlarm
 from friction_hil_drivers.canopen.connect.watchdogs import Guard, feeders
-from friction_hil_drivers.canopen.cycle.axis import CanopenAxis, Handler
+from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
+from friction_hil_drivers.canopen.cycle.listener import STEPPED_TIMEOUT_S, Listener
 from friction_hil_drivers.canopen.stop.by_sdo import HeartbeatLapse
 from friction_hil_drivers.canopen.stop.last_frames import LastFrames
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.canopen.wire.queue_full import QueueFullError
 
 if TYPE_CHECKING:
-    from friction_hil_drivers.canopen.wire.cia301 import Frame
     from friction_hil_drivers.canopen.wire.frames import FrameBus
 
 _COMMAND_FRACTION = 0.25  # of the period, kept for computing and sending what acts from the next SYNC on
@@ -27,47 +25,24 @@ _PROBE = "SYNC was left out for a cycle, to see whether TPDOs come late"
 _LISTEN = Request.LISTEN
 _TO_POWER = (Request.ENABLE, Request.RESET_FAULT)
 
-# In simulated time nothing but these would ever end a run without drives.
-STEPPED_TIMEOUT_S = 10.0
-STEPPED_TIMEOUTS = 3  # in a row
 _STEPPED_RETURN_S = 0.05  # for a drive that is out of reach
 
 
-class CyclicExchange:
+class CyclicExchange(Listener):
     """Frames of every cycle between the daemon and its drives.
 
-    Parameters
-    ----------
-    bus : FrameBus
-        Nothing else may read or write it during the cyclic phase.
-    axes : sequence of CanopenAxis
-    clock : Clock
-    period_s : float
-        Period of the cycle, s.
-    heartbeat_s : float
-        Period of the daemon's heartbeat, s.
-    master_node : int
-        Node number under which the daemon sends it.
-    dry_run : bool
-        Send SYNC and nothing else.
-    max_missed : int, optional
-        Periods after which a command is too old to be sent, and missed exchanges in a row that are bridged.
-    alarm : MasterAlarm, optional
-        Tells of another master that appears.
-    sync_id : int, optional
-        Identifier of SYNC.
+    ``period_s``: of the cycle. ``heartbeat_s``: period of the daemon's heartbeat, which it sends as node
+    ``master_node``. ``dry_run``: SYNC is sent, and nothing else. ``max_missed``: periods after which a command is too
+    old to be sent, and missed exchanges in a row that are bridged. ``alarm`` tells of another master that appears.
     """
 
     __slots__ = (
         "_alarm",
         "_axes",
-        "_bus",
-        "_clock",
         "_cycles_since_probe",
         "_dry_run",
         "_feeders",
         "_guards",
-        "_handlers",
         "_has_new_words",
         "_heartbeat_id",
         "_heartbeat_ns",
@@ -86,7 +61,6 @@ class CyclicExchange:
         "_spare_command",
         "_spare_feedback",
         "_sync_id",
-        "_timeouts",
         "_unsent",
     )
 
@@ -104,13 +78,11 @@ class CyclicExchange:
         alarm: MasterAlarm | None = None,
         sync_id: int = cia301.SYNC_ID,
     ) -> None:
-        self._bus = bus
-        self._sync_id = sync_id
+        super().__init__(bus, clock, [axis.handlers for axis in axes], [axis.answers for axis in axes])
         self._axes = axes
-        self._clock = clock
+        self._sync_id = sync_id
         self._dry_run = dry_run
         self._reserve_ns = round(_COMMAND_FRACTION * period_s * 1e9)
-        self._handlers = _join_handlers(axes)
         self._alarm = alarm or MasterAlarm()
         self._handlers |= self._alarm.handlers
         self._heartbeat_id = cia301.HEARTBEAT_BASE + master_node
@@ -125,8 +97,7 @@ class CyclicExchange:
         guarded = {axis.node: axis.watch.beat_s for axis in axes if axis.watch.is_guarded}
         self._guards = [Guard(node, round(beat_s * 1e9) - half_ns) for node, beat_s in guarded.items()]
         self._max_missed = max_missed
-        # in a row: cycles in which the bus took no frames, and incomplete ones in simulated time
-        self._unsent = self._timeouts = 0
+        self._unsent = 0  # cycles in a row in which the bus took no frames
         self._is_unsent = [False] * len(axes)  # the last command to each axis
         self._oldest_ns = round(max_missed * period_s * 1e9)
         self._cycles_since_probe = 0
@@ -152,7 +123,7 @@ class CyclicExchange:
         """
         frame = self._bus.receive(0.0)
         if frame is not None:
-            self._take_waiting_frames(frame)
+            self._take_waiting(frame)
         now_ns = self._sampled_ns = self._clock.now_ns()
         self._cycles_since_probe += 1
         why_no_sync = _PROBE if not self._is_complete and self._is_probe_due() else self._send_sync()
@@ -188,7 +159,7 @@ class CyclicExchange:
         """Return True if SYNC is to be left out, to see whether TPDOs are late (see `sync_answers`)."""
         if self._cycles_since_probe < _PROBE_CYCLES or not self._clock.is_real:
             return False
-        if not any(axis.is_doubtful for axis in self._axes):
+        if not any(axis.answers.is_doubtful for axis in self._axes):
             return False
         self._cycles_since_probe = 0
         return True
@@ -268,74 +239,17 @@ class CyclicExchange:
         """Decode and encode as in a cycle, on a copy of the first axis; nothing is sent."""
         axis, now = self._spare, self._next_heartbeat_ns
         axis.begin_cycle(now)
-        for tpdo in axis.tpdos:
+        for tpdo in axis.drive.tpdos:
             axis.handlers[tpdo.cob_id](bytes(tpdo.layout.size))
         axis.report(self._spare_feedback, now)
         if not self._dry_run:
             axis.encode(self._spare_command)
 
-    def _take_waiting_frames(self, frame: "Frame | None") -> None:
-        """Take emergencies, heartbeats and late feedback that arrived since the last cycle."""
-        while frame is not None:
-            can_id, data = frame
-            handler = self._handlers.get(can_id)
-            if handler is not None:
-                handler(data)
-            frame = self._bus.receive(0.0)
-
-    def _collect(self, deadline_ns: int) -> bool:
-        """Take frames until every axis is complete; return False if it is too late for that.
-
-        In simulated time it is never too late: frames are taken for as long as the bus waits.
-        """
-        clock, receive, find = self._clock, self._bus.receive, self._handlers.get
-        is_real, now_ns = clock.is_real, clock.now_ns
-        for axis in self._axes:
-            while not axis.is_complete:
-                if is_real:
-                    timeout = (deadline_ns - now_ns()) * 1e-9
-                    if timeout <= 0.0:
-                        return False
-                else:
-                    timeout = STEPPED_TIMEOUT_S if axis.is_reachable else _STEPPED_RETURN_S
-                frame = receive(timeout)
-                if frame is not None:
-                    can_id, data = frame
-                    handler = find(can_id)
-                    if handler is not None:  # else a frame of another node
-                        handler(data)
-                elif not is_real:
-                    break
-        return True
+    def _patience_s(self, axis: int) -> float:
+        return STEPPED_TIMEOUT_S if self._axes[axis].is_reachable else _STEPPED_RETURN_S
 
     def _require_answers(self) -> None:
-        """End a run in simulated time whose drives have stopped answering.
-
-        Raises
-        ------
-        DriveError
-            Several cycles in a row were incomplete.
-        """
-        is_complete = all(axis.is_complete or not axis.is_reachable for axis in self._axes)
-        self._timeouts = 0 if is_complete else self._timeouts + 1
-        if self._timeouts >= STEPPED_TIMEOUTS:
-            waited_s = STEPPED_TIMEOUTS * STEPPED_TIMEOUT_S
-            text = (
-                f"not every drive has answered SYNC for {waited_s:g} s: are they still running, and is 1005h of each "
-            )
-            raise DriveError(f"{text}{self._sync_id:03X}h (bus.sync_cob_id)?", code=codes.SYNC_NOT_ANSWERED)
-
-
-def _join_handlers(axes: Sequence[CanopenAxis]) -> dict[int, Handler]:
-    """Return the handler of each identifier; axes of one node share its heartbeats, emergencies and SDO answers."""
-    joined: dict[int, Handler] = {}
-    for axis in axes:
-        for can_id, handler in axis.handlers.items():
-            before = joined.get(can_id)
-            joined[can_id] = handler if before is None else partial(_both, before, handler)
-    return joined
-
-
-def _both(first: Handler, second: Handler, data: bytes) -> None:
-    first(data)
-    second(data)
+        """End a run in simulated time whose drives have stopped answering."""
+        is_complete = all(axis.answers.is_complete or not axis.is_reachable for axis in self._axes)
+        text = "not every drive has answered SYNC for {:g} s: are they still running, and is 1005h of each "
+        self._require_frames(is_complete, f"{text}{self._sync_id:03X}h (bus.sync_cob_id)?", codes.SYNC_NOT_ANSWERED)

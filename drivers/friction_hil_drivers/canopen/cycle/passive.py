@@ -1,21 +1,18 @@
 """Listening to drives that another master moves: its SYNC, their TPDOs as they are mapped; nothing is sent."""
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import Clock, Command, Feedback
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.connect.heard_pdos import HeardPdos
-from friction_hil_drivers.canopen.connect.twins import TwinWatch
-from friction_hil_drivers.canopen.cycle.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
-from friction_hil_drivers.canopen.wire import cia301
-from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.canopen.cycle.feedback_set import FeedbackSet
+from friction_hil_drivers.canopen.cycle.health import NodeHealth
+from friction_hil_drivers.canopen.cycle.listener import Listener
 from friction_hil_drivers.cia402.codec import FeedbackDecoder, Measurement
-from friction_hil_drivers.cia402.profile import emergency_code, emergency_text
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
@@ -72,105 +69,61 @@ def _rhythm_notes(heard: HeardPdos, name: str, node: int, tpdos: Sequence["Mappe
 class PassiveAxis:
     """Feedback of one drive from TPDOs that come when another master wants them. No bus, no clock.
 
-    A set is complete when every TPDO has come; where they come with SYNC, a SYNC begins a new set, so that the values
-    of a set are of one instant.
-
-    Parameters
-    ----------
-    drive : ConfiguredDrive
-    node : int
+    Where they come with SYNC, a SYNC begins a new set, so that the values of a set are of one instant.
     """
 
     def __init__(self, drive: "ConfiguredDrive", node: int) -> None:
-        self._tpdos = drive.tpdos
         self._is_synchronous = any(pdo.is_synchronous for pdo in drive.tpdos)
         self._decoder = FeedbackDecoder(drive.tpdos, drive.units, drive.mode, drive.period_s)
-        self._node = node
-        self._error = drive.error
-        self._frames = [b""] * len(drive.tpdos)
+        self._health = NodeHealth(node, drive.error)
+        names = [f"TPDO {pdo.number + 1}" for pdo in drive.tpdos]
+        self._set = FeedbackSet(drive.tpdos, names, drive.mode, self._health)
+        self._waiting: list[bytes] | None = None  # a complete set that was not reported yet
         self._measured = Measurement()
         self._measured_ns = 0  # time of the cycle of the last complete set
-        self._notices: list[str] = []
-        self._twin = TwinWatch(node)
-        self._fault = ""
-        self._came = 0  # since the last SYNC: bit n for TPDO n
-        self.handlers: dict[int, Callable[[bytes], None]] = {
-            pdo.cob_id: partial(self._on_tpdo, slot) for slot, pdo in enumerate(drive.tpdos)
-        }
-        self.handlers[cia301.EMERGENCY_BASE + node] = self._on_emergency
+        self.handlers = self._set.handlers | self._health.handlers
 
     @property
     def is_complete(self) -> bool:
         """True once every TPDO of a set came."""
-        return all(self._frames)
+        return self._waiting is not None or self._set.is_complete
 
     def on_sync(self) -> None:
         """Begin a new set; one that is complete waits until it is reported."""
-        if self._twin.is_suspected and (fault := self._twin.judge()):
-            self._fault = fault
-        self._came = 0
-        if self._is_synchronous and not self.is_complete:
-            self._frames = [b""] * len(self._tpdos)
+        if self._is_synchronous:
+            self._take_over()
+            self._set.begin()
 
-    def _on_tpdo(self, slot: int, data: bytes) -> None:
-        if self._tpdos[slot].is_synchronous:
-            if self._came >> slot & 1:
-                self._twin.take(f"TPDO {self._tpdos[slot].number + 1}")
-            self._came |= 1 << slot
-        if len(data) >= self._tpdos[slot].layout.size:
-            self._frames[slot] = data
-
-    def _on_emergency(self, data: bytes) -> None:
-        self._notices.append(f"node {self._node}: {emergency_text(data)}")
-        if code := emergency_code(data):
-            self._error = profile.error_text(code)
+    def _take_over(self) -> None:
+        if self._set.is_complete:
+            self._waiting = self._set.hand_over()
 
     def report(self, feedback: Feedback, cycle_ns: int) -> None:
         """Write the drive's feedback of the cycle that belongs to the time ``cycle_ns``."""
-        feedback.is_fresh = self.is_complete
-        feedback.missing = ""
-        if self.is_complete:
+        self._take_over()
+        frames, self._waiting = self._waiting, None
+        feedback.is_fresh, feedback.missing = frames is not None, ""
+        if frames is not None:
             elapsed_s = (cycle_ns - self._measured_ns) * 1e-9
-            measured = self._measured = self._decoder.decode(self._frames, self._measured, elapsed_s)
-            self._frames = [b""] * len(self._tpdos)
+            measured = self._measured = self._decoder.decode(frames, self._measured, elapsed_s)
             self._measured_ns = cycle_ns
             feedback.position, feedback.velocity = measured.position, measured.velocity
             feedback.torque, feedback.state = measured.torque, measured.state
         else:
-            late = [f"TPDO {pdo.number + 1}" for pdo, data in zip(self._tpdos, self._frames, strict=True) if not data]
-            feedback.missing = f"{' and '.join(late)} of node {self._node} did not come: its master has stopped?"
-        feedback.error, feedback.message = self._error, self._fault
-        feedback.notices += self._notices
-        self._notices.clear()
+            lost = self._set.wrong or f"{self._set.missing} of node {self._health.node} did not come"
+            feedback.missing = f"{lost}: its master has stopped?"
+        self._health.report(feedback)
 
 
-class PassiveExchange:
-    """The cyclic phase of a dry run beside another master; see `exchange.CyclicExchange`.
-
-    Parameters
-    ----------
-    bus : FrameBus
-    axes : sequence of PassiveAxis
-    clock : Clock
-    period_s : float
-    """
+class PassiveExchange(Listener):
+    """The cyclic phase of a dry run beside another master; see `exchange.CyclicExchange`. Nothing is sent."""
 
     def __init__(
-        self,
-        bus: "FrameBus",
-        axes: Sequence[PassiveAxis],
-        clock: Clock,
-        *,
-        period_s: float,
-        sync_id: int = cia301.SYNC_ID,
+        self, bus: "FrameBus", axes: Sequence[PassiveAxis], clock: Clock, *, period_s: float, sync_id: int
     ) -> None:
-        self._bus = bus
+        super().__init__(bus, clock, [*(axis.handlers for axis in axes), {sync_id: self._on_sync}], axes)
         self._axes = axes
-        self._clock = clock
         self._reserve_ns = round(_RESERVE_FRACTION * period_s * 1e9)
-        self._handlers = {can_id: handler for axis in axes for can_id, handler in axis.handlers.items()}
-        self._handlers[sync_id] = self._on_sync
-        self._timeouts = 0
 
     def start(self) -> None:
         """Begin the cyclic phase: nothing is to be done for it."""
@@ -184,42 +137,20 @@ class PassiveExchange:
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
         """Take what the drives have sent, and what they send until shortly before the end of the cycle.
 
-        Raises
-        ------
-        DriveError
-            In simulated time, whose cycles are those of the other master, nothing came for a long time.
+        In simulated time the cycles are those of the other master.
         """
-        while (frame := self._bus.receive(0.0)) is not None:
-            self._take(*frame)
-        deadline_ns = end_ns - self._reserve_ns
-        while not all(axis.is_complete for axis in self._axes):
-            is_real = self._clock.is_real
-            timeout = (deadline_ns - self._clock.now_ns()) * 1e-9 if is_real else STEPPED_TIMEOUT_S
-            frame = self._bus.receive(timeout) if timeout > 0.0 else None
-            if frame is not None:
-                self._take(*frame)
-            elif not is_real or timeout <= 0.0:
-                break
+        self._take_waiting(self._bus.receive(0.0))
+        self._collect(end_ns - self._reserve_ns)
         if not self._clock.is_real:
-            self._require_frames()
+            is_complete = all(axis.is_complete for axis in self._axes)
+            text = "not every drive has sent its TPDOs for {:g} s"
+            self._require_frames(is_complete, text, codes.NOTHING_TO_HEAR)
         for axis, target in zip(self._axes, feedback, strict=True):
             axis.report(target, end_ns)
-
-    def _take(self, can_id: int, data: bytes) -> None:
-        handler = self._handlers.get(can_id)
-        if handler is not None:
-            handler(data)
 
     def _on_sync(self, _: bytes) -> None:
         for axis in self._axes:
             axis.on_sync()
-
-    def _require_frames(self) -> None:
-        is_complete = all(axis.is_complete for axis in self._axes)
-        self._timeouts = 0 if is_complete else self._timeouts + 1
-        if self._timeouts >= STEPPED_TIMEOUTS:
-            text = f"not every drive has sent its TPDOs for {STEPPED_TIMEOUTS * STEPPED_TIMEOUT_S:g} s"
-            raise DriveError(text, code=codes.NOTHING_TO_HEAR)
 
 
 def passive_exchange(
@@ -239,14 +170,14 @@ def passive_exchange(
     DriveError
         A TPDO does not come, or two nodes send it.
     """
-    wanted = {pdo.cob_id: axis for axis in axes for pdo in axis.tpdos}
+    wanted = {pdo.cob_id: axis for axis in axes for pdo in axis.drive.tpdos}
     heard = _listen(bus, others, wanted, clock, sync_id)
     if silent := [can_id for can_id in wanted if not others.has_heard(can_id)]:
         listed = ", ".join(f"{can_id:03X}h" for can_id in silent)
         reason = f"no TPDO {listed} came within {_HEAR_S:g} s, as one that is sent only on a change may not"
         raise nothing_to_hear(clients[wanted[silent[0]].facts.name], others, reason)
     for axis in axes if clock.is_real else ():
-        notes = _rhythm_notes(heard, axis.facts.name, axis.node, axis.tpdos, period_s)
+        notes = _rhythm_notes(heard, axis.facts.name, axis.node, axis.drive.tpdos, period_s)
         axis.facts = replace(axis.facts, notes=(*axis.facts.notes, *notes))
     passive = [PassiveAxis(axis.drive, axis.node) for axis in axes]
     return PassiveExchange(bus, passive, clock, period_s=period_s, sync_id=sync_id)

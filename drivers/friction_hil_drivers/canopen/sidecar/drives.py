@@ -9,19 +9,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from friction_hil.drive import AxisFacts, Clock, Command, Drives, DriveState, Feedback, Mode
+from friction_hil.drive import AxisFacts, Clock, DriveState, Mode
 from friction_hil.drive.phase_lock import PhaseLock
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.connect.heard_pdos import HeardPdos
 from friction_hil_drivers.canopen.connect.mapping import check_bus_load
+from friction_hil_drivers.canopen.cycle.bus_drives import BusDrives
 from friction_hil_drivers.canopen.cycle.delays import SETPOINT_CYCLES
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.sidecar.axis import SidecarAxis, demand_object
 from friction_hil_drivers.canopen.sidecar.exchange import SidecarExchange
 from friction_hil_drivers.canopen.sidecar.options import SidecarOptions, mapped
 from friction_hil_drivers.canopen.wire import cia301
-from friction_hil_drivers.canopen.wire.exclusive import AxisLock
 from friction_hil_drivers.canopen.wire.interfaces import bus_name
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.units import PER_MILLE, DriveUnits
@@ -42,21 +42,11 @@ _REAL_ACTUATION_CYCLES = 0.75
 _STEPPED_ACTUATION_CYCLES = 0.5  # simulated time stands still between SYNC and the offset
 
 
-class SidecarDrives(Drives):
-    """Drives of some axes on a bus whose master is another controller; see `friction_hil.drive.Drives`.
+class SidecarDrives(BusDrives):
+    """Drives of some axes on a bus whose master is another controller; see `friction_hil.drive.Drives`."""
 
-    Attributes
-    ----------
-    is_follower : bool
-        True: the loop enables nothing and sends torque offsets only.
-    phase_lock : PhaseLock
-        Period and phase of the master's SYNC.
-    leftovers : list of str
-        After `close`: torque offsets that may be left in drives.
-    """
-
-    is_follower = True
-    phase_lock: PhaseLock
+    is_follower = True  # the loop enables nothing and sends torque offsets only
+    phase_lock: PhaseLock  # period and phase of the master's SYNC
 
     def __init__(
         self,
@@ -67,18 +57,8 @@ class SidecarDrives(Drives):
         dry_run: bool,
         bus: "can.BusABC | None" = None,
     ) -> None:
-        assert configuration.bus is not None  # the driver's options have checked it
-        self._configuration, self._bus_config = configuration, configuration.bus
-        self._configs = dict(axes)
-        self._clock = clock
-        self._dry_run = dry_run
-        self._given_bus = bus
-        self._bus: FrameBus | None = None
-        self._locks: list[AxisLock] = []
+        super().__init__(configuration, axes, clock, dry_run=dry_run, bus=bus)
         self._axes: list[SidecarAxis] = []
-        self._exchange: SidecarExchange | None = None
-        self._is_started = False
-        self.leftovers: list[str] = []
         self.phase_lock = PhaseLock(configuration.period_s)
 
     def connect(self) -> Sequence[AxisFacts]:
@@ -89,25 +69,19 @@ class SidecarDrives(Drives):
         BusError, DriveError
             The bus does not open, there is no usable SYNC, or a PDO is not as the configuration says.
         """
-        # imported here: python-can takes 0.5 s, and reading a configuration does not need it
-        from friction_hil_drivers.canopen.wire.bus import open_frame_bus
-
-        config = self._bus_config
-        for name, axis in self._configs.items():
-            self._locks.append(AxisLock(config, canopen_options(axis).node, name))
-        self._bus = open_frame_bus(config, self._given_bus)
+        bus, bitrate = self._open_bus(), self._bus_config.bitrate
         self._axes = [self._make_axis(name, axis) for name, axis in self._configs.items()]
-        if self._bus.is_echoing:
-            _count_offsets(self._bus, {axis.offset_id: axis for axis in self._axes})
-        if config.bitrate is not None:
+        if bus.is_echoing:
+            _count_offsets(bus, {axis.offset_id: axis for axis in self._axes})
+        if bitrate is not None:
             pdos = [pdo for axis in self._axes for pdo in axis.pdos]
-            check_bus_load(config.bitrate, self._configuration.period_s, pdos)
+            check_bus_load(bitrate, self._configuration.period_s, pdos)
         notes: dict[str, list[str]] = {name: [] for name in self._configs}
         if self._clock.is_real:
             heard = self._acquire(_SYNCS)
             for listener in self._axes:
                 notes[listener.facts.name] += self._compare(listener, heard)
-        self._exchange = self._make_exchange(self._bus)
+        self._exchange = self._make_exchange(bus)
         return [replace(axis.facts, notes=(*axis.facts.notes, *notes[axis.facts.name])) for axis in self._axes]
 
     def start(self) -> None:
@@ -118,21 +92,6 @@ class SidecarDrives(Drives):
         if self._clock.is_real:
             self._acquire(_RELOCK_SYNCS)
         self._is_started = True
-
-    def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
-        """Wait for SYNC and collect what follows; see `sidecar_exchange.SidecarExchange.receive`."""
-        assert self._exchange is not None, "start first"
-        self._exchange.receive(feedback, end_ns)
-
-    def send(self, commands: Sequence[Command]) -> None:
-        """Send the torque offsets; see `sidecar_exchange.SidecarExchange.send`."""
-        assert self._exchange is not None, "start first"
-        self._exchange.send(commands)
-
-    def warm_caches(self) -> None:
-        """Decode and encode as in a cycle; see `friction_hil.drive.Drives.warm_caches`."""
-        assert self._exchange is not None, "start first"
-        self._exchange.warm_caches()
 
     def _sending(self, options: SidecarOptions) -> list[str]:
         """Return a note on what goes out."""
@@ -152,7 +111,7 @@ class SidecarDrives(Drives):
         """
         if self._bus is not None:
             try:
-                if self._is_started and self._exchange is not None:
+                if self._is_started and isinstance(self._exchange, SidecarExchange):
                     self.leftovers += self._exchange.send_zero()
             finally:
                 bus, self._bus = self._bus, None

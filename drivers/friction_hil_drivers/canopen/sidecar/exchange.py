@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import Clock, Command, FaultCode, Feedback
 from friction_hil.drive.codes import coded
 from friction_hil.drive.phase_lock import PhaseLock
-from friction_hil.errors import BusError, DriveError
+from friction_hil.errors import BusError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.connect.heard_pdos import wrong_period
-from friction_hil_drivers.canopen.cycle.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
+from friction_hil_drivers.canopen.cycle.listener import STEPPED_TIMEOUT_S, Listener
 from friction_hil_drivers.canopen.sidecar.axis import SidecarAxis
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.canopen.wire.queue_full import QueueFullError
@@ -26,26 +26,11 @@ _EXTRA_WEIGHT, _EXTRA_LIMIT = 20, 200  # a SYNC too many weighs 20 cycles: 10 of
 _OPERATIONAL = bytes([cia301.NmtState.OPERATIONAL])
 
 
-class SidecarExchange:
+class SidecarExchange(Listener):
     """Frames of every cycle. Nothing is sent but torque offsets, and a heartbeat if one is configured.
 
-    Parameters
-    ----------
-    bus : FrameBus
-        Nothing else may read or write it during the cyclic phase.
-    axes : sequence of SidecarAxis
-    clock : Clock
-    lock : PhaseLock
-        Fed with the stamps of SYNC; not used in simulated time.
-    period_s : float
-    sync_id : int
-        Identifier of SYNC.
-    max_missed : int
-        Largest number of successive SYNCs that may be missing.
-    heartbeat : tuple of int and float, or None
-        Node number and period, s, of the daemon's heartbeat.
-    dry_run : bool
-        Send nothing.
+    ``lock``: fed with the stamps of SYNC; not used in simulated time. ``max_missed``: successive SYNCs that may be
+    missing. ``heartbeat``: node number and period, s, of the daemon's heartbeat.
     """
 
     def __init__(
@@ -61,16 +46,16 @@ class SidecarExchange:
         heartbeat: tuple[int, float] | None,
         dry_run: bool,
     ) -> None:
-        self._bus, self._axes, self._clock, self._lock = bus, axes, clock, lock
+        handlers, sets = [axis.handlers for axis in axes], [axis.feedback for axis in axes]
+        super().__init__(bus, clock, handlers, sets, next_id=sync_id)
+        self._axes, self._lock = axes, lock
         self._period_ns = round(period_s * 1e9)
         self._sync_id = sync_id
         self._max_missed = max_missed
         self._heartbeat = heartbeat
         self._next_heartbeat_ns = 0
         self._dry_run = dry_run
-        self._handlers = {can_id: handler for axis in axes for can_id, handler in axis.handlers.items()}
         self._cycle = -1
-        self._has_sync = False  # a SYNC was read that begins the next cycle
         self._missed = 0  # SYNCs in a row
         self._late = 0  # cycles in a row in which SYNC came outside of its window
         self._heard, self._elapsed = 0, 1  # SYNCs heard in this cycle, periods since the one before
@@ -78,7 +63,6 @@ class SidecarExchange:
         self._intervals: list[int] = []  # between successive SYNCs
         self._extra = 0  # SYNCs too many, weighted; falls by one in each cycle
         self._message = ""  # the first fault of SYNC
-        self._timeouts = 0
         self._unsent = 0  # cycles in a row
         self._spare = axes[0].copy()
         self._spare_feedback = Feedback()
@@ -166,7 +150,7 @@ class SidecarExchange:
         # the pacer counts cycles by the same lock: this one ends shortly before the next SYNC
         cycle = lock.cycle_at(end_ns - period_ns // 2)
         self._elapsed, self._cycle = max(cycle - self._cycle, 1), cycle
-        self._heard = waiting = self._take_waiting()
+        self._heard = waiting = self._take_syncs()
         if was_missing and waiting:
             waiting -= 1  # the SYNC before came too late
             self._late += 1
@@ -198,11 +182,11 @@ class SidecarExchange:
         self._lock.capture(cycle, stamp)
         return True
 
-    def _take_waiting(self) -> int:
+    def _take_syncs(self) -> int:
         """Take the frames that have arrived; return the number of SYNCs among them. The last one begins the cycle."""
-        count = int(self._has_sync)
-        if self._has_sync:
-            self._has_sync = False
+        count = int(self._has_next)
+        if self._has_next:
+            self._has_next = False
             self._begin_cycle()
         while (frame := self._bus.receive(0.0)) is not None:
             if frame[0] == self._sync_id:
@@ -256,61 +240,21 @@ class SidecarExchange:
                 self._message = coded(f"SYNC ({self._sync_id:03X}h) {problem}", codes.SYNC_LOST)
             self._intervals.clear()
 
-    def _collect(self, deadline_ns: int) -> None:
-        """Take frames until every axis is complete."""
-        clock, receive = self._clock, self._bus.receive
-        for axis in self._axes:
-            while not axis.is_complete:
-                left = deadline_ns - clock.now_ns()
-                if left <= 0:
-                    return
-                frame = receive(left * 1e-9)
-                if frame is None:
-                    continue
-                if frame[0] == self._sync_id:
-                    self._has_sync = True
-                    return
-                self._take(*frame)
-
-    def _take(self, can_id: int, data: bytes) -> None:
-        handler = self._handlers.get(can_id)
-        if handler is not None:  # else a frame that does not concern the axes
-            handler(data)
-
     # SYNC in simulated time
 
     def _step(self) -> None:
-        """Take frames up to the next SYNC, then those that follow it; another SYNC ends the cycle incomplete.
-
-        Raises
-        ------
-        DriveError
-            Neither SYNC nor anything else has come for long.
-        """
+        """Take frames up to the next SYNC, then those that follow it; another SYNC ends the cycle incomplete."""
+        text = f"SYNC ({self._sync_id:03X}h) or its answers have not come for {{:g}} s: has its master ended?"
         self._cycle += 1
-        is_begun = self._has_sync
-        if is_begun:
-            self._has_sync = False
-            self._begin_cycle()
-        while not (is_begun and all(axis.is_complete for axis in self._axes)):
+        while not self._has_next:
             frame = self._bus.receive(STEPPED_TIMEOUT_S)
             if frame is None:
-                self._time_out()
-                if is_begun:
-                    return
-            elif frame[0] != self._sync_id:
-                self._take(*frame)
-            elif is_begun:
-                self._has_sync = True
-                return
+                self._require_frames(False, text, codes.SYNC_LOST)
+            elif frame[0] == self._sync_id:
+                self._has_next = True
             else:
-                is_begun = True
-                self._begin_cycle()
-        self._timeouts = 0
-
-    def _time_out(self) -> None:
-        self._timeouts += 1
-        if self._timeouts >= STEPPED_TIMEOUTS:
-            waited_s = STEPPED_TIMEOUTS * STEPPED_TIMEOUT_S
-            text = f"SYNC ({self._sync_id:03X}h) or its answers have not come for {waited_s:g} s: has its master ended?"
-            raise DriveError(text, code=codes.SYNC_LOST)
+                self._take(*frame)
+        self._has_next = False
+        self._begin_cycle()
+        is_complete = self._collect(0) and all(axis.feedback.is_complete for axis in self._axes)
+        self._require_frames(is_complete or self._has_next, text, codes.SYNC_LOST)

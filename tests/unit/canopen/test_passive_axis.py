@@ -1,0 +1,118 @@
+"""A drive that another master moves, in a dry run: frames in, sets of one instant out."""
+
+import struct
+
+import pytest
+from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
+from friction_hil_drivers.canopen.connect.mapping import MappedPdo
+from friction_hil_drivers.canopen.cycle.passive import PassiveAxis
+from friction_hil_drivers.cia402 import objects
+from friction_hil_drivers.cia402.codec import FEEDBACK
+from hypothesis import given
+from hypothesis import strategies as st
+
+from friction_hil.drive import AxisFacts, DriveState, Feedback, Mode
+from tests.canopen_axis_bench import EMCY, HEARTBEAT, NODE, TPDO1, TPDO2, UNITS
+
+MS = 1_000_000
+
+
+def axis_of(*, first_is_synchronous=True, second_is_synchronous=True, first=FEEDBACK[0], second=FEEDBACK[1]):
+    tpdos = (
+        MappedPdo(TPDO1, first, struct.Struct("<Hih"), 0, is_synchronous=first_is_synchronous),
+        MappedPdo(TPDO2, second, struct.Struct("<ib"), 1, is_synchronous=second_is_synchronous),
+    )
+    facts = AxisFacts("x", "a drive", 1e-3, 6.4e-4, 2.5e-3, 1.5e-3)
+    return PassiveAxis(ConfiguredDrive(facts, UNITS, Mode.CSP, tpdos, (), "", 1e-3), NODE)
+
+
+def frames(instant):
+    """What the drive sends at one instant: position and velocity are the same number of increments."""
+    return [(TPDO1, struct.pack("<Hih", 0x0637, instant, 0)), (TPDO2, struct.pack("<ib", instant, 8))]
+
+
+def report(axis, cycle):
+    feedback = Feedback()
+    axis.report(feedback, cycle * MS)
+    return feedback
+
+
+@given(st.lists(st.sampled_from("SABR"), max_size=60))
+def test_position_and_velocity_of_a_set_are_of_one_instant(events):
+    """SYNC, either TPDO (sent at most once after a SYNC), a report: in whatever order, and however many are missing."""
+    axis, instant, sent, cycle = axis_of(), 0, set(), 0
+    for event in events:
+        if event == "S":
+            axis.on_sync()
+            instant, sent = instant + 1, set()
+        elif event == "R":
+            cycle += 1
+            heard = report(axis, cycle)
+            if heard.is_fresh:
+                assert heard.position * UNITS.counts_per_unit == heard.velocity * UNITS.velocity_per_unit
+            else:
+                assert "did not come: its master has stopped?" in heard.missing
+        elif instant and event not in sent:
+            sent.add(event)
+            can_id, data = frames(instant)["AB".index(event)]
+            axis.handlers[can_id](data)
+
+
+def test_each_set_is_reported_once():
+    axis = axis_of()
+    axis.on_sync()
+    for can_id, data in frames(3):
+        axis.handlers[can_id](data)
+    assert axis.is_complete
+    assert report(axis, 1).is_fresh
+    assert not report(axis, 2).is_fresh
+    axis.handlers[TPDO1](frames(3)[0][1])  # a bus that doubles it makes no new set
+    assert not report(axis, 3).is_fresh
+
+
+def test_tpdos_without_sync_make_a_set_whenever_all_have_come():
+    axis = axis_of(first_is_synchronous=False, second_is_synchronous=False)
+    for instant in (1, 2):
+        for can_id, data in frames(instant):
+            assert not axis.is_complete
+            axis.handlers[can_id](data)
+        heard = report(axis, instant)
+        assert heard.is_fresh
+        assert heard.position == instant / UNITS.counts_per_unit
+        assert heard.message == ""
+
+
+def test_what_comes_seldom_is_not_waited_for_and_until_then_nothing_of_it_is_known():
+    """Its statusword and mode come when they change: the position comes with each SYNC."""
+    status = (objects.VELOCITY_ACTUAL, objects.MODE_DISPLAY)
+    axis = axis_of(second_is_synchronous=False, second=status)
+    axis.on_sync()
+    axis.handlers[TPDO1](frames(5)[0][1])
+    assert report(axis, 1).is_fresh
+    axis.handlers[TPDO2](frames(7)[1][1])
+    axis.on_sync()
+    axis.handlers[TPDO1](frames(8)[0][1])
+    heard = report(axis, 2)
+    assert (heard.position, heard.velocity) == (8 / UNITS.counts_per_unit, 7 / UNITS.velocity_per_unit)
+
+
+@pytest.mark.parametrize("size", [0, 7, 9])
+def test_a_tpdo_of_another_length_is_no_feedback_and_named(size):
+    axis = axis_of()
+    axis.on_sync()
+    axis.handlers[TPDO1](bytes(size))
+    axis.handlers[TPDO2](frames(1)[1][1])
+    heard = report(axis, 1)
+    assert not heard.is_fresh
+    assert f"TPDO 1 has {size} bytes" in heard.missing
+
+
+def test_emergencies_and_a_restart_are_noticed_and_are_no_fault():
+    axis = axis_of()
+    axis.handlers[EMCY](bytes.fromhex("1186200000000000"))
+    axis.handlers[HEARTBEAT](b"\x00")
+    heard = report(axis, 1)
+    assert [notice.partition(" ")[0] for notice in heard.notices] == ["emergency", "node"]
+    assert heard.error == "8611h following error"
+    assert heard.message == ""
+    assert heard.state is DriveState.UNKNOWN
