@@ -130,17 +130,6 @@ def feeders(watches: Sequence[Watch]) -> list[Feeder]:
     ]
 
 
-class Guard:
-    """When a node is to be asked for its state next."""
-
-    __slots__ = ("can_id", "next_ns", "period_ns")
-
-    def __init__(self, node: int, period_ns: int) -> None:
-        self.can_id = cia301.HEARTBEAT_BASE + node  # of the remote frame, and of its answer
-        self.period_ns = period_ns
-        self.next_ns = 0
-
-
 def watchdog_pdos(feed_cycles: Iterable[int]) -> list[MappedPdo]:
     """Return the watchdog RPDOs in the fullest cycle, for the load of the bus, from each axis's number of cycles."""
     cycles = list(feed_cycles)

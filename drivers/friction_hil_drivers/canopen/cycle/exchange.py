@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 from friction_hil.drive import Clock, Command, Feedback, Request
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.connect.listening import MasterAlarm
-from friction_hil_drivers.canopen.connect.watchdogs import Guard, feeders
+from friction_hil_drivers.canopen.connect.watchdogs import feeders
 from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
 from friction_hil_drivers.canopen.cycle.listener import STEPPED_TIMEOUT_S, Listener
 from friction_hil_drivers.canopen.stop.by_sdo import HeartbeatLapse
-from friction_hil_drivers.canopen.stop.last_frames import LastFrames
+from friction_hil_drivers.canopen.stop.last_frames import LastFrames, Timer
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.canopen.wire.queue_full import QueueFullError
 
@@ -38,21 +38,19 @@ class CyclicExchange(Listener):
 
     __slots__ = (
         "_alarm",
+        "_all_unsent",
         "_axes",
         "_cycles_since_probe",
         "_dry_run",
         "_feeders",
-        "_guards",
         "_has_new_words",
-        "_heartbeat_id",
-        "_heartbeat_ns",
         "_is_alarm_told",
         "_is_commanding",
         "_is_complete",
         "_is_unsent",
         "_lapse",
         "_max_missed",
-        "_next_heartbeat_ns",
+        "_next_timer_ns",
         "_oldest_ns",
         "_pairs",
         "_reserve_ns",
@@ -61,6 +59,7 @@ class CyclicExchange(Listener):
         "_spare_command",
         "_spare_feedback",
         "_sync_id",
+        "_timers",
         "_unsent",
     )
 
@@ -85,20 +84,23 @@ class CyclicExchange(Listener):
         self._reserve_ns = round(_COMMAND_FRACTION * period_s * 1e9)
         self._alarm = alarm or MasterAlarm()
         self._handlers |= self._alarm.handlers
-        self._heartbeat_id = cia301.HEARTBEAT_BASE + master_node
-        half_ns = round(0.5e9 * period_s)  # a cycle that comes a little early sends it all the same
-        self._heartbeat_ns = round(heartbeat_s * 1e9) - half_ns
-        self._next_heartbeat_ns = self._sampled_ns = 0  # the second one: time of the last feedback
+        half_ns = round(0.5e9 * period_s)  # a cycle that comes a little early sends what is due all the same
+        base, beat_ns = cia301.HEARTBEAT_BASE, round(heartbeat_s * 1e9) - half_ns
+        self._timers = [Timer(base + master_node, _OPERATIONAL, beat_ns)]
+        guarded = {axis.node: axis.watch.beat_s for axis in axes if axis.watch.is_guarded}
+        self._timers += [
+            Timer(base + node, None, round(beat_s * 1e9) - half_ns, node) for node, beat_s in guarded.items()
+        ]
+        self._next_timer_ns = self._sampled_ns = 0  # the second one: time of the last feedback
         self._feeders = feeders([axis.watch for axis in axes])
         self._pairs = list(zip(axes, self._feeders, strict=True))
         # commanding: from the first command on; before, the loop may pause, and no drive has power
         # new words: a controlword that was sent is not in force yet; complete: every axis has answered every SYNC
         self._is_commanding = self._has_new_words = self._is_complete = self._is_alarm_told = False
-        guarded = {axis.node: axis.watch.beat_s for axis in axes if axis.watch.is_guarded}
-        self._guards = [Guard(node, round(beat_s * 1e9) - half_ns) for node, beat_s in guarded.items()]
         self._max_missed = max_missed
         self._unsent = 0  # cycles in a row in which the bus took no frames
         self._is_unsent = [False] * len(axes)  # the last command to each axis
+        self._all_unsent = [True] * len(axes)
         self._oldest_ns = round(max_missed * period_s * 1e9)
         self._cycles_since_probe = 0
         self._lapse = HeartbeatLapse()
@@ -174,7 +176,7 @@ class CyclicExchange(Listener):
         try:
             if not self._dry_run:
                 self._send_commands(commands, now_ns)
-            if self._is_commanding:
+            if now_ns >= self._next_timer_ns and self._is_commanding:
                 self._feed(now_ns)
         except QueueFullError as error:  # what the drives did not get is a missed exchange
             self._unsent += 1
@@ -192,8 +194,7 @@ class CyclicExchange(Listener):
         age_ns, send = now_ns - self._sampled_ns, self._bus.send
         is_too_old = age_ns > self._oldest_ns and self._clock.is_real
         is_unsent = self._is_unsent
-        for k in range(len(is_unsent)):
-            is_unsent[k] = True  # until it is sent: a full queue may end this before
+        is_unsent[:] = self._all_unsent  # until it is sent: a full queue may end this before
         for k, ((axis, feeder), command) in enumerate(zip(self._pairs, commands, strict=True)):
             request = command.request
             if request is _LISTEN:
@@ -221,23 +222,24 @@ class CyclicExchange(Listener):
 
     def _feed(self, now_ns: int) -> None:
         """Send the heartbeat and the remote frames of node guarding when due, unless the drives are to miss them."""
-        if now_ns >= self._next_heartbeat_ns and not self._lapse.is_due(self._axes, now_ns):
-            self._bus.send(self._heartbeat_id, _OPERATIONAL)
-            self._next_heartbeat_ns = now_ns + self._heartbeat_ns
-        for guard in self._guards:
-            if now_ns >= guard.next_ns and not self._lapse.is_due(self._axes, now_ns):
-                self._bus.send_remote(guard.can_id, 1)
-                guard.next_ns = now_ns + guard.period_ns
+        for timer in self._timers:
+            if now_ns >= timer.next_ns and not self._lapse.is_due(self._axes, now_ns):
+                if timer.data is None:
+                    self._bus.send_remote(timer.can_id, 1)
+                else:
+                    self._bus.send(timer.can_id, timer.data)
+                timer.next_ns = now_ns + timer.period_ns
+        self._next_timer_ns = min(timer.next_ns for timer in self._timers)
 
     def last_frames(self) -> LastFrames | None:
         """Return what the drives wait for while they are left; None where none has begun to watch, or time stands."""
         if self._dry_run or not self._is_commanding or not self._clock.is_real:
             return None
-        return LastFrames(self._axes, self._heartbeat_id, self._heartbeat_ns, self._guards)
+        return LastFrames(self._axes, self._timers)
 
     def warm_caches(self) -> None:
         """Decode and encode as in a cycle, on a copy of the first axis; nothing is sent."""
-        axis, now = self._spare, self._next_heartbeat_ns
+        axis, now = self._spare, self._sampled_ns
         axis.begin_cycle(now)
         for tpdo in axis.drive.tpdos:
             axis.handlers[tpdo.cob_id](bytes(tpdo.layout.size))

@@ -8,23 +8,19 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from friction_hil_drivers.canopen.wire import cia301
-
 if TYPE_CHECKING:
-    from friction_hil_drivers.canopen.connect.watchdogs import Guard
     from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
 
-_OPERATIONAL = bytes([cia301.NmtState.OPERATIONAL])
 _FRAMES_PER_TIMER = 4
 _IDLE_S = 1.0
 
 
 @dataclass(slots=True)
-class _Timer:
-    """One frame and when it is due; ``data`` is None for a remote frame."""
+class Timer:
+    """A frame that the watchdogs wait for, and when it is due."""
 
     can_id: int
-    data: bytes | None
+    data: bytes | None  # None: a remote frame
     period_ns: int
     node: int = 0  # of an RPDO or of node guarding
     next_ns: int = 0
@@ -34,28 +30,16 @@ class LastFrames:
     """Frames that are due while drives are left.
 
     None is due as long as a drive may have power: its watchdogs are to trip. The RPDOs say "disable voltage".
-
-    Parameters
-    ----------
-    axes : sequence of CanopenAxis
-        As the cyclic phase has left them.
-    heartbeat_id, heartbeat_ns : int
-        Identifier and period of the daemon's heartbeat.
-    guards : iterable of Guard
+    ``axes``: as the cyclic phase has left them. ``timers``: of the heartbeat and of node guarding.
     """
 
-    def __init__(
-        self, axes: Sequence["CanopenAxis"], heartbeat_id: int, heartbeat_ns: int, guards: Iterable["Guard"]
-    ) -> None:
+    def __init__(self, axes: Sequence["CanopenAxis"], timers: Iterable[Timer]) -> None:
         self._may_have_power = {axis.facts.name for axis in axes if not axis.is_proved_unpowered}
-        self._timers = [_Timer(heartbeat_id, _OPERATIONAL, heartbeat_ns)]
-        self._timers += [
-            _Timer(guard.can_id, None, guard.period_ns, guard.can_id - cia301.HEARTBEAT_BASE) for guard in guards
-        ]
+        self._timers = list(timers)
         for axis in axes:
             within_ms = [means.within_ms for means in axis.watch.means if means.kind == "rpdo"]
             for can_id, data in axis.disabling_frames() if within_ms else ():
-                self._timers.append(_Timer(can_id, data, 1_000_000 * within_ms[0] // _FRAMES_PER_TIMER, axis.node))
+                self._timers.append(Timer(can_id, data, 1_000_000 * within_ms[0] // _FRAMES_PER_TIMER, axis.node))
 
     def note(self, axis: str, *, is_unpowered: bool) -> None:
         """Note what was read back of an axis."""
