@@ -48,6 +48,7 @@ _PRELOADED = (
     "friction_hil_drivers.modbus.simulated",
 )
 _SET_BY_PYTEST = ("PYTEST_CURRENT_TEST",)  # changes with each test
+_READ_ON_USE = ("XDG_STATE_HOME",)  # no import depends on it: what a fork is told counts
 _STREAMS = ("stdin", "stdout", "stderr")
 _PR_SET_CHILD_SUBREAPER = 36
 _MAX_JOB_BYTES = 65536
@@ -75,17 +76,17 @@ def start(*arguments: object, **options: Any) -> "Command | subprocess.Popen[str
     arguments : object
         Words of the command line behind ``friction-hil``.
     options
-        Those of Popen. With any other than ``stdin``, ``stdout`` and ``stderr``, or after a change of the
-        environment, Popen starts an interpreter of its own.
+        Those of Popen. With any other than ``stdin``, ``stdout``, ``stderr`` and ``cwd``, or after a change of the
+        environment that an import may see, Popen starts an interpreter of its own.
     """
     words = [_python, *COMMAND[1:], *map(str, arguments)]
-    if set(options) <= set(_STREAMS) and _environment() == _server(_python).environment:
+    if set(options) <= {*_STREAMS, "cwd"} and _environment() == _server(_python).environment:
         return Command(words, **options)
     return subprocess.Popen(words, text=True, **options)
 
 
 def _environment() -> dict[str, str]:
-    return {name: value for name, value in os.environ.items() if name not in _SET_BY_PYTEST}
+    return {name: value for name, value in os.environ.items() if name not in (*_SET_BY_PYTEST, *_READ_ON_USE)}
 
 
 class _Server:
@@ -101,9 +102,10 @@ class _Server:
         atexit.register(process.wait)
         atexit.register(self._control.shutdown, socket.SHUT_RDWR)  # runs first, and ends the server
 
-    def fork(self, arguments: list[str], streams: list[int]) -> int:
+    def fork(self, arguments: list[str], streams: list[int], cwd: str) -> int:
         """Run a command with the given three streams as a child of this process; return its process id."""
-        job = json.dumps({"arguments": arguments, "cwd": os.getcwd()}).encode()
+        environment = {name: os.environ.get(name) for name in _READ_ON_USE}
+        job = json.dumps({"arguments": arguments, "cwd": cwd, "environment": environment}).encode()
         with _adopting_orphans():
             socket.send_fds(self._control, [job], streams)
             answer = self._control.recv(_MAX_JOB_BYTES)
@@ -127,6 +129,7 @@ class Command:
         stdin: int | IO[Any] | None = None,
         stdout: int | IO[Any] | None = None,
         stderr: int | IO[Any] | None = None,
+        cwd: str | os.PathLike[str] | None = None,
     ) -> None:
         self.args = args
         self.returncode: int | None = None
@@ -138,7 +141,7 @@ class Command:
         with contextlib.ExitStack() as opened:
             for name, wanted in zip(_STREAMS, (stdin, stdout, stderr), strict=True):
                 theirs.append(self._open(name, wanted, theirs, opened))
-            self.pid = _server(args[0]).fork(args[len(COMMAND) :], theirs)
+            self.pid = _server(args[0]).fork(args[len(COMMAND) :], theirs, os.fspath(cwd or os.getcwd()))
         # only now, so that nothing is left behind when forking fails
         self._exit = os.pidfd_open(self.pid)
 
@@ -274,6 +277,11 @@ def _serve(control: socket.socket) -> list[str] | None:
             control.close()
             job = json.loads(data)
             os.chdir(job["cwd"])
+            for name, value in job["environment"].items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
             for own, stream in enumerate(streams):
                 os.dup2(stream, own)
             for stream in streams:

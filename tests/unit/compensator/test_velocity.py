@@ -129,12 +129,14 @@ def test_noise_of_the_drive_s_velocity_goes_through_the_filter():
 
 
 def _riccati(F, Q, R, cycles):
-    """Covariance before a measurement, by the plain recursion; it is too short to be worth compiling."""
+    """Covariance before a measurement, by the plain recursion until it changes no more."""
     P = Q.copy()
     P[0, 0] += 1e6 * R
     for _ in range(cycles):
-        K = P[:, 0] / (P[0, 0] + R)
+        K, before = P[:, 0] / (P[0, 0] + R), P
         P = F @ (P - np.outer(K, P[0])) @ F.T + Q
+        if np.all(np.abs(P - before) <= 1e-13 * np.abs(P)):
+            break
     return P
 
 

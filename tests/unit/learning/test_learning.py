@@ -1,5 +1,6 @@
 """Learning of an axis's parameters: estimate, judgement, and what is handed over and taken back."""
 
+import copy
 import math
 
 import numpy as np
@@ -15,20 +16,27 @@ from tests.compensators import INERTIA, LUGRE, PERIOD_S, quantised
 from tests.learning_records import COUNT, WRONG, Driven, levels, record
 
 
-@pytest.fixture
-def first():
-    """A learner that has just handed over the first part of a change; the error was 1 mrad before."""
+@pytest.fixture(scope="module")
+def stages():
+    """A learner at two moments, to be copied: as `first` and as `tried`."""
     driven = Driven().take(WINDOW_TICKS + 2, until=Step.PARAMETERS, error=1e-3)
     assert [proposal.step for _, proposal in driven.proposals] == [Step.PARAMETERS]
-    return driven
+    first = copy.deepcopy(driven)
+    driven.take(8, until=Step.PARAMETERS, error=8e-4)
+    assert [proposal.step for _, proposal in driven.proposals] == 2 * [Step.PARAMETERS]
+    return first, driven
 
 
 @pytest.fixture
-def tried(first):
+def first(stages):
+    """A learner that has just handed over the first part of a change; the error was 1 mrad before."""
+    return copy.deepcopy(stages[0])
+
+
+@pytest.fixture
+def tried(stages):
     """A learner that has just handed over its first parameters."""
-    first.take(8, until=Step.PARAMETERS, error=8e-4)
-    assert [proposal.step for _, proposal in first.proposals] == 2 * [Step.PARAMETERS]
-    return first
+    return copy.deepcopy(stages[1])
 
 
 def test_a_wrong_model_is_replaced_after_a_window_of_motion_at_first_by_a_third(tried):

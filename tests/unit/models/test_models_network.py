@@ -150,9 +150,9 @@ def test_modifiers_of_the_model_beside_it_stay_what_they_are():
     network = random_network(is_residual=True)
     modifiers = {"ripple": [{"order": 3, "cosine": 0.01, "sine": 0.02}], "load": {"motoring": 0.1}}
     velocity, inputs = motion(400), {"position": np.cumsum(motion(400)) * 1e-3, "load_torque": 0.2}
-    with_both = beside(network, "gms", modifiers).simulate(velocity, 1e-3, **inputs)
-    family = fh.models.describe("gms")
-    without = fh.models.create("gms", modifiers=modifiers, **family.example).simulate(velocity, 1e-3, **inputs)
+    with_both = beside(network, "lugre", modifiers).simulate(velocity, 1e-3, **inputs)
+    family = fh.models.describe("lugre")
+    without = fh.models.create("lugre", modifiers=modifiers, **family.example).simulate(velocity, 1e-3, **inputs)
     learned = alone(random_network(is_residual=True)).simulate(velocity, 1e-3)
     np.testing.assert_allclose(with_both, without + learned, atol=1e-12)
 
