@@ -11,7 +11,6 @@ from friction_hil_drivers.cia402.objects import DataType, Object
 from friction_hil_drivers.cia402.scales import polarity_text
 
 _MODES = {1: "pp", 2: "vl", 3: "pv", 4: "tq", 6: "hm", 7: "ip", 8: "csp", 9: "csv", 10: "cst", 11: "cstca"}
-_SYNCHRONOUS = 240  # largest synchronous transmission type
 _REACTIONS = {0: "none", 1: "fault", 2: "disable voltage", 3: "quick stop"}  # 6007h
 _RATED_CURRENT = Object(0x6075, "motor rated current", DataType.UNSIGNED32)
 
@@ -147,8 +146,9 @@ def _watchdogs(pdos: list[dict[str, Any]]) -> "Script[dict[str, Any]]":
     watched, time_ms = cia301.watched_node(consumer or 0)
     reaction = yield from _read(objects.ABORT_CONNECTION_OPTION)
     guard, factor = yield from _values(cia301.GUARD_TIME, cia301.LIFE_TIME_FACTOR)
+    most = cia301.LARGEST_SYNCHRONOUS
     timers = [
-        {"pdo": pdo["pdo"], "ms": pdo["event_timer_ms"], "needs_sync": (pdo["transmission_type"] or 0) <= _SYNCHRONOUS}
+        {"pdo": pdo["pdo"], "ms": pdo["event_timer_ms"], "needs_sync": (pdo["transmission_type"] or 0) <= most}
         for pdo in pdos
         if pdo["pdo"].startswith("RPDO") and pdo["is_valid"] and pdo["event_timer_ms"]
     ]

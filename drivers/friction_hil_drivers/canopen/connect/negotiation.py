@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 _MOST_ENTRIES = 8  # of 8 bits each
 _FIRST_RECORDS = 4  # looked for one by one; those behind them only as long as there are any
-_LARGEST_SYNCHRONOUS = 240  # transmission type
 _DUMMIES = range(0x0001, 0x0008)  # data types that stand for bytes that mean nothing
 _ZEROED = (objects.TARGET_TORQUE, objects.TARGET_VELOCITY, objects.TORQUE_OFFSET)  # before the mapping, by the driver
 
@@ -351,7 +350,7 @@ class PdoNegotiator:
         identifier = cob_id & 0x7FF
         self._taken.add(identifier)
         kind = self._access.find(pdo.record.transmission_type)
-        is_synchronous = kind is not None and kind <= _LARGEST_SYNCHRONOUS
+        is_synchronous = kind is not None and kind <= cia301.LARGEST_SYNCHRONOUS
         number = pdo.record.number
         return MappedPdo(identifier, entries, struct.Struct(code), number, is_synchronous=is_synchronous)
 

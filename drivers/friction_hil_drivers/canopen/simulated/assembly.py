@@ -28,23 +28,11 @@ def make_node(
 ) -> SimulatedNode:
     """Make the node of an axis.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        Its period and the folder of its files.
-    axis : AxisConfig
-        With its ``simulation``.
-    servo : Servo
-        Its servo, compiled; see `compile_servo`.
-    send : callable
-        Called with identifier and data of each frame that the node sends.
-    is_real : bool
-        Time is real and the node locks to SYNC; else it passes at SYNC only.
+    ``configuration``: its period and the folder of its files. ``axis``: with its ``simulation``. ``servo``: compiled
+    (`compile_servo`). ``send``: called with identifier and data of each frame that the node sends. ``is_real``: time is
+    real and the node locks to SYNC; else it passes at SYNC only.
 
-    Raises
-    ------
-    UsageError
-        An EDS is invalid, or the period is not a whole number of integration steps.
+    Raises `UsageError`: an EDS is invalid, or the period is not a whole number of integration steps.
     """
     simulation = axis.simulation
     assert isinstance(simulation, SimulationOptions)

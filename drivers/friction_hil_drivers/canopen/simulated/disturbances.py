@@ -53,12 +53,7 @@ class ShownValues:
 class DisturbedWire:
     """The node's way to the bus.
 
-    Parameters
-    ----------
-    send : callable
-        Sends a frame.
-    number_of : callable
-        Returns the number of the TPDO with an identifier, None for other frames.
+    ``send``: sends a frame. ``number_of``: returns the number of the TPDO with an identifier, None for other frames.
     """
 
     def __init__(self, send: Callable[[int, bytes], None], number_of: Callable[[int], int | None]) -> None:

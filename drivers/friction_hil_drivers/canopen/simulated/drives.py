@@ -26,19 +26,11 @@ _AHEAD_NS = 400_000  # before a SYNC: then the state that it will sample is comp
 
 
 class SimulatedCanopenDrives(SimulatedDriver):
-    """One CANopen node for each axis.
+    """One CANopen node for each axis, each with its ``simulation``.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        Its bus and period.
-    axes : mapping of str to AxisConfig
-        The axes to simulate, each with its ``simulation``.
-    pace : {"real", "sync"}
-        real: in step with the monotonic clock. sync: time passes by one period of the configuration at each
-        SYNC and not otherwise, so that the drives' behaviour is a function of the frames.
-    bus : can.BusABC, optional
-        An open bus, used instead of the configuration's.
+    ``pace``: real: in step with the monotonic clock; sync: time passes by one period of the configuration at each SYNC
+    and not otherwise, so that the drives' behaviour is a function of the frames. ``bus``: an open bus, used instead of
+    the configuration's.
     """
 
     Options = SimulationOptions
@@ -94,19 +86,10 @@ class SimulatedCanopenDrives(SimulatedDriver):
         )
 
     def open(self) -> str:
-        """Compile the servos, open the bus and let every node send its boot-up message.
+        """Compile the servos, open the bus and let every node send its boot-up message; return nodes and bus in words.
 
-        Returns
-        -------
-        str
-            Nodes and bus, for messages.
-
-        Raises
-        ------
-        BusError
-            The bus does not open, or a node of the same number is on it.
-        UsageError
-            An EDS is invalid, or the period is not a whole number of integration steps.
+        Raises `BusError`: the bus does not open, or a node of the same number is on it. `UsageError`: an EDS is
+        invalid, or the period is not a whole number of integration steps.
         """
         # imported here: python-can, canopen and numba take a second, and reading a configuration needs none of them
         from friction_hil.config.simulation import simulated_servos
@@ -140,12 +123,7 @@ class SimulatedCanopenDrives(SimulatedDriver):
     def run(self, is_stopping: Callable[[], bool]) -> None:
         """Serve the bus until ``is_stopping()`` is true.
 
-        Raises
-        ------
-        BusError
-            The bus is gone.
-        DriveError
-            A simulated servo diverged.
+        Raises `BusError`: the bus is gone. `DriveError`: a simulated servo diverged.
         """
         if self._is_real:
             self._run_in_real_time(is_stopping)

@@ -7,7 +7,7 @@ fallen silent, as a master should.
 
 import struct
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Literal
 
 from friction_hil.drive import DriveState, Mode, Request
@@ -169,20 +169,10 @@ class _Fields:
 
 
 class StandInMaster:
-    """Master of the simulated drives of a sidecar's configuration.
+    """Master of the simulated drives of a sidecar's configuration; raises a `UsageError` for another one.
 
-    Parameters
-    ----------
-    configuration : Configuration
-    axes : mapping of str to AxisConfig
-    pace : {"real", "sync"}
-        real: cycles by the clock. sync: a cycle begins when the drives and, once it has joined, the sidecar have
-        answered the one before; the motion begins when the sidecar joins, so that runs are equal bit for bit.
-
-    Raises
-    ------
-    UsageError
-        The configuration is not that of a sidecar.
+    ``pace``: real: cycles by the clock; sync: a cycle begins when the drives and, once it has joined, the sidecar have
+    answered the one before; the motion begins when the sidecar joins, so that runs are equal bit for bit.
     """
 
     def __init__(
@@ -358,13 +348,7 @@ class StandInMaster:
         self._open_bus.send(cia301.NMT_ID, bytes((command, node)))
 
     def write(self, node: int, entry: Object, value: int) -> None:
-        """Write an object by SDO.
-
-        Raises
-        ------
-        DriveError
-            The drive does not answer, or refuses.
-        """
+        """Write an object by SDO; raises a `DriveError` if the drive does not answer, or refuses."""
         download = Download(entry, value)
         talk = Conversation(self._open_bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS)
         talk.hold({node: (transfer for transfer in (download,))})
@@ -395,12 +379,8 @@ def make_path(motion: "Motion | None") -> Path:
 
 def _map(master: StandInMaster, node: int, record: PdoRecord, pdo: SidecarPdo, kind: int) -> None:
     """Map a PDO in the order that CiA 301 prescribes."""
-    words: Sequence[int] = mapping_words(pdo)
-    type_entry = record.parameter(cia301.PDO_TRANSMISSION_TYPE, "transmission type", objects.DataType.UNSIGNED8)
     master.write(node, record.cob_id, cia301.PDO_INVALID | pdo.cob_id)
-    master.write(node, record.mapping(0), 0)
-    for position, word in enumerate(words, 1):
-        master.write(node, record.mapping(position), word)
-    master.write(node, record.mapping(0), len(words))
-    master.write(node, type_entry, kind)
+    for entry, value in record.mapping_steps(mapping_words(pdo)):
+        master.write(node, entry, value)
+    master.write(node, record.transmission_type, kind)
     master.write(node, record.cob_id, pdo.cob_id)

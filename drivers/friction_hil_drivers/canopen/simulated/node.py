@@ -30,31 +30,17 @@ _S, _US = 1_000_000_000, 1_000  # ns
 class SimulatedNode:
     """One node on the bus.
 
-    Frames come in through `receive`, time through `advance_to`; frames go out through ``send``. `poll` is to be called
-    when `needs_poll` is true: after a SYNC (once all nodes have sent their PDOs), and regularly between frames. With
-    ``sync_steps`` the node has a time of its own that passes by that many integration steps at each SYNC and stands
-    still in between, so that its behaviour is a function of the frames.
+    Frames come in through `receive`, time through `advance_to`; frames go out through ``send``, which is called with
+    identifier and data. `poll` is to be called when `needs_poll` is true: after a SYNC (once all nodes have sent their
+    PDOs), and regularly between frames.
 
-    Parameters
-    ----------
-    number : int
-        Node number, 1 to 127.
-    dictionary : Dictionary
-        Dictionary of a node with that number.
-    make_drive : callable
-        Makes the device from the dictionary and the emergencies.
-    send : callable
-        Called with identifier and data of each frame to be sent.
-    sync_steps : int or None
-        Integration steps at each SYNC; None: time comes from `advance_to`.
-    lock_steps : int or None
-        With time from `advance_to`: integration steps between two SYNCs, to which the drive locks its clock as real
-        drives do, so that a SYNC that comes late by some microseconds does not shift the instants at which it samples
-        and interpolates. None: SYNCs are taken as they come.
-    manners : Manners, optional
-        What it does differently from a node that does everything well.
-    clock : callable
-        Returns real time, ns, in which SDO answers are late.
+    ``number``: node number, 1 to 127. ``dictionary``: of a node with that number. ``make_drive``: makes the device from
+    the dictionary and the emergencies. ``sync_steps``: integration steps of a time of its own that passes by so many at
+    each SYNC and stands still in between, so that the node's behaviour is a function of the frames; None: time comes
+    from `advance_to`. ``lock_steps``: then, integration steps between two SYNCs, to which the drive locks its clock as
+    real drives do, so that a SYNC that comes late by some microseconds does not shift the instants at which it samples
+    and interpolates; None: SYNCs are taken as they come. ``manners``: what it does differently from a node that does
+    everything well. ``clock``: returns real time, ns, in which SDO answers are late.
     """
 
     def __init__(

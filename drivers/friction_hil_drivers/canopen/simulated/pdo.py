@@ -9,7 +9,6 @@ from friction_hil_drivers.cia402.objects import DataType
 from friction_hil_drivers.cia402.simulated.dictionary import Dictionary, Entry
 from friction_hil_drivers.cia402.simulated.wire_types import Value, WireType
 
-_LARGEST_SYNCHRONOUS = 240
 _MOST_ENTRIES = 64
 _EVENT_DRIVEN = (254, 255)
 _DUMMIES = range(0x0002, 0x0008)  # data types that may stand for "ignore" in an RPDO
@@ -95,7 +94,7 @@ class SimulatedPdo:
         self.is_stale = False
         self.can_id = self._cob_id.value & 0x7FF
         self.transmission_type = self._type.value
-        self.is_synchronous = self.transmission_type <= _LARGEST_SYNCHRONOUS
+        self.is_synchronous = self.transmission_type <= cia301.LARGEST_SYNCHRONOUS
         self.event_timer_ns = self._event_timer.value * _MS
         try:
             mapping = [entry.value for entry in self._mapped[: self._count.value]]
@@ -123,7 +122,7 @@ class SimulatedPdo:
         self.is_stale = True
 
     def _write_type(self, value: int) -> None:
-        if value > _LARGEST_SYNCHRONOUS and value not in _EVENT_DRIVEN:
+        if value > cia301.LARGEST_SYNCHRONOUS and value not in _EVENT_DRIVEN:
             raise AbortError(Abort.VALUE)
         self.is_stale = True
 

@@ -22,10 +22,7 @@ def private_configuration(configuration: "Configuration") -> tuple["Configuratio
     A simulated drive is the one that the configuration expects, where `simulation` does not say otherwise: its
     identity, EDS, units and kind of axis.
 
-    Raises
-    ------
-    UsageError
-        A node has several axes, which simulated drives do not have.
+    Raises `UsageError`: a node has several axes, which simulated drives do not have.
     """
     bus = configuration.bus
     assert bus is not None  # the driver's options have checked it

@@ -119,13 +119,7 @@ class Event(BaseModel):
 
 
 class Timeline:
-    """Order of events: each begins, and most end.
-
-    Parameters
-    ----------
-    events : sequence of Event
-        In any order.
-    """
+    """Order of events, which are given in any order: each begins, and most end."""
 
     def __init__(self, events: Sequence[Event]) -> None:
         self._marks = [(round(event.at_s * _NS), True, event) for event in events]

@@ -22,15 +22,7 @@ class _Transfer:
 
 
 class SdoServer:
-    """Serves one client.
-
-    Parameters
-    ----------
-    dictionary : Dictionary
-        Dictionary that is served.
-    send : callable
-        Called with the eight bytes of each response.
-    """
+    """Serves one client; ``send`` is called with the eight bytes of each response."""
 
     def __init__(self, dictionary: Dictionary, send: Callable[[bytes], None]) -> None:
         self._dictionary = dictionary

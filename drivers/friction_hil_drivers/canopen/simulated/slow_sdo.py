@@ -19,18 +19,9 @@ class SlowSdoServer:
     to later requests wait behind it, also where the client has given up the first one, because a drive that is busy
     reads its mailbox afterwards.
 
-    Parameters
-    ----------
-    dictionary : Dictionary
-        Dictionary that is served.
-    send : callable
-        Called with the eight bytes of each response.
-    delay_s : float
-        Delay of every answer, s.
-    manners : sequence of SdoManner
-        Exceptions for some objects; of several that fit a request, the first counts.
-    clock : callable
-        Returns the time in which delays pass, ns: real time, also where the drive's own time stands still without SYNC.
+    ``delay_s``: delay of every answer, s. ``manners``: exceptions for some objects; of several that fit a request, the
+    first counts. ``clock``: returns the time in which delays pass, ns: real time, also where the drive's own time
+    stands still without SYNC.
     """
 
     def __init__(

@@ -30,6 +30,7 @@ RPDO_MAPPING = 0x1600
 TPDO_PARAMETER = 0x1800
 TPDO_MAPPING = 0x1A00
 PDO_COB_ID, PDO_TRANSMISSION_TYPE, PDO_INHIBIT_TIME, PDO_EVENT_TIMER = 1, 2, 3, 5  # sub-indices
+LARGEST_SYNCHRONOUS = 240  # transmission type; of smaller ones 1 is "with every SYNC"
 PDO_INVALID = 1 << 31  # bit of a COB-ID entry: this PDO (or EMCY) does not exist
 PDO_NO_RTR = 1 << 30  # bit of a TPDO's COB-ID entry: it is not sent on request
 PDO_EXTENDED = 1 << 29  # bit of a COB-ID entry: 29-bit identifier
