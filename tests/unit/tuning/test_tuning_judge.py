@@ -1,8 +1,10 @@
 """Trial of a model: how its runs are judged, motion by motion, which model is kept, and what is shown."""
 
+import bisect
 import math
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -40,12 +42,25 @@ def trial_of(**changes):
 RUN, DURATION_S = trial_of()
 SEQUENCE = RUN.axes["x"].trajectory
 NAMES = tuple(part.name for part in SEQUENCE.motions)
+STARTS = np.cumsum([0.0, *(part.duration_s for part in SEQUENCE.motions[:-1])]).tolist()
+FIRST_CYCLE = 50.0
 
 
 def motion_at(s):
     """Name of the motion at the time of the path; a pause belongs to the motion before it."""
-    starts = np.cumsum([0.0, *(part.duration_s for part in SEQUENCE.motions[:-1])])
-    return NAMES[max(int(np.searchsorted(starts, s, side="right")) - 1, 0)]
+    return NAMES[max(bisect.bisect_right(STARTS, s) - 1, 0)]
+
+
+@cache
+def course():
+    """Cycles, and the demand and the time of the path in each."""
+    cycle = np.arange(0.0, FIRST_CYCLE + round(DURATION_S / PERIOD_S))
+    path_time = PathTime(RAMP_S)
+    motion = Trajectory(make_path(RUN.axes["x"], COUNT, PERIOD_S), path_time)
+    motion.begin_at(1.0)
+    path_time.start(FIRST_CYCLE * PERIOD_S + DELAY_S)
+    times = (cycle * PERIOD_S).tolist()
+    return cycle, np.array([motion.at(t).position for t in times]), [path_time.at(t)[0] for t in times]
 
 
 def recorded(errors, *, events=()):
@@ -53,27 +68,19 @@ def recorded(errors, *, events=()):
 
     ``errors`` maps names of motions to functions of the path's time; others have an error of 1e-3.
     """
-    first = 50.0
-    cycle = np.arange(0.0, first + round(DURATION_S / PERIOD_S))
-    path_time = PathTime(RAMP_S)
-    motion = Trajectory(make_path(RUN.axes["x"], COUNT, PERIOD_S), path_time)
-    motion.begin_at(1.0)
-    path_time.start(first * PERIOD_S + DELAY_S)
-    times = (cycle * PERIOD_S).tolist()
-    demand = np.array([motion.at(t).position for t in times])
-    path_s = np.array([path_time.at(t)[0] for t in times])
+    cycle, demand, path_s = course()
     begin, end = windows(SEQUENCE, FADE_S)["own"]
     error = np.array(
         [9.0 if s < begin - 1e-9 or end <= s < SEQUENCE.motions[0].moving_s else value_of(errors, s) for s in path_s]
     )
     columns = {
         "time_s": cycle * PERIOD_S,
-        "cycle": cycle,
+        "cycle": cycle.copy(),
         "position": demand - error,
-        "position_demand": demand,
+        "position_demand": demand.copy(),
         "is_fresh": np.ones(len(cycle)),
         "is_enabled": np.ones(len(cycle)),
-        "state": np.where(cycle < first, float(LoopState.ENABLING), float(LoopState.RUNNING)),
+        "state": np.where(cycle < FIRST_CYCLE, float(LoopState.ENABLING), float(LoopState.RUNNING)),
         "path_lag_s": np.zeros(len(cycle)),
     }
     facts = [{"name": "x", "position_resolution": COUNT, "setpoint_delay_s": DELAY_S}]
