@@ -29,6 +29,13 @@ def applicable(action: Callable[[], None]) -> None:
         pytest.skip(str(reason))
 
 
+def stop(connection: Connection, request: Request, *torques: float) -> None:
+    """Ask for a stop until no drive has power any more, or for longer than any takes."""
+    for _ in connection.cycles(LONG, request, *torques):
+        if not any(state.is_powered for state in connection.states):
+            return
+
+
 class DrivesContract:
     """Promises of `friction_hil.drive.Drives`. A subclass provides the fixture ``rig``, a `Rig`."""
 
@@ -140,8 +147,9 @@ class DrivesContract:
     def test_power_is_given_up_when_asked_for(self, rig: Rig, request_: Request) -> None:
         with Connection(rig, is_enabled=True) as connection:
             connection.run(10, Request.ENABLE, PUSH)
-            connection.run(LONG, request_, PUSH)
-            assert DriveState.OPERATION_ENABLED not in connection.states
+            stop(connection, request_, PUSH)
+            connection.run(50, request_, PUSH)
+            assert DriveState.OPERATION_ENABLED not in connection.states, "it stays without power"
             velocities = [each.velocity for each in connection.feedback]
             connection.run(20, request_, PUSH)
             for before, each in zip(velocities, connection.feedback, strict=True):
@@ -200,7 +208,7 @@ class DrivesContract:
         with Connection(rig, is_enabled=True) as connection:
             connection.run(10, Request.ENABLE, PUSH)
             if is_disabled:
-                connection.run(LONG, Request.DISABLE)
+                stop(connection, Request.DISABLE)
             states = connection.drives.close()
         if is_disabled:
             assert not rig.has_power(0)
