@@ -40,6 +40,16 @@ def test_with_an_environment_of_its_own_a_command_is_started_anew(monkeypatch: p
         assert command.communicate(timeout=60)[0].startswith("friction-hil ")
 
 
+def test_a_folder_and_what_is_read_on_use_need_no_interpreter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "here.yaml").write_text("version: 0\n")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    with launcher.start("run", "here.yaml", cwd=tmp_path, **PIPES) as command:
+        assert isinstance(command, launcher.Command)
+        _, errors = command.communicate(timeout=60)
+    assert "here.yaml" in errors
+    assert "cannot be read" not in errors
+
+
 def test_a_command_that_goes_on_times_out_and_can_be_asked_again(tmp_path: Path) -> None:
     path = write_configuration(tmp_path)
     with launcher.start("simulate", path, "--pace", "sync", **PIPES) as running:
