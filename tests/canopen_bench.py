@@ -8,6 +8,7 @@ from typing import Any
 
 import can
 from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO
+from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.simulated.eds_dictionary import eds_dictionary
 from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.node import SimulatedNode
@@ -161,6 +162,12 @@ class Bench:
         self.map(0x1800, 0x1A00, 0x185, 1, [0x60410010, 0x60640020, 0x60770010])
         self.nmt(0x01)
         self.enable(mode)
+
+
+def kill(drives: CanopenDrives) -> None:
+    """Let go of the locks of a daemon's drives, as the kernel does with a daemon that was killed."""
+    for lock in drives._locks:
+        lock.release()
 
 
 class BenchBus(can.BusABC):

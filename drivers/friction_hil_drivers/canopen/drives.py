@@ -120,7 +120,7 @@ class CanopenDrives(BusDrives, CanopenService):
             drives = cls(configuration, {name: axis}, clock, dry_run=False)
             try:
                 drives.connect()
-                yield from drives._try_watchdogs(name)
+                yield from drives.try_own_watchdogs(name)
             except FrictionHilError as error:
                 yield failure(f"{name}: watchdogs", error, "FH-445")
             finally:
@@ -128,7 +128,8 @@ class CanopenDrives(BusDrives, CanopenService):
             for text in drives.leftovers:
                 yield Finding(f"{name}: left", "fail", text)
 
-    def _try_watchdogs(self, name: str) -> Iterator[Finding]:
+    def try_own_watchdogs(self, name: str) -> Iterator[Finding]:
+        """Let each watchdog of the one drive lapse, once it is connected."""
         # imported here: python-can takes 0.5 s, and reading a configuration does not need it
         from friction_hil_drivers.canopen.connect.watchdog_trial import WatchdogTrial
 

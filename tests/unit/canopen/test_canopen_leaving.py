@@ -13,7 +13,7 @@ from friction_hil_drivers.cia402 import objects
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError
-from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.canopen_bench import NODE, Bench, BenchBus, kill
 from tests.servo_drives import axis_dict, configuration
 
 SDO_REQUEST, SDO_ANSWER = 0x600 + NODE, 0x580 + NODE
@@ -339,8 +339,7 @@ def test_after_a_kill_the_next_run_restores_what_the_first_one_found(bench, fold
     killed.connect()
     if cycles:
         run(killed, cycles)
-    for lock in killed._locks:  # as the kernel does
-        lock.release()
+    kill(killed)
     assert settings(bench) != before
     drives = make(Others(bench), mode="csp")
     (facts,) = drives.connect()
@@ -355,8 +354,7 @@ def test_after_a_kill_the_next_run_restores_what_the_first_one_found(bench, fold
 def test_a_value_that_somebody_changed_after_a_kill_is_his(bench, folder):
     killed = make(Others(bench))
     killed.connect()
-    for lock in killed._locks:
-        lock.release()
+    kill(killed)
     bench.write(0x605A, 0, "h", 5)
     drives = make(Others(bench))
     drives.connect()
@@ -439,8 +437,7 @@ def test_a_drive_that_is_gone_is_told_and_does_not_take_long(bench):
 def test_a_damaged_journal_is_told(bench, folder):
     killed = make(Others(bench))
     killed.connect()
-    for lock in killed._locks:
-        lock.release()
+    kill(killed)
     [path] = folder.iterdir()
     path.write_text('{"version": 1, "ent')
     drives = make(Others(bench))

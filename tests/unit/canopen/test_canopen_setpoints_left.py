@@ -11,7 +11,7 @@ from friction_hil_drivers.canopen.wire.frames import FrameBus
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
-from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.canopen_bench import NODE, Bench, BenchBus, kill
 from tests.servo_drives import axis_dict, configuration
 
 MODES = ("csp", "csv", "cst")
@@ -72,11 +72,6 @@ def moving(bus, mode):
     return drives
 
 
-def killed(drives):
-    for lock in drives._locks:  # as the kernel does
-        lock.release()
-
-
 def left(bench):
     return {index: bench.read(index, 0, code) for index, code in CODES.items()}
 
@@ -104,7 +99,7 @@ def test_rpdos_that_do_not_arrive_any_more_leave_nothing(mode):
 @pytest.mark.parametrize("mode", MODES)
 def test_after_a_kill_the_next_run_clears_what_was_left(mode):
     bus = BenchBus(Bench())
-    killed(moving(bus, mode))
+    kill(moving(bus, mode))
     bus.bench.write(0x6040, 0, "H", 0)
     assert left(bus.bench) != NOTHING
     bus.bench.write(TARGET[mode], 0, "h", 77)  # not what was written: it would act all the same
@@ -119,7 +114,7 @@ def test_after_a_kill_the_next_run_clears_what_was_left(mode):
 @pytest.mark.parametrize("is_powered", [True, False])
 def test_a_stop_clears_what_a_killed_run_left(mode, is_powered):
     bus = BenchBus(Bench())
-    killed(moving(bus, mode))
+    kill(moving(bus, mode))
     if not is_powered:
         bus.bench.write(0x6040, 0, "H", 0)
     [stop] = inventory(BenchBus(bus.bench)).stop([NODE])
@@ -130,7 +125,7 @@ def test_a_stop_clears_what_a_killed_run_left(mode, is_powered):
 @pytest.mark.parametrize("is_in_fault", [True, False])
 def test_a_reset_clears_what_a_killed_run_left(is_in_fault):
     bus = BenchBus(Bench())
-    killed(moving(bus, "csp"))
+    kill(moving(bus, "csp"))
     bus.bench.write(0x6040, 0, "H", 0)
     if is_in_fault:
         bus.bench.node.drive.fault(0x2310, bus.bench.node.now_ns)

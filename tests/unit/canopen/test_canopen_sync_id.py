@@ -19,7 +19,7 @@ class Driven:
 
     def __init__(self, *, held, sync_id, manners=None, dry_run=False):
         self.bench = Bench(manners=manners)
-        self.bench.node._dictionary.change(SYNC_COB_ID, 0, held)
+        self.bench.node.dictionary.change(SYNC_COB_ID, 0, held)
         self.bench.node._connect()
         self.bus = BenchBus(self.bench)
         config = configuration(x=axis_dict(node=NODE))

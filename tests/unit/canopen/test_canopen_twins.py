@@ -119,7 +119,7 @@ def test_drives_that_differ_are_called_two(second, difference):
     serial = second.pop("serial", None)
     bus = TwinBus(Bench(**second))
     if serial is not None:
-        bus.second.node._dictionary.change(0x1018, 4, serial)
+        bus.second.node.dictionary.change(0x1018, 4, serial)
     drives = opened(bus)
     with pytest.raises(DriveError, match=rf"two nodes answer as node 5 on .*: {difference}; .*FH-264"):
         drives.connect()

@@ -102,7 +102,7 @@ class Driven:
     def __init__(self, eds: Path, mode: str, *, supported=None, manners=None, **keys):
         self.bench = Bench(eds=eds, modes=tuple(Mode), manners=manners)
         if supported is not None:  # what its EDS says, whatever it can
-            self.bench.node._dictionary.of(objects.SUPPORTED_MODES).value = supported
+            self.bench.node.dictionary.of(objects.SUPPORTED_MODES).value = supported
         self.bus = BenchBus(self.bench)
         options = {"is_watchdog_required": False, **UNITS, **keys}
         if mode == "cst":

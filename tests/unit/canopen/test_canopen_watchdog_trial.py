@@ -51,7 +51,7 @@ def tried(monkeypatch, tmp_path):
         bus.stalls_ms.extend(stalls_ms)
         bus.answer_ms = answer_ms
         try:
-            return list(drives._try_watchdogs("x")), bus
+            return list(drives.try_own_watchdogs("x")), bus
         finally:
             drives.close()
             bus.shutdown()
@@ -87,8 +87,8 @@ def test_a_computer_that_is_always_late_proves_nothing(tried):
 
 def test_a_watchdog_that_does_nothing_is_not_said_to_work(tried):
     def keep_quiet(node):
-        node._behaviour.value = 1  # 1029h: stays in Operational
-        node._emergency_id.value |= 0x80000000
+        node.dictionary.at(0x1029, 1).value = 1  # stays in Operational
+        node.dictionary.at(0x1014, 0).value |= 0x80000000
 
     findings, bus = tried(prepare=keep_quiet)
     assert [(finding.result, finding.code) for finding in findings] == [("fail", "FH-442")] * 2

@@ -147,7 +147,7 @@ def test_with_a_single_rpdo_that_one_is_event_driven(drive):
 
 def synchronous_only(bench):
     """RPDO 1 of the drive cannot be event-driven."""
-    entry = bench.node._dictionary.at(0x1400, 2)
+    entry = bench.node.dictionary.at(0x1400, 2)
     accept = entry.on_write
 
     def write(value):
@@ -186,7 +186,7 @@ def coarse(least_ms):
     """The drive takes no time below ``least_ms`` for its heartbeat consumer, as one whose clock ticks that slowly."""
 
     def prepare(bench):
-        entry = bench.node._dictionary.at(CONSUMER, 1)
+        entry = bench.node.dictionary.at(CONSUMER, 1)
         accept = entry.on_write
 
         def write(value):
@@ -307,15 +307,15 @@ def test_a_consumer_entry_that_cannot_be_read_is_left_alone(drive):
     one.turn()
     one.drives.close()
     assert one.drives.leftovers == []
-    assert one.bench.node._dictionary.at(CONSUMER, 1).value == 0
-    assert one.bench.node._dictionary.at(CONSUMER, 2).value == 0
+    assert one.bench.node.dictionary.at(CONSUMER, 1).value == 0
+    assert one.bench.node.dictionary.at(CONSUMER, 2).value == 0
 
 
 @pytest.mark.parametrize("index", [0x1017, 0x605A, 0x6007])
 def test_no_optional_object_is_written_that_cannot_be_read(drive, index):
-    before = Bench().node._dictionary.at(index, 0).value
+    before = Bench().node.dictionary.at(index, 0).value
     one = drive(**answers({"index": index, "access": "read", "abort": HIDDEN}), is_watchdog_required=False)
-    assert one.bench.node._dictionary.at(index, 0).value == before
+    assert one.bench.node.dictionary.at(index, 0).value == before
     one.drives.close()
     assert one.drives.leftovers == []
 

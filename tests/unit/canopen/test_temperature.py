@@ -213,7 +213,7 @@ def canopen(temperature, is_mappable=True, **changes):
     """A drive of the bench that shows 25.0 °C in 5FF0h, as INTEGER16 of 0.1 °C, and 61.2 °C after 150 ms."""
     event = {"at_s": 0.15, "do": "write", "index": 0x5FF0, "value": 612}
     bench = Bench(manners={"events": [event]})
-    bench.node._dictionary.of(objects.SIMULATED_MOTOR_TEMPERATURE).is_mappable = is_mappable
+    bench.node.dictionary.of(objects.SIMULATED_MOTOR_TEMPERATURE).is_mappable = is_mappable
     bus = BenchBus(bench)
     config = configuration(x=axis_dict(node=NODE, temperature=temperature, **changes))
     clock = SteppedClock()

@@ -73,7 +73,7 @@ class SimulatedNode:
         self._send = send if self._wire is None else self._wire.send
         self._is_deaf = False
         self._has_ticked = False  # time passed at a SYNC that a deaf node did not hear
-        self._dictionary = dictionary
+        self.dictionary = dictionary
         self._emergencies = Emergencies(dictionary, self._send_emergency)
         self.drive = make_drive(dictionary, self._emergencies)
         self._sdo = SlowSdoServer(
@@ -313,7 +313,7 @@ class SimulatedNode:
             case "fault":
                 self.drive.fault(event.code or 0, self.now_ns)
             case "write":
-                self._dictionary.change(event.index or 0, event.subindex or 0, event.value or 0)
+                self.dictionary.change(event.index or 0, event.subindex or 0, event.value or 0)
             case "statusword" | "freeze_encoder" | "jump_encoder":
                 self._shown.change(event, begins=begins)
             case _:
@@ -363,7 +363,7 @@ class SimulatedNode:
 
     def _reset(self, last_index: int) -> None:
         """Return objects up to ``last_index`` to their defaults: those of the communication, or of the whole node."""
-        self._dictionary.reset(0x1000, last_index)
+        self.dictionary.reset(0x1000, last_index)
         if last_index > 0x1FFF:
             self._emergencies.reset()
             self.drive.reset()
