@@ -177,13 +177,13 @@ class CanopenAxis:
         self.is_reachable = feedback.is_reachable = is_reachable
         state, _, feedback.position, feedback.velocity, feedback.torque, _, _ = self._measured
         feedback.is_fresh, feedback.status = is_fresh, self._status
-        is_asking = sdo.is_stopping or sdo.error_code.attempts_left > 0 or now_ns >= sdo.temperature.due_ns
+        is_asking = sdo.is_stopping or sdo.error_code.attempts_left > 0
         if is_fresh and is_reachable:
             feedback.state, feedback.missing = state, ""
+            self.needs_other_frames = is_asking or now_ns >= sdo.temperature.due_ns
         else:
             feedback.state, feedback.missing = self.state, "" if is_fresh else answers.why_missing()
-            is_asking = is_asking or not is_reachable or self._missed > _BLIND_CYCLES
-        self.needs_other_frames = is_asking
+            self.needs_other_frames = is_asking or not is_reachable or self._missed > _BLIND_CYCLES
         feedback.temperature = self._temperature.value
         if self._load is not None:
             feedback.load_position = self._load.position
