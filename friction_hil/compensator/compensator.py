@@ -16,7 +16,7 @@ from friction_hil.compensator.reference import SOURCES
 from friction_hil.compensator.velocity import VelocityEstimator
 from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel, network
-from friction_hil.numerics.jit import Array, StructuredArray
+from friction_hil.numerics.jit import Array, StructuredArray, ready
 
 
 class CompensatorInputs(NamedTuple):
@@ -181,7 +181,7 @@ class Compensator:
         A setting is out of range, or one that another setting needs is missing.
     """
 
-    __slots__ = ("_flat", "_former", "_settings", "_state", "estimator", "model", "settings")
+    __slots__ = ("_flat", "_former", "_settings", "_state", "_whole_step", "estimator", "model", "settings")
 
     def __init__(self, model: FrictionModel, settings: CompensatorSettings) -> None:
         if not 0.0 < settings.position_resolution < math.inf:
@@ -208,6 +208,7 @@ class Compensator:
                 cause, advice = settings.velocity, "let it follow a greater acceleration, or take velocity: difference"
             raise UsageError(f"{cause} delays the velocity by {delay:.1f} cycles, more than {longest}; {advice}")
         self._settings = _record(model, settings, self.estimator)
+        self._whole_step = kernel.whole_step
         self._state = np.zeros(1, records.STATE)
         records.begin(self._settings, self._state, model.initial_state())
         self._flat: Array = self._state.view(np.float64)
@@ -263,7 +264,7 @@ class Compensator:
                 acceleration_demand_ahead,
                 temperature,
             )
-        return kernel.whole_step(
+        return self._whole_step(
             self._settings,
             self._state,
             cycle,
@@ -281,6 +282,7 @@ class Compensator:
 
     def compile(self) -> None:
         """Compile `step`, so that the first cycle is as fast as the later ones; the state stays as it is."""
+        self._whole_step = ready(kernel.whole_step)
         state = self.state.copy()
         for cycle in range(3):
             self.step(float(cycle), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, False, 0.0, math.nan)

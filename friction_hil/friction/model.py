@@ -17,7 +17,7 @@ from friction_hil.friction.modifiers import SIDES, check_modifiers, pack_modifie
 from friction_hil.friction.network_model import NETWORK_ALONE, Network
 from friction_hil.friction.parameters import check_all
 from friction_hil.numerics.dual import WIDTH
-from friction_hil.numerics.jit import Array
+from friction_hil.numerics.jit import Array, ready
 
 Axis = Literal["rotary", "linear"]
 Purpose = Literal["feedforward", "simulation"]
@@ -448,7 +448,7 @@ class FrictionModel:
 class Runner:
     """A model together with its state, which `step` advances."""
 
-    __slots__ = ("_address", "_is_modified", "_state", "_whole")
+    __slots__ = ("_address", "_is_modified", "_state", "_step_plain", "_step_whole", "_whole")
 
     def __init__(self, model: FrictionModel, epsilon: float) -> None:
         whole = np.zeros(kernel.WHOLE_ROOM)
@@ -465,8 +465,9 @@ class Runner:
         self._whole = np.array(whole)  # a writeable copy
         self._address = self._whole.ctypes.data
         self._state = self._whole[-kernel.STATE_ROOM :]
-        kernel.prepare(kernel.step_plain, 2)
-        kernel.prepare(kernel.step_whole, 6)
+        self._step_plain, self._step_whole = ready(kernel.step_plain), ready(kernel.step_whole)
+        kernel.prepare(self._step_plain, 2)
+        kernel.prepare(self._step_whole, 6)
 
     @property
     def state(self) -> Array:
@@ -489,9 +490,9 @@ class Runner:
         ``dt`` must be above zero.
         """
         if not self._is_modified and applied_torque == 0.0:
-            return kernel.step_plain(self._address, velocity, dt)
+            return self._step_plain(self._address, velocity, dt)
         celsius = math.nan if temperature is None else temperature
-        return kernel.step_whole(self._address, velocity, dt, position, load_torque, celsius, applied_torque)
+        return self._step_whole(self._address, velocity, dt, position, load_torque, celsius, applied_torque)
 
 
 def _brief(value: object) -> str:
