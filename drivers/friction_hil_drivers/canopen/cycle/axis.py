@@ -40,7 +40,6 @@ class CanopenAxis:
     __slots__ = (
         "_asked",
         "_decoder",
-        "_drive",
         "_encoder",
         "_health",
         "_heard_ns",
