@@ -37,58 +37,33 @@ _LOAD_ROUNDS = 3  # alternating fits of gravity, which is the load, and of the f
 class CandidateFitter:
     """Fits candidate models to the recordings of one axis on equal terms.
 
-    Parameters
-    ----------
-    recordings, validation : sequence of Recording
-        Recordings to fit to, and recordings that every candidate is judged on.
-    settings : IdentificationSettings
-    progress : callable
-        Called with a `FitStep` before each fit.
-
-    Attributes
-    ----------
-    families : tuple of str
-    data, validation : Data
-        ``validation`` is None without validation recordings.
-    known : dict
-        Known torques per unit of their column, if the gain of the drive is unknown; else empty.
-    notes : list of str
-        Remarks that concern all candidates.
-    failures : list of str
-        What was left out because of an internal error, with the error; they are among the notes, too.
-    scales : InitialScales
-    is_mean, delay_s
-        Meaning of the measured torque in `fine` records, see `friction_hil.identification.fine.FineSegment`.
-
-    Raises
-    ------
-    RecordingError
-        A recording lacks a column or is too short, or the axis does not move.
-    UsageError
-        A setting is invalid.
+    Raises `RecordingError`: a recording lacks a column or is too short, or the axis does not move; `UsageError`: a
+    setting is invalid.
     """
 
     def __init__(
         self,
-        recordings: Sequence[Recording],
-        validation: Sequence[Recording],
+        recordings: Sequence[Recording],  # that are fitted to
+        validation: Sequence[Recording],  # that every candidate is judged on
         settings: IdentificationSettings,
-        progress: Callable[[FitStep], None],
+        progress: Callable[[FitStep], None],  # called before each fit
     ) -> None:
         self.settings = settings
         self._progress = progress
         self._stage, self._number = "", 0
         self._count: int | None = None
         self.families = chosen_families(settings.families)
+        # torques per unit of their column, if the gain of the drive is unknown; else empty
         self.known = unknown_gain.known_torque(settings.held) if settings.has_unknown_gain else {}
-        self.data = Data(self._prepared(recordings), self.known)
+        self.data = Data(self._prepared(recordings), self.known)  # to fit to
         if len(self.data) < LEAST_ROWS:
             name = recordings[0].axis
             raise RecordingError(f"axis {name} moves in {len(self.data)} rows only; {LEAST_ROWS} are the least")
         kept = self._prepared(validation)
         self.validation = Data(kept, self.known) if kept else None
         self._held = {} if self.known else {name: x for name, x in settings.held.items() if name in MECHANICS}
-        self.notes: list[str] = []
+        self.notes: list[str] = []  # remarks that concern all candidates
+        # what was left out because of an internal error, with the error; among the notes, too
         self.failures: list[str] = []
         self._offset: float | None = None
         if not settings.families:
@@ -98,6 +73,7 @@ class CandidateFitter:
         self._loads: list[Array] | None = None
         self._fine: Data | None = None
         self._coarse: Data | None = None
+        # meaning of the measured torque in `fine` records: see `friction_hil.identification.fine.FineSegment`
         self.is_mean, self.delay_s = settings.torque != "instant", 0.0
         self.scales = estimate_scales(self.data, ("inertia", "offset"))
         self._gravity = self._fitted_gravity()

@@ -27,14 +27,10 @@ _FAR = 2.0  # standard errors: a fit that is worse by more is not plausible
 def log_likelihood_gain(error: PredictionError, base: PredictionError) -> tuple[float, float]:
     """Return by how much one prediction is better than another, and the standard error of that.
 
-    Returns
-    -------
-    gain : float
-        Mean over the stretches of half the logarithm of the ratio of mean square errors, i.e. the difference in the
-        logarithm of the likelihood for each row, where each stretch has a variance of its own. 0.01 is a smaller
-        error by 1 %.
-    standard_error : float
-        For differences that are correlated from stretch to stretch (Newey and West 1987).
+    The gain is the mean over the stretches of half the logarithm of the ratio of mean square errors, i.e. the
+    difference in the logarithm of the likelihood for each row, where each stretch has a variance of its own; 0.01 is a
+    smaller error by 1 %. Its standard error is for differences that are correlated from stretch to stretch (Newey and
+    West 1987).
 
     Source: held-out log-likelihood as the score, with the variance of each stretch profiled out: T. Gneiting,
     A. Raftery, Journal of the American Statistical Association 102, 2007, section 4.
@@ -153,12 +149,8 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks", kind: str = "") -> tuple
     difference from it. The simplest fit has the fewest parameters. Fits whose parameters the data determine and that
     have none at a bound are preferred, also within two standard errors: a parameter that any value fits here may matter
     elsewhere. ``blocks`` names, in the reason, what was held out
-    (`friction_hil.identification.prediction_errors.blocks`), and ``kind`` what distinguishes these candidates.
-
-    Raises
-    ------
-    RecordingError
-        No fit has a finite error.
+    (`friction_hil.identification.prediction_errors.blocks`), and ``kind`` what distinguishes these candidates. Raises
+    `RecordingError`: no fit has a finite error.
 
     Source: L. Breiman, J. Friedman, R. Olshen, C. Stone, Classification and Regression Trees, 1984, section 3.4.3.
     """
@@ -207,18 +199,9 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks", kind: str = "") -> tuple
 def plausible(fits: Sequence[Fit], chosen: Fit) -> list[Fit]:
     """Return the fits that may describe the axis: the chosen one, the others near the best, the best of each family.
 
-    Parameters
-    ----------
-    fits : sequence of Fit
-        Fits to the same rows, so that their errors compare.
-    chosen : Fit
-        It comes first if it is among them.
-
-    Returns
-    -------
-    list of Fit
-        First the fits that are not worse than the best by more than two standard errors of the difference, without
-        parameters at a bound first; then the best of each family that is left. Each once.
+    The fits are to the same rows, so that their errors compare. ``chosen`` comes first if it is among them, then those
+    that are not worse than the best by more than two standard errors of the difference, without parameters at a bound
+    first, then the best of each family that is left. Each once.
     """
     ordered = by_likelihood(fits)
     close = sorted(near(fits, _FAR), key=lambda each: not is_sound(each))  # keeps the order within both parts

@@ -45,26 +45,15 @@ _MARGIN = 1e-6  # of a start to its bounds
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TorqueFit:
-    """Fit of a rigid or a compliant axis to the torque.
+    """Fit of a rigid or a compliant axis to the torque."""
 
-    Attributes
-    ----------
-    values, errors : dict
-        Parameters with standard errors: ``motor_inertia`` (of a rigid axis: all of it), ``motor_level``, ``delay_s``
-        that was left, ``stroke``, and for two masses those of `LOAD` and ``inertia``, the sum.
-    at : array
-        Coordinates of the search.
-    residual : (k,) array
-        Of the compared rows.
-    free : float
-        Part of the time in which the gap was open.
-    """
-
+    # ``motor_inertia`` (of a rigid axis: all of it), ``motor_level``, ``delay_s`` that was left, ``stroke``, and for
+    # two masses those of `LOAD` and ``inertia``, the sum
     values: dict[str, float]
-    errors: dict[str, float]
-    at: Array
-    residual: Array
-    free: float = 0.0
+    errors: dict[str, float]  # standard errors of the values
+    at: Array  # coordinates of the search
+    residual: Array  # (k,), of the compared rows
+    free: float = 0.0  # part of the time in which the gap was open
 
     @property
     def rmse(self) -> float:
@@ -75,13 +64,8 @@ class TorqueFit:
 class ComplianceFitter:
     """Fits of rigid and compliant axes to the same rows.
 
-    Parameters
-    ----------
-    motions : sequence of MotorMotion
-    inertia, friction : float
-        Rough inertia of the whole axis, and rough level of its friction: units of the search.
-    has_model : bool
-        True if the last column of the motions, friction of a known model, is used.
+    ``inertia``, ``friction``: rough inertia of the whole axis and rough level of its friction: units of the search.
+    ``has_model``: the last column of the motions, friction of a known model, is used.
     """
 
     def __init__(self, motions: Sequence[MotorMotion], inertia: float, friction: float, *, has_model: bool) -> None:
@@ -279,12 +263,7 @@ class ComplianceFitter:
 def sandwich(jacobian: Array, residual: Array, starts: NDArray[np.intp]) -> Array:
     """Return the covariance (p, p) of parameters where residuals within a stretch of rows are correlated.
 
-    Parameters
-    ----------
-    jacobian : (k, p) array
-    residual : (k,) array
-    starts : array of int
-        First row of each stretch.
+    ``jacobian`` is (k, p), ``residual`` (k,); ``starts``: first row of each stretch.
 
     Source: K.-Y. Liang, S. Zeger, Biometrika 73(1), 1986.
     """

@@ -61,13 +61,8 @@ def other_joints(result: Identification, recordings: Sequence[Recording]) -> lis
     """Report other joints whose motion the residual of the chosen model follows.
 
     The residual is regressed on acceleration, velocity and gravity of each other joint, and on the inertia of this axis
-    that depends on their position; what they explain is judged by blocks held out.
-
-    Parameters
-    ----------
-    result : Identification
-    recordings : sequence of Recording
-        Those that the model was fitted to, with all their columns.
+    that depends on their position; what they explain is judged by blocks held out. ``recordings``: those that the model
+    was fitted to, with all their columns.
     """
     first = recordings[0]
     source, factor = parse_source(first.sources.get("position", "position"))

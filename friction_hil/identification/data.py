@@ -36,44 +36,25 @@ _CUT_STEP, _LEAST_CUT = 0.8, 0.1  # of the low-pass, for the acceleration alone
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegressionSegment(Segment):
-    """Segment of a recording that is ready for regression; arrays (n,) at the full rate, SI.
+    """Segment of a recording that is ready for regression; arrays (n,) at the full rate, SI."""
 
-    Attributes
-    ----------
-    rows : int
-        Rows of the recording.
-    decimation : int
-        Each ``decimation``-th row is kept for the regression.
-    begin, end : int
-        Rows between which the filters have settled.
-    problems : tuple of str
-        Messages about defects of the recording and their treatment.
-    resolution : float or None
-        Step in which the measured position comes; None if it is not quantised.
-    group : str
-        Recordings of one group are held out together; empty for a group of its own.
-    is_moving : array of bool or None
-        Rows of the regression that count, among those that the filters leave; None for all.
-    is_torque_age_stated : bool
-        True if the driver stated how old the torque is relative to the position: then it is no mean.
-    is_thinned : bool
-        True if each ``decimation``-th row is kept as it is: a model is evaluated at the low-passed motion of that row
-        alone, and compared with the low-passed torque. Where the axis slides, both are the same to first order; a
-        filter over the model's torque would mix in its torque in rows that do not count, where it is wrong.
-    has_position : bool
-        False if the position is integrated from the velocity, from an unknown start.
-    """
-
-    rows: int
-    decimation: int
-    begin: int
+    rows: int  # of the recording
+    decimation: int  # each n-th row is kept for the regression
+    begin: int  # the filters have settled from this row to ``end``
     end: int
-    problems: tuple[str, ...]
-    resolution: float | None
+    problems: tuple[str, ...]  # defects of the recording and their treatment
+    resolution: float | None  # step in which the measured position comes; None: not quantised
+    # recordings of one group are held out together; empty for a group of its own
     group: str = field(default="", kw_only=True)
+    # rows of the regression that count, among those that the filters leave; None for all
     is_moving: Mask | None = field(default=None, kw_only=True)
+    # the driver stated how old the torque is relative to the position: then it is no mean
     is_torque_age_stated: bool = field(default=False, kw_only=True)
+    # Each ``decimation``-th row is kept as it is: a model is evaluated at the low-passed motion of that row alone, and
+    # compared with the low-passed torque. Where the axis slides, both are the same to first order; a filter over the
+    # model's torque would mix in its torque in rows that do not count, where it is wrong.
     is_thinned: bool = field(default=False, kw_only=True)
+    # False: the position is integrated from the velocity, from an unknown start
     has_position: bool = field(default=True, kw_only=True)
 
     def reduce(self, values: Array) -> Array:
@@ -118,48 +99,28 @@ class RegressionSegment(Segment):
 def prepare(
     recording: Recording,
     *,
+    # Cut-off of the zero-phase low-pass; velocity and acceleration then come from the position. None: the recorded
+    # velocity is used, or where there is none, a tenth of the sampling rate.
     lowpass_hz: float | None = None,
+    # keep each n-th row, the models run at the full rate; None: 10, or less in a short recording
     decimation: int | None = None,
     least_speed: float = 0.0,
     sliding_s: float = 0.0,
-    sliding_distance: float = 0.0,
-    group_by: str | None = None,
+    sliding_distance: float = 0.0,  # rad or m
+    group_by: str | None = None,  # entry of the metadata whose value names the group of the recording
 ) -> list[RegressionSegment]:
-    """Make a recording ready for regression.
+    """Make a recording with ``position`` and ``torque`` ready for regression: a segment for each part between gaps.
 
-    Parameters
-    ----------
-    recording : Recording
-        With ``position`` and ``torque``.
-    lowpass_hz : float, optional
-        Cut-off of the zero-phase low-pass; velocity and acceleration then come from the position. Without it the
-        recorded velocity is used, or where there is none, a tenth of the sampling rate.
-    decimation : int, optional
-        Keep each n-th row for the regression; the models run at the full rate. 10, or less in a short recording.
-    least_speed : float
-        Rows at which the axis is slower do not count: friction at rest is whatever holds the axis, which no map of
-        the velocity describes, nor a spring in presliding if the position is too coarse to resolve it.
-    sliding_s : float
-        Time before and after a row in which the axis must not be slower than ``least_speed``, nor reverse, for the row
-        to count. The filters mix the torque of a row with that of its neighbours: of a break-away they make a slow
-        rise of the velocity under a torque near zero, which looks like a low static friction and a large inertia.
-    sliding_distance : float
-        Distance from the last reversal, rad or m, before which a row does not count, with ``sliding_s``: a slow axis is
-        in presliding for long, and its torque there is no friction of that speed.
-    group_by : str, optional
-        Entry of the metadata whose value names the group of the recording.
+    Rows slower than ``least_speed`` do not count: friction at rest is whatever holds the axis, which no map of the
+    velocity describes, nor a spring in presliding if the position is too coarse to resolve it. Nor may the axis be
+    slower, or reverse, for ``sliding_s`` before and after a row: the filters mix the torque of a row with that of its
+    neighbours, and of a break-away they make a slow rise of the velocity under a torque near zero, which looks like a
+    low static friction and a large inertia. With ``sliding_s``, rows nearer to the last reversal than
+    ``sliding_distance`` do not count either: a slow axis is in presliding for long, and its torque there is no friction
+    of that speed.
 
-    Returns
-    -------
-    list of RegressionSegment
-        One for each part between gaps.
-
-    Raises
-    ------
-    RecordingError
-        A column is missing, or there are too few rows.
-    UsageError
-        A filter does not fit the sampling rate.
+    Raises `RecordingError`: a column is missing, or there are too few rows; `UsageError`: a filter does not fit the
+    sampling rate.
     """
     held = [name for name in _SLOW if name in recording and known_fraction(recording, name) >= LEAST_KNOWN_FRACTION]
     signals = even_signals(recording, held, lowpass_hz=lowpass_hz, is_torque_delay_removed=True)
@@ -314,20 +275,8 @@ def _regression_segment(
 class Data:
     """Several segments stacked for one regression.
 
-    Parameters
-    ----------
-    records : sequence of RegressionSegment
-    known : mapping, optional
-        Values of linear parameters that are known while the gain of the drive is not: their torque is the column
-        ``drive.inverse_gain``.
-
-    Attributes
-    ----------
-    records : tuple of RegressionSegment
-    parts : tuple of slice
-        Rows of each record in the stack.
-    torque : (k,) array
-        Measured torque, reduced.
+    ``known``: values of linear parameters that are known while the gain of the drive is not: their torque is the column
+    ``drive.inverse_gain``.
     """
 
     def __init__(self, records: Sequence[RegressionSegment], known: Mapping[str, float] | None = None) -> None:
@@ -335,8 +284,9 @@ class Data:
         self.known = dict(known or {})
         reduced = [record.reduced_torque() for record in self.records]
         ends = np.cumsum([0, *map(len, reduced)])
+        # rows of each record in the stack
         self.parts = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
-        self.torque: Array = np.concatenate([np.empty(0), *reduced])
+        self.torque: Array = np.concatenate([np.empty(0), *reduced])  # (k,), measured, reduced
         self._columns: dict[str, Array] = {}
 
     def __len__(self) -> int:
@@ -375,12 +325,9 @@ class Data:
 def linear_column(key: str, record: RegressionSegment) -> Array:
     """Compute the torque (n,) at the full rate per unit of a parameter in which the torque is linear.
 
-    Parameters
-    ----------
-    key : str
-        ``offset``, ``gravity.constant``, ``gravity.sine``, ``gravity.cosine``, ``viscous``, ``viscous.positive`` and
-        ``viscous.negative`` (in one direction alone), ``viscous.quadratic``, ``viscous.cubic``, ``drive.back_emf``, or
-        ``ripple.cosine@K`` and ``ripple.sine@K`` with K the angle per position, rad/rad or rad/m.
+    ``key`` is ``offset``, ``gravity.constant``, ``gravity.sine``, ``gravity.cosine``, ``viscous``, ``viscous.positive``
+    and ``viscous.negative`` (in one direction alone), ``viscous.quadratic``, ``viscous.cubic``, ``drive.back_emf``, or
+    ``ripple.cosine@K`` and ``ripple.sine@K`` with K the angle per position, rad/rad or rad/m.
     """
     v, q = record.velocity, record.position
     kind, _, angle = key.partition("@")

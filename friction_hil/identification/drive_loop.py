@@ -35,33 +35,15 @@ _FEEDFORWARD_ERROR = 0.05  # of a full feed-forward of the velocity: less cannot
 
 @dataclass(frozen=True, slots=True)
 class DriveLoops:
-    """Identified loops of a drive, SI of the axis.
+    """Identified loops of a drive, SI of the axis."""
 
-    Attributes
-    ----------
-    position_gain : float
-        1/s; 0 for a velocity loop alone.
-    velocity_gain : float
-        N m s/rad or N s/m.
-    integral_hz : float
-        Corner frequency of the velocity loop's integral part.
-    velocity_feedforward : float
-        Feed-forward of the demanded velocity; 1: full.
-    inertia : float
-        Feed-forward torque over demanded acceleration, kg m^2 or kg.
-    torque_lag_s : float
-        Time constant between the torque that the law demands and the reported torque.
-    explained : float
-        Part of the torque's energy in the band that this law explains.
-    """
-
-    position_gain: float
-    velocity_gain: float
-    integral_hz: float
-    velocity_feedforward: float
-    inertia: float
-    torque_lag_s: float
-    explained: float
+    position_gain: float  # 1/s; 0 for a velocity loop alone
+    velocity_gain: float  # N m s/rad or N s/m
+    integral_hz: float  # corner frequency of the velocity loop's integral part
+    velocity_feedforward: float  # of the demanded velocity; 1: full
+    inertia: float  # feed-forward torque over demanded acceleration, kg m^2 or kg
+    torque_lag_s: float  # time constant between the torque that the law demands and the reported torque
+    explained: float  # part of the torque's energy in the band that this law explains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,21 +59,11 @@ class _Law:
 def identify_loops(recording: Recording, mode: str, resolution: float, own_position_gain: float = 0.0) -> DriveLoops:
     """Identify the loops of a drive from rows of an uncompensated motion.
 
-    Parameters
-    ----------
-    recording : Recording
-        At an even rate, with ``position``, ``position_demand``, ``velocity_demand`` and ``torque``.
-    mode : str
-        ``csp`` or ``csv``.
-    resolution : float
-        Step of the position, SI.
-    own_position_gain : float
-        ``csv``: gain of the daemon's position loop, which is part of the velocity target, 1/s.
+    The recording has ``position``, ``position_demand``, ``velocity_demand`` and ``torque`` at an even rate. ``mode``:
+    ``csp`` or ``csv``. ``resolution``: step of the position, SI. ``own_position_gain``, in ``csv``: gain of the
+    daemon's position loop, which is part of the velocity target, 1/s.
 
-    Raises
-    ------
-    RecordingError
-        The recording is too short, or its torque does not follow such a law.
+    Raises `RecordingError`: the recording is too short, or its torque does not follow such a law.
     """
     names = ("position", "position_demand", "velocity_demand", "torque")
     position, demand, velocity, torque = (np.asarray(recording[name], dtype=np.float64) for name in names)

@@ -20,39 +20,20 @@ _STEP = 0.25  # of a step times the natural frequency: the frequency is right to
 
 
 def coupling_torque(
-    position: Array,
-    dt: float,
+    position: Array,  # (n,) of the motor, evenly sampled, rad or m
+    dt: float,  # s
     *,
-    load_inertia: float,
-    stiffness: float,
-    damping: float,
-    backlash: float,
-    level: float,
-    load: Array,
+    load_inertia: float,  # kg m^2 or kg, above zero
+    stiffness: float,  # N m/rad or N/m, above zero
+    damping: float,  # N m s/rad or N s/m
+    backlash: float,  # whole width of the gap, rad or m
+    level: float,  # Coulomb friction of the load, N m or N
+    load: Array,  # (n,), torque on the load that opposes positive motion, N m or N, e.g. its weight
 ) -> tuple[Array, Array]:
     """Simulate the load and return the torque that it takes from the motor.
 
-    Parameters
-    ----------
-    position : (n,) array
-        Of the motor, evenly sampled, rad or m.
-    dt : float
-        Sampling period, s.
-    load_inertia, stiffness, damping : float
-        SI of the axis; the first two above zero.
-    backlash : float
-        Whole width of the gap, rad or m.
-    level : float
-        Coulomb friction of the load, N m or N.
-    load : (n,) array
-        Torque on the load that opposes positive motion, N m or N, e.g. its weight.
-
-    Returns
-    -------
-    torque : (n,) array
-        N m or N, at the samples.
-    is_free : (n,) array
-        Part of the period before each sample in which the gap was open.
+    Returns the torque at the samples, N m or N, and the part of the period before each sample in which the gap was
+    open.
     """
     parts = max(1, math.ceil(math.sqrt(stiffness / load_inertia) * dt / _STEP))
     torque, is_free = np.empty(len(position)), np.empty(len(position))

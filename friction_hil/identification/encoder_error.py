@@ -34,19 +34,11 @@ _LEAST_PERIODS = 1.0  # over the travel
 
 @dataclass(frozen=True, slots=True)
 class EncoderError:
-    """Error of the measured position, ``amplitude`` sin(order q + phase).
+    """Error of the measured position, ``amplitude`` sin(order q + phase)."""
 
-    Attributes
-    ----------
-    order : float
-        Periods per revolution, or per metre.
-    amplitude, error : float
-        rad or m, and its standard error.
-    """
-
-    order: float
-    amplitude: float
-    error: float
+    order: float  # periods per revolution, or per metre
+    amplitude: float  # rad or m
+    error: float  # standard error of the amplitude
 
 
 def find_encoder_error(
@@ -54,15 +46,8 @@ def find_encoder_error(
 ) -> tuple[EncoderError, ...]:
     """Find orders in the residual of a fit that grow with the square of the speed.
 
-    Parameters
-    ----------
-    motions : sequence of MotorMotion
-    residual : (k,) array
-        Measured less predicted torque in their compared rows.
-    inertia : float
-        That moves with the encoder.
-    is_linear : bool
-        True if the position is a length: orders are then per metre.
+    ``residual``: (k,), measured less predicted torque in the compared rows of the motions. ``inertia``: that moves with
+    the encoder. ``is_linear``: the position is a length, and orders are per metre.
     """
     turn = 1.0 if is_linear else math.tau
     search = _Search(motions, residual, inertia, turn)

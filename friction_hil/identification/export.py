@@ -20,17 +20,8 @@ _DIGITS = 10  # significant digits in a model file: far more than any standard e
 def model_file(identification: Identification, fit: Fit | None = None, *, signal: str = "torque") -> ModelFile:
     """Return the model file of a fit, the chosen one by default, with its provenance.
 
-    Parameters
-    ----------
-    identification : Identification
-    fit : Fit, optional
-    signal : str
-        What the column torque was made of; stated in the file if the gain of that signal was identified.
-
-    Raises
-    ------
-    ConfigurationError
-        The values are inconsistent, which those of a fit are not.
+    ``signal``: what the column torque was made of; stated in the file if the gain of that signal was identified. A
+    `ConfigurationError`: the values are inconsistent, which those of a fit are not.
     """
     return ModelFile.model_validate(as_model_file(identification, fit, signal=signal))
 

@@ -43,24 +43,12 @@ _LONG = 400  # taps; longer kernels are faster by Fourier transforms
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FineSegment(RegressionSegment):
-    """Segment whose motion is given at the steps of the model; its (n, ...) arrays have a row for each step.
+    """Segment whose motion is given at the steps of the model; its (n, ...) arrays have a row for each step."""
 
-    Attributes
-    ----------
-    fine : int
-        Steps per sample.
-    is_mean : bool
-        True if a measured torque is the mean over the period that ends at the sample, false if it is instantaneous.
-    samples : array
-        Measured torque at the samples 1...
-    delay_s : float
-        Further delay of the measured torque, behind the position of the same sample.
-    """
-
-    fine: int
-    is_mean: bool
-    samples: Array
-    delay_s: float = 0.0
+    fine: int  # steps per sample
+    is_mean: bool  # a measured torque is the mean over the period that ends at the sample; False: instantaneous
+    samples: Array  # measured torque at the samples 1...
+    delay_s: float = 0.0  # further delay of the measured torque, behind the position of the same sample
 
     @property
     def sample_hz(self) -> float:
@@ -153,10 +141,7 @@ def is_presliding_excited(record: RegressionSegment) -> bool:
 def shows_presliding(records: Sequence[RegressionSegment], is_wanted: bool | None) -> bool:
     """Decide if a fit to these segments is refined: if all of them show presliding, unless the user has decided.
 
-    Raises
-    ------
-    RecordingError
-        Refinement is wanted, but not possible.
+    Raises `RecordingError`: refinement is wanted, but not possible.
     """
     if is_wanted is None:
         return all(is_presliding_excited(each) for each in records)
@@ -209,15 +194,8 @@ def recounted(
 ) -> Data:
     """Return data of the same motion, quantised again by an encoder with another offset, with other torques.
 
-    Parameters
-    ----------
-    data : Data
-        Result of `fine_data` for ``originals``.
-    originals : sequence of RegressionSegment
-    torques : sequence of array
-        Torques (n,) at samples 1... that replace the measured ones.
-    random : Generator
-        Source of the offsets of the counts.
+    ``data``: result of `fine_data` for ``originals``. ``torques``: (n,) at samples 1... that replace the measured ones.
+    ``random``: source of the offsets of the counts.
     """
     found = []
     for fine, original, torque in zip(data.records, originals, torques, strict=True):
@@ -280,18 +258,8 @@ def velocity_by_bands(position: Array, rate_hz: float, resolution: float, fine: 
     """Compute the velocity in each of ``fine`` steps per sample, ((n - 1) * fine,), from a quantised position (n,).
 
     It is computed from differences, hence a mean over one sampling period about the step: a sine at a tenth of the
-    sampling rate keeps 98 % of its amplitude.
-
-    Parameters
-    ----------
-    position : (n,) array
-        rad or m.
-    rate_hz : float
-        Sampling rate.
-    resolution : float
-        Step of the position, rad or m.
-    fine : int
-        Steps per sample, even.
+    sampling rate keeps 98 % of its amplitude. ``position`` and its step, ``resolution``, are in rad or m; ``fine`` is
+    even.
     """
     from scipy import signal  # imported here: it takes longer than the identification of a model
 

@@ -30,19 +30,7 @@ MECHANICS = ("inertia", "offset", "gravity.constant", "gravity.sine", "gravity.c
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves:
-    """Measured and predicted torque with the motion, for reports; arrays (k,) on the rows of the regression.
-
-    Attributes
-    ----------
-    time_s, position, velocity, acceleration : array
-        SI.
-    measured, predicted, residual : array
-        N m or N; residual = measured - predicted.
-    friction : array
-        Predicted friction torque.
-    recording : array of int
-        Index of the record of each row.
-    """
+    """Measured and predicted torque with the motion, for reports; arrays (k,) on the rows of the regression, SI."""
 
     time_s: Array
     position: Array
@@ -50,51 +38,28 @@ class Curves:
     acceleration: Array
     measured: Array
     predicted: Array
-    residual: Array
-    friction: Array
-    recording: Any
+    residual: Array  # measured - predicted
+    friction: Array  # predicted friction torque
+    recording: Any  # index of the record of each row
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A fitted candidate.
-
-    Attributes
-    ----------
-    structure : ModelStructure
-    values : dict
-        Fitted parameters by name, mechanics included.
-    mechanics : dict
-        Inertia, offset and gravity, including held ones.
-    inference : Inference
-    train, cross_validation : PredictionError
-        Errors on the data, and on blocks of it that were held out.
-    across_speeds : PredictionError or None
-        Error on strokes held out by their speed; None if there are too few strokes.
-    validation : PredictionError or None
-        Error on the validation recordings.
-    flags : tuple of str
-    coordinates : array
-        Coordinates at which the search ended.
-    curves : Curves
-    estimate : Estimate
-    is_refined : bool
-        True if the fit comes from `refined`.
-    """
+    """A fitted candidate."""
 
     structure: ModelStructure
-    values: dict[str, float]
-    mechanics: dict[str, float]
+    values: dict[str, float]  # fitted parameters by name, mechanics included
+    mechanics: dict[str, float]  # inertia, offset and gravity, including held ones
     inference: Inference
-    train: PredictionError
-    cross_validation: PredictionError
-    across_speeds: PredictionError | None
-    validation: PredictionError | None
+    train: PredictionError  # error on the data
+    cross_validation: PredictionError  # error on blocks of the data that were held out
+    across_speeds: PredictionError | None  # error on strokes held out by their speed; None: too few strokes
+    validation: PredictionError | None  # error on the validation recordings
     flags: tuple[str, ...]
-    coordinates: Array
+    coordinates: Array  # at which the search ended
     curves: Curves
     estimate: Estimate
-    is_refined: bool = False
+    is_refined: bool = False  # comes from `refined`
 
     @property
     def label(self) -> str:
@@ -130,33 +95,16 @@ def fit(
     scales: InitialScales,
     *,
     seed: int = 0,
-    further_starts: int = 2,
+    further_starts: int = 2,  # random ones, besides those that the data suggest
+    # values of a related structure to start from; only one other start is then used
     warm: Mapping[str, float] | None = None,
-    is_robust: bool = False,
-    validation: Regression | None = None,
-    notes: Sequence[str] = (),
+    is_robust: bool = False,  # see `Regression.estimate`
+    validation: Regression | None = None,  # of the same structure on validation recordings
+    notes: Sequence[str] = (),  # put before the flags of this candidate
 ) -> Fit:
     """Fit a structure: short searches from several starts, a full one from the best, then errors and uncertainty.
 
-    Parameters
-    ----------
-    regression : Regression
-    scales : InitialScales
-    seed, further_starts : int
-        Number of random starts besides those that the data suggest, and their seed.
-    warm : mapping, optional
-        Values of a related structure to start from; only one other start is then used.
-    is_robust : bool
-        See `Regression.estimate`.
-    validation : Regression, optional
-        Regression of the same structure on validation recordings.
-    notes : sequence of str
-        Remarks to put before the flags of this candidate.
-
-    Raises
-    ------
-    InvalidParameterError
-        A held value is not allowed by the model.
+    Raises `InvalidParameterError`: a held value is not allowed by the model.
     """
     structure = regression.structure
     begins: list[dict[str, float]] = []
@@ -178,37 +126,19 @@ def fit(
 
 
 def refined(
-    base: Fit,
-    regression: Regression,
-    coarse: Regression,
+    base: Fit,  # fit to the ordinary records, ``originals``
+    regression: Regression,  # of the same structure on `friction_hil.identification.fine.fine_data` of these records
+    coarse: Regression,  # the same with fewer steps of the model per sample
     originals: Data,
     scales: InitialScales,
     *,
-    replicas: int,
-    start: Array | None = None,
-    seed: int = 0,
-    validation: Regression | None = None,
+    replicas: int,  # simulated experiments
+    start: Array | None = None,  # (m,), coordinates to start from; those of ``base`` by default
+    seed: int = 0,  # of the simulated experiments
+    validation: Regression | None = None,  # this and ``notes``: see `fit`
     notes: Sequence[str] = (),
 ) -> Fit:
-    """Fit a structure once more at the encoder's resolution: see `friction_hil.identification.refine`.
-
-    Parameters
-    ----------
-    base : Fit
-        Fit to the ordinary records, ``originals``.
-    regression : Regression
-        Regression of the same structure on `friction_hil.identification.fine.fine_data` of these records.
-    coarse : Regression
-        The same with fewer steps of the model per sample.
-    originals : Data
-    scales : InitialScales
-    start : (m,) array, optional
-        Coordinates to start from; those of ``base`` by default.
-    replicas, seed : int
-        Number and seed of the simulated experiments.
-    validation, notes
-        See `fit`.
-    """
+    """Fit a structure once more at the encoder's resolution: see `friction_hil.identification.refine`."""
     at = base.coordinates if start is None else start
     estimate, inference, further = refine(regression, coarse, originals, at, scales, replicas=replicas, seed=seed)
     return replace(_fit(regression, estimate, inference, validation, (*notes, *further)), is_refined=True)

@@ -22,19 +22,11 @@ _FAR = 1e12  # rad or m: the simulation is unstable beyond
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeRun:
-    """A simulated motion; arrays (n,), SI.
+    """A simulated motion; arrays (n,), SI."""
 
-    Attributes
-    ----------
-    position, velocity : array
-        At the beginning of each sample, where the controller reads them.
-    torque : array
-        Commanded over the sample.
-    """
-
-    position: Array
+    position: Array  # this and the velocity: at the beginning of each sample, where the controller reads them
     velocity: Array
-    torque: Array
+    torque: Array  # commanded over the sample
 
     def relative_error(self, measured: Array, begin: int = 0) -> float:
         """Return norm(measured - torque) / norm(measured) from row ``begin`` on; ``measured`` is (n,)."""
@@ -47,14 +39,7 @@ def cascade(demand: Array, position_gain: float, velocity_gain: float) -> Contro
 
     torque = velocity_gain (position_gain (demand - position) - velocity)
 
-    Parameters
-    ----------
-    demand : (n,) array
-        Position demand, rad or m.
-    position_gain : float
-        1/s.
-    velocity_gain : float
-        N m s/rad or N s/m.
+    ``demand``: (n,), rad or m. ``position_gain``: 1/s. ``velocity_gain``: N m s/rad or N s/m.
     """
     demands = demand.tolist()
 
@@ -65,14 +50,14 @@ def cascade(demand: Array, position_gain: float, velocity_gain: float) -> Contro
 
 
 def simulate_axis(
-    model: ModelFile,
-    controller: Controller,
+    model: ModelFile,  # with an inertia above zero
+    controller: Controller,  # takes the index of the sample, position and velocity; returns the torque
     samples: int,
-    dt: float,
+    dt: float,  # s
     *,
-    position: float = 0.0,
-    velocity: float = 0.0,
-    steps: int = _STEPS,
+    position: float = 0.0,  # at the beginning, rad or m
+    velocity: float = 0.0,  # at the beginning, rad/s or m/s
+    steps: int = _STEPS,  # integration steps per sample
 ) -> FreeRun:
     """Simulate the axis of a model file under a controller.
 
@@ -80,24 +65,7 @@ def simulate_axis(
     over each sample. With static friction the axis sticks exactly: it stops when its velocity would change sign, and
     rests while friction balances the applied torque. Delay and lag of the torque are not simulated.
 
-    Parameters
-    ----------
-    model : ModelFile
-        With an inertia above zero.
-    controller : callable
-        Takes the index of the sample, position and velocity; returns the torque.
-    samples : int
-    dt : float
-        Sampling period, s.
-    position, velocity : float
-        At the beginning, rad and rad/s, or m and m/s.
-    steps : int
-        Integration steps per sample.
-
-    Raises
-    ------
-    UsageError
-        The model has no inertia, or the motion grows without bound.
+    Raises `UsageError`: the model has no inertia, or the motion grows without bound.
     """
     mechanics = model.mechanics
     inertia, offset, gravity = mechanics.inertia, mechanics.offset, mechanics.gravity

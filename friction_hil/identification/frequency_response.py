@@ -46,42 +46,22 @@ _RIDGE = 1e-12  # of the power of the reference
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrequencyResponse:
-    """Frequency response of the motor with its uncertainty; arrays (m,) over the lines of the spectrum.
-
-    Attributes
-    ----------
-    frequency_hz : array
-    response : array of complex
-        Velocity over torque, rad/s per N m or m/s per N.
-    coherence : array
-        Part of the power that is a linear response: of the velocity to the torque; with a reference the smaller one of
-        those of velocity and torque to the reference.
-    is_used : array of bool
-        Lines with enough coherence.
-    deviations : (b, m) array of complex
-        Logarithm of the response without one of ``b`` windows, less its mean, scaled so that the sum of squares is the
-        variance (jackknife).
-    windows : int
-        Number of windows.
-    window_s : float
-        Length of each, s.
-    has_instrument : bool
-        True if the demand was used.
-    period_s : float
-        Sampling period of the torque.
-    beside : (k, m) array of complex
-        Velocity of each of ``k`` other axes that move with this one, over the velocity of this one.
-    """
+    """Frequency response of the motor with its uncertainty; arrays (m,) over the lines of the spectrum."""
 
     frequency_hz: Array
-    response: Complex
+    response: Complex  # velocity over torque, rad/s per N m or m/s per N
+    # part of the power that is a linear response: of the velocity to the torque; with a reference the smaller one of
+    # those of velocity and torque to the reference
     coherence: Array
-    is_used: NDArray[np.bool_]
+    is_used: NDArray[np.bool_]  # lines with enough coherence
+    # (b, m), logarithm of the response without one of ``b`` windows, less its mean, scaled so that the sum of squares
+    # is the variance (jackknife)
     deviations: Complex
-    windows: int
-    window_s: float
-    has_instrument: bool
-    period_s: float
+    windows: int  # their number
+    window_s: float  # length of each
+    has_instrument: bool  # the demand was used
+    period_s: float  # sampling period of the torque
+    # (k, m), velocity of each of ``k`` other axes that move with this one, over the velocity of this one
     beside: Complex
 
     @property
@@ -99,23 +79,12 @@ class FrequencyResponse:
 def frequency_response(
     segments: Sequence[Segment], least_coherence: float = LEAST_COHERENCE, beside: Sequence[Array] | None = None
 ) -> FrequencyResponse | None:
-    """Estimate the frequency response of the motor.
+    """Estimate the frequency response of the motor from segments of one axis and one sampling rate.
 
-    Parameters
-    ----------
-    segments : sequence of Segment
-        Of one axis and one sampling rate. ``encoder`` and ``torque`` are used as they were recorded, ``velocity`` only
-        to find where the axis slides.
-    least_coherence : float
-        Lines with less are not used.
-    beside : sequence of (n, k) array, optional
-        Positions of ``k`` other axes at the rows of each segment. An axis whose motion is not coherent with that of
-        this one is left out.
-
-    Returns
-    -------
-    FrequencyResponse or None
-        None if too few windows slide, or hardly any line is coherent: the motion does not excite the axis.
+    ``encoder`` and ``torque`` are used as they were recorded, ``velocity`` only to find where the axis slides. Lines
+    with less than ``least_coherence`` are not used. ``beside``: positions (n, k) of ``k`` other axes at the rows of
+    each segment; an axis whose motion is not coherent with that of this one is left out. None: too few windows slide,
+    or hardly any line is coherent, as the motion does not excite the axis.
     """
     has_instrument = all(each.demand is not None for each in segments)
     others = beside or [np.empty((len(each.encoder), 0)) for each in segments]

@@ -34,34 +34,18 @@ _NOT_REFINED = "Fitted to the low-passed recordings only; these errors do not co
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identification:
-    """All fitted candidates and the reason for the choice among them.
+    """All fitted candidates and the reason for the choice among them."""
 
-    Attributes
-    ----------
-    fits : tuple of Fit
-        The chosen one first, then the other refined ones, then the rest, each by their error on held-out data. Errors
-        of refined and of other fits refer to different rows and do not compare.
-    reason : str
-        One sentence.
-    records, validation : tuple of RegressionSegment
-        Records used for fitting, and records used for validation only.
-    settings : IdentificationSettings
-    notes : tuple of str
-        Remarks that concern all candidates.
-    torque : TorqueTiming, optional
-        Age of the measured torque, if it was looked for.
-    failures : tuple of str
-        Notes on what was left out because of an internal error.
-    """
-
+    # The chosen one first, then the other refined ones, then the rest, each by their error on held-out data. Errors of
+    # refined and of other fits refer to different rows and do not compare.
     fits: tuple[Fit, ...]
-    reason: str
-    records: tuple[RegressionSegment, ...]
-    validation: tuple[RegressionSegment, ...]
+    reason: str  # one sentence
+    records: tuple[RegressionSegment, ...]  # used for fitting
+    validation: tuple[RegressionSegment, ...]  # used for validation only
     settings: IdentificationSettings
-    notes: tuple[str, ...]
-    torque: TorqueTiming | None = None
-    failures: tuple[str, ...] = ()
+    notes: tuple[str, ...]  # remarks that concern all candidates
+    torque: TorqueTiming | None = None  # age of the measured torque, if it was looked for
+    failures: tuple[str, ...] = ()  # notes on what was left out because of an internal error
 
     @property
     def best(self) -> Fit:
@@ -78,30 +62,16 @@ class Identification:
 
 
 def identify(
-    recordings: Sequence[Recording],
+    recordings: Sequence[Recording],  # of one axis, each with ``position`` and ``torque``
     settings: IdentificationSettings | None = None,
     *,
-    validation: Sequence[Recording] = (),
-    progress: Callable[[FitStep], None] = lambda _: None,
+    validation: Sequence[Recording] = (),  # not fitted to; every candidate is judged on them
+    progress: Callable[[FitStep], None] = lambda _: None,  # called before each fit
 ) -> Identification:
     """Identify friction, inertia, offset and gravity of one axis.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Recordings of one axis, each with ``position`` and ``torque``.
-    settings : IdentificationSettings, optional
-    validation : sequence of Recording
-        Recordings that are not fitted to; every candidate is judged on them.
-    progress : callable
-        Called with a `FitStep` before each fit.
-
-    Raises
-    ------
-    RecordingError
-        A recording lacks a column or is too short, or the axis does not move.
-    UsageError
-        A setting is invalid.
+    Raises `RecordingError`: a recording lacks a column or is too short, or the axis does not move; `UsageError`: a
+    setting is invalid.
     """
     if not recordings:
         raise UsageError("identify needs a recording")
@@ -147,10 +117,7 @@ def identify(
 def _without_position(settings: IdentificationSettings) -> IdentificationSettings:
     """Return settings for recordings without a position: neither gravity nor presliding is looked for.
 
-    Raises
-    ------
-    UsageError
-        They ask for what depends on the position.
+    Raises `UsageError`: they ask for what depends on the position.
     """
     if settings.gravity == "pendulum" or settings.refine:
         what = "a pendulum" if settings.gravity == "pendulum" else "the refinement"
@@ -161,13 +128,10 @@ def _without_position(settings: IdentificationSettings) -> IdentificationSetting
 def plausible_fits(identification: Identification) -> tuple[Fit, ...]:
     """Return the fits that may describe the axis, e.g. to try each of them in a simulation.
 
-    Returns
-    -------
-    tuple of Fit
-        The chosen one first, then those that are not worse than the best on held-out data by more than two standard
-        errors of the difference, those without parameters at a bound first, then the best one of each other family,
-        static and dynamic. Refined fits come before fits whose errors do not compare with theirs, which are there only
-        if no refined fit has their family.
+    The chosen one comes first, then those that are not worse than the best on held-out data by more than two standard
+    errors of the difference, those without parameters at a bound first, then the best one of each other family, static
+    and dynamic. Refined fits come before fits whose errors do not compare with theirs, which are there only if no
+    refined fit has their family.
     """
     found: list[Fit] = []
     for _, fits in identification.groups:
@@ -179,13 +143,8 @@ def plausible_fits(identification: Identification) -> tuple[Fit, ...]:
 def _fit_all(fitter: CandidateFitter, *, is_refined_later: bool) -> tuple[list[Fit], list[Fit]]:
     """Fit all families, the best ones with further modifiers, and these without parameters that do not show.
 
-    Dynamic families that are refined later get their modifiers there: ordinary records hardly show these models.
-
-    Returns
-    -------
-    fits : list of Fit
-    free : list of Fit
-        Fits of families whose hump the data do not show, and which others replace among the first.
+    Dynamic families that are refined later get their modifiers there: ordinary records hardly show these models. Second
+    come the fits of families whose hump the data do not show, and which others replace among the first.
     """
     fitter.begin("families", 2 * len(fitter.families))
     families = _fit_families(fitter, is_refined_later=is_refined_later)

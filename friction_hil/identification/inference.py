@@ -25,27 +25,13 @@ _RANK = 1e-7  # of the largest singular value: directions below are undetermined
 
 @dataclass(frozen=True, slots=True)
 class Inference:
-    """Uncertainty of an estimate.
+    """Uncertainty of an estimate."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Free parameters.
-    standard_errors : dict
-        By name; infinite if the data do not determine the parameter.
-    correlations : (p, p) array
-        In the order of ``names``.
-    lags : int
-        Number of rows over which residuals are taken to be correlated.
-    same : tuple of tuple of str
-        Groups of parameters whose effects cannot be told apart in these data.
-    """
-
-    names: tuple[str, ...]
-    standard_errors: dict[str, float]
-    correlations: Array
-    lags: int
-    same: tuple[tuple[str, ...], ...] = ()
+    names: tuple[str, ...]  # free parameters
+    standard_errors: dict[str, float]  # infinite: the data do not determine the parameter
+    correlations: Array  # (p, p), in the order of ``names``
+    lags: int  # rows over which residuals are taken to be correlated
+    same: tuple[tuple[str, ...], ...] = ()  # parameters whose effects cannot be told apart in these data
 
     def pairs(self, least: float = REPORTED_CORRELATION) -> list[tuple[str, str, float]]:
         """Return pairs of parameters whose absolute correlation is ``least`` or more, largest first."""
@@ -61,13 +47,8 @@ class Inference:
 def infer(estimate: Estimate, parts: Sequence[slice], *, lags: int | None = None) -> Inference:
     """Return the uncertainty of an estimate.
 
-    Parameters
-    ----------
-    estimate : Estimate
-    parts : sequence of slice
-        Rows of each record.
-    lags : int, optional
-        Number of rows over which residuals are correlated; estimated from the residuals if not given.
+    ``parts``: rows of each record. ``lags``: rows over which residuals are correlated; None: estimated from the
+    residuals.
     """
     names = estimate.names
     weights = estimate.weights[:, None]

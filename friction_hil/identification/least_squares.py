@@ -31,27 +31,14 @@ NUMERICAL = (FitError, ArithmeticError, np.linalg.LinAlgError)  # what a candida
 
 @dataclass(frozen=True, slots=True)
 class BoundedSolution:
-    """Result of `minimise_bounded`.
+    """Result of `minimise_bounded`."""
 
-    Attributes
-    ----------
-    at : (m,) array
-    residual : (k,) array
-    jacobian : (k, m) array
-        Derivative of the residual.
-    cost : float
-        Sum of squares of the residual.
-    evaluations : int
-    is_converged : bool
-        True if no step was left that lowers the cost, False if the evaluations ran out.
-    """
-
-    at: Array
-    residual: Array
-    jacobian: Array
-    cost: float
+    at: Array  # (m,)
+    residual: Array  # (k,)
+    jacobian: Array  # (k, m), derivative of the residual
+    cost: float  # sum of squares of the residual
     evaluations: int
-    is_converged: bool
+    is_converged: bool  # no step was left that lowers the cost; False: the evaluations ran out
 
 
 @compiled
@@ -98,19 +85,10 @@ def column_norms(matrix: Array) -> Array:
 
 
 def least_norm_solution(matrix: Array, right: Array, rank: float | None = None) -> Array:
-    """Return the solution of least norm of a linear least-squares problem, (m,).
+    """Return the solution of least norm of a linear least-squares problem, (m,) of a matrix (k, m).
 
-    Parameters
-    ----------
-    matrix : (k, m) array
-    right : (k,) array
-    rank : float, optional
-        Singular values below this fraction of the largest one are taken to be zero; the machine precision by default.
-
-    Raises
-    ------
-    FitError
-        A number is not finite.
+    ``rank``: singular values below this fraction of the largest one are taken to be zero; None: the machine precision.
+    Raises `FitError`: a number is not finite.
     """
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         raise FitError("its least-squares problem has numbers that are not finite")
@@ -154,29 +132,17 @@ def _adapted(damping: float, decrease: float, predicted: float) -> float:
 
 
 def minimise_bounded(
+    # takes (m,) and returns residual (k,) and Jacobian (k, m); the residual is not finite where it is undefined
     residual: Callable[[Array], tuple[Array, Array]],
-    start: Array,
+    start: Array,  # (m,), as the bounds
     lower: Array,
     upper: Array,
     *,
-    evaluations: int = 60,
-    tolerance: float = 1e-9,
-    longest: Array | None = None,
+    evaluations: int = 60,  # most calls of ``residual``
+    tolerance: float = 1e-9,  # relative decrease of the sum below which the search ends
+    longest: Array | None = None,  # (m,), longest step of each parameter
 ) -> BoundedSolution:
-    """Minimise a sum of squares within bounds, from ``start``.
-
-    Parameters
-    ----------
-    residual : callable
-        Takes (m,) and returns residual (k,) and Jacobian (k, m); the residual is not finite where it is undefined.
-    start, lower, upper : (m,) array
-    evaluations : int
-        Largest number of calls of ``residual``.
-    tolerance : float
-        Relative decrease of the sum below which the search ends.
-    longest : (m,) array, optional
-        Longest step of each parameter.
-    """
+    """Minimise a sum of squares within bounds, from ``start``."""
     at = np.clip(start, lower, upper)
     r, jacobian = residual(at)
     cost = _cost(r, jacobian)

@@ -40,22 +40,12 @@ _INDEPENDENT = 0.02  # of the energy of the load's column, outside all others
 
 @dataclass(frozen=True, slots=True)
 class LoadDependence:
-    """Extra friction per torque of the load.
+    """Extra friction per torque of the load."""
 
-    Attributes
-    ----------
-    factor, error : float
-        And its standard error, which contains what is not known of the load; N m per N m.
-    part : float
-        RMS of what the load changes of the friction, over the RMS of the friction.
-    is_shown : bool
-        True if the motion tells the factor from inertia and weight, whatever the load may be.
-    """
-
-    factor: float
-    error: float
-    part: float
-    is_shown: bool = True
+    factor: float  # N m per N m
+    error: float  # standard error of the factor; contains what is not known of the load
+    part: float  # RMS of what the load changes of the friction, over the RMS of the friction
+    is_shown: bool = True  # the motion tells the factor from inertia and weight, whatever the load may be
 
     @property
     def is_clear(self) -> bool:
@@ -71,13 +61,8 @@ class LoadDependence:
 def load_torque(mechanics: Mapping[str, float], load_inertia: float, position: Array, acceleration: Array) -> Array:
     """Return the torque that the transmission carries (n,), as the compensator computes it from the demand.
 
-    Parameters
-    ----------
-    mechanics : dict
-        Identified; an offset counts as weight, as the motion does not tell them apart.
-    load_inertia : float
-        kg m^2 or kg.
-    position, acceleration : (n,) array
+    ``mechanics``: identified; an offset counts as weight, as the motion does not tell them apart. ``load_inertia``:
+    kg m^2 or kg. ``position`` and ``acceleration`` are (n,).
     """
     record: StructuredArray = np.zeros(1, LOAD)
     for name in ("sine", "cosine"):
@@ -97,24 +82,13 @@ def _over_time(record: StructuredArray, position: Array, acceleration: Array) ->
 
 def find_load_dependence(
     records: Sequence[RegressionSegment],
-    mechanics: Mapping[str, float],
-    load_inertia: float | None,
-    orders: Sequence[float],
+    mechanics: Mapping[str, float],  # identified: ``inertia``, ``offset``, ``gravity.sine`` and others
+    load_inertia: float | None,  # kg m^2 or kg; None: not known: between zero and that of the axis
+    orders: Sequence[float],  # of ripple of the torque, periods per rad or m times 2 pi
     *,
-    load_friction: float | None = None,
+    load_friction: float | None = None,  # N m or N; None: not known: between zero and that of the axis
 ) -> LoadDependence | None:
-    """Find how much friction grows with the load; None if the axis slides in too few rows.
-
-    Parameters
-    ----------
-    records : sequence of RegressionSegment
-    mechanics : dict
-        Identified mechanics: ``inertia``, ``offset``, ``gravity.sine`` and others.
-    load_inertia, load_friction : float or None
-        Of the load, kg m^2 or kg, N m or N; None if it is not known: it is then between zero and that of the axis.
-    orders : sequence of float
-        Of ripple of the torque, periods per rad or m times 2 pi.
-    """
+    """Find how much friction grows with the load; None if the axis slides in too few rows."""
     parts, top = sliding_rows(records), top_speed(records)
     if not parts:
         return None

@@ -80,11 +80,7 @@ class _Part:
 def find_load_side(recordings: Sequence[Recording], records: Sequence[RegressionSegment]) -> LoadSide | None:
     """Find masses, coupling, backlash and friction by both positions; None without a column ``load_position``.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-    records : sequence of RegressionSegment
-        Segments of the same recordings.
+    ``records``: segments of the same recordings.
     """
     parts: list[_Part] = []
     for recording in recordings:

@@ -47,35 +47,17 @@ _STROKES = "record strokes with rests, trajectory {kind: strokes}, on a load tha
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mechanics:
-    """Mechanics that were found.
+    """Mechanics that were found."""
 
-    Attributes
-    ----------
-    quantities : tuple of Quantity
-        All of them, determined or not.
-    load : dict or None
-        ``inertia``, ``stiffness`` and ``damping`` of the load, as in a model file; None if no coupling was found.
-    inertia : float or None
-        Inertia of motor and load that belongs to ``load``.
-    backlash : float
-        Whole width of the gap, rad or m; 0 if none was found.
-    flags : tuple of str
-        What speaks against the friction model that was identified.
-    notes : tuple of str
-        What the methods take for granted.
-    response : FrequencyResponse or None
-    resonance : Resonance or None
-        Of the frequency response.
-    """
-
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[Quantity, ...]  # all of them, determined or not
+    # ``inertia``, ``stiffness`` and ``damping`` of the load, as in a model file; None: no coupling was found
     load: dict[str, float] | None = None
-    inertia: float | None = None
-    backlash: float = 0.0
-    flags: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    inertia: float | None = None  # of motor and load, that belongs to ``load``
+    backlash: float = 0.0  # whole width of the gap, rad or m; 0: none was found
+    flags: tuple[str, ...] = ()  # what speaks against the friction model that was identified
+    notes: tuple[str, ...] = ()  # what the methods take for granted
     response: FrequencyResponse | None = None
-    resonance: Resonance | None = None
+    resonance: Resonance | None = None  # of the frequency response
 
     @property
     def missing(self) -> list[str]:
@@ -95,31 +77,20 @@ class Mechanics:
 
 
 def find_mechanics(
+    # that ``result`` was fitted to; a column ``load_position`` is used where it exists
     recordings: Sequence[Recording],
     result: Identification,
     *,
+    # of an axis that is shaken while it slides: the frequency response is then theirs alone
     shaken: Sequence[Recording] = (),
+    # other axes of the run in which the axis was shaken, by name: loops that hold them give way
     held: Mapping[str, Recording] | None = None,
+    # why the torque is not that of this axis alone (`friction_hil.identification.moving_beside`): nothing is then
+    # determined; empty if it is
     disturbed: str = "",
-    report: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,  # called with the name of each step
 ) -> Mechanics:
-    """Find the mechanics behind the motor.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Those that ``result`` was fitted to; a column ``load_position`` is used where it exists.
-    result : Identification
-    shaken : sequence of Recording
-        Further ones, of an axis that is shaken while it slides: the frequency response is then theirs alone.
-    held : dict of Recording, optional
-        Other axes of the run in which the axis was shaken, by name: loops that hold them give way.
-    disturbed : str
-        Why the torque is not that of this axis alone (`friction_hil.identification.moving_beside`): nothing is then
-        determined; empty if it is.
-    report : callable
-        Called with the name of each step.
-    """
+    """Find the mechanics behind the motor."""
     units = Units.of(result)
     try:
         return _found(recordings, result, shaken, held or {}, disturbed, report)

@@ -37,36 +37,18 @@ _ROWS_PER_PERIOD = 2.5  # of the cut-off frequency
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotorMotion:
-    """What the fit of two masses needs of one evenly sampled record; arrays (n,) at the samples.
+    """What the fit of two masses needs of one evenly sampled record; arrays (n,) at the samples."""
 
-    Attributes
-    ----------
-    dt : float
-        Sampling period, s.
-    position : array
-        Of the motor, as measured.
-    fine_velocity : array
-        (n * POINTS,) of the motor.
-    torque : array
-        Measured, as it was at the sample.
-    columns : (n, m) array
-        Terms that are linear: acceleration, delay, offset, viscous friction, gravity; then friction of a known model.
-    load : array
-        Torque that acts on the load and opposes positive motion: gravity.
-    cutoff_hz : float
-        Of the low-pass that both sides pass.
-    rows : array of int
-        Rows that are compared.
-    """
-
-    dt: float
-    position: Array
-    fine_velocity: Array
-    torque: Array
+    dt: float  # sampling period, s
+    position: Array  # of the motor, as measured
+    fine_velocity: Array  # (n * POINTS,) of the motor
+    torque: Array  # measured, as it was at the sample
+    # (n, m), terms that are linear: acceleration, delay, offset, viscous friction, gravity; then friction of a known
+    # model
     columns: Array
-    load: Array
-    cutoff_hz: float
-    rows: NDArray[np.intp]
+    load: Array  # torque that acts on the load and opposes positive motion: gravity
+    cutoff_hz: float  # of the low-pass that both sides pass
+    rows: NDArray[np.intp]  # that are compared
 
     def compared(self, values: Array) -> Array:
         """Low-pass values (n,) or (n, m), and return the rows that are compared."""
@@ -86,39 +68,16 @@ class MotorMotion:
 def motor_motion(
     segment: Segment,
     *,
-    gravity: Array,
+    gravity: Array,  # (n,), known torque of gravity, N m or N, which is taken to act on the load
+    # (n, m), torques of gravity per unit of each of its parameters that were identified; their factors are fitted again
     swing: Array,
-    delay_s: float,
-    is_mean: bool,
-    inertia: float,
-    friction: Force | None = None,
-    cutoff_hz: float | None = None,
+    delay_s: float,  # age of the measured torque
+    is_mean: bool,  # the measured torque is a mean over the sampling period
+    inertia: float,  # roughly, of the axis: what the noise of the encoder's counts costs
+    friction: Force | None = None,  # torque (n,) of a known friction model over a velocity (n,) and its period
+    cutoff_hz: float | None = None,  # of the comparison; None: as high as the encoder allows
 ) -> MotorMotion | None:
-    """Prepare a segment.
-
-    Parameters
-    ----------
-    segment : Segment
-    gravity : (n,) array
-        Known torque of gravity, N m or N, which is taken to act on the load.
-    swing : (n, m) array
-        Torques of gravity per unit of each of its parameters that were identified; their factors are fitted again.
-    delay_s : float
-        Age of the measured torque, s.
-    is_mean : bool
-        True if it is a mean over the sampling period.
-    inertia : float
-        Rough inertia of the axis: what the noise of the encoder's counts costs.
-    friction : callable, optional
-        Torque (n,) of a known friction model over a velocity (n,) and its period.
-    cutoff_hz : float, optional
-        Of the comparison; by default as high as the encoder allows.
-
-    Returns
-    -------
-    MotorMotion or None
-        None if the record is too short, or the encoder too coarse for its accelerations.
-    """
+    """Prepare a segment; None if the record is too short, or the encoder too coarse for its accelerations."""
     dt, rate = segment.dt, segment.rate_hz
     count = resolution(segment.encoder) or 0.0
     position = between_counts(segment.encoder)

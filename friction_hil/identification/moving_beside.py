@@ -20,13 +20,8 @@ def moving_beside(result: Identification, beside: Mapping[str, Mapping[str, Reco
     """Return which other axes move the torque of this one, and what to do; empty if none does.
 
     What the chosen model leaves is regressed on the motion of this axis, and on that of the others too; what they
-    explain more on blocks held out counts.
-
-    Parameters
-    ----------
-    result : Identification
-    beside : mapping of mapping of Recording
-        Recordings of the other axes, by the path of the recording and the name of the axis.
+    explain more on blocks held out counts. ``beside``: recordings of the other axes, by the path of the recording and
+    the name of the axis.
     """
     records = result.records
     residual = result.best.curves.residual

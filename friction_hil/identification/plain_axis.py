@@ -21,14 +21,8 @@ _LEAST_SHARE = 0.1  # of the rows must count
 class PlainAxis:
     """Linear regression of the torque of an axis whose friction is Coulomb and viscous.
 
-    Parameters
-    ----------
-    data : Data
-    gravity : sequence of str
-        Parameters of gravity to fit, such as ``gravity.sine``.
-    has_spring : bool
-        True to fit a torque that is proportional to the position, too. In a swing about one place it looks like a
-        negative inertia.
+    ``gravity``: parameters of gravity to fit, such as ``gravity.sine``. ``has_spring``: a torque that is proportional
+    to the position is fitted, too; in a swing about one place it looks like a negative inertia.
     """
 
     def __init__(self, data: Data, gravity: Sequence[str], *, has_spring: bool = False) -> None:

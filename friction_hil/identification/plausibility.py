@@ -43,11 +43,7 @@ class Finding:
 def check_result(result: Identification, recordings: Sequence[Recording]) -> list[Finding]:
     """Return what speaks against the chosen model of an identification, fatal findings first.
 
-    Parameters
-    ----------
-    result : Identification
-    recordings : sequence of Recording
-        Those that the model was fitted to, with all their columns.
+    ``recordings``: those that the model was fitted to, with all their columns.
     """
     data = Data(result.records)
     plain = PlainAxis(

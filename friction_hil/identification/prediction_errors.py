@@ -23,24 +23,13 @@ _MARGIN = 5  # rows on either side of a block, which share samples with it throu
 
 @dataclass(frozen=True, slots=True)
 class PredictionError:
-    """Error of predicted torque.
+    """Error of predicted torque."""
 
-    Attributes
-    ----------
-    rmse : float
-        Root mean square error, N m or N.
-    relative_error : float
-        norm(measured - predicted) / norm(measured); NaN if all measured torques are zero.
-    blocks : tuple of float
-        Mean square error of each block or recording.
-    stretches : tuple of float
-        Mean square error of each of many short stretches of equal length, in the order of time. Those of two fits to
-        the same rows belong to the same stretches. If the recordings are in groups, of each group.
-    """
-
-    rmse: float
-    relative_error: float
-    blocks: tuple[float, ...] = ()
+    rmse: float  # root mean square error, N m or N
+    relative_error: float  # norm(measured - predicted) / norm(measured); NaN if all measured torques are zero
+    blocks: tuple[float, ...] = ()  # mean square error of each block or recording
+    # Mean square error of each of many short stretches of equal length, in the order of time. Those of two fits to the
+    # same rows belong to the same stretches. If the recordings are in groups, of each group.
     stretches: tuple[float, ...] = ()
 
 

@@ -7,31 +7,15 @@ from friction_hil.identification.identify import Identification
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A property of the axis with its standard error, or why it is not determined.
+    """A property of the axis with its standard error, or why it is not determined."""
 
-    Attributes
-    ----------
-    key : str
-        Name in ``--json``.
-    label : str
-        For people.
-    unit : str
-        SI, of the axis.
-    value, error : float or None
-        None if it is not determined.
-    source : str
-        Method.
-    missing : str
-        Why it is not determined, and the motion that would show it; else empty.
-    """
-
-    key: str
-    label: str
-    unit: str
-    value: float | None = None
+    key: str  # name in ``--json``
+    label: str  # for people
+    unit: str  # SI, of the axis
+    value: float | None = None  # this and the error: None if it is not determined
     error: float | None = None
-    source: str = ""
-    missing: str = ""
+    source: str = ""  # method
+    missing: str = ""  # why it is not determined, and the motion that would show it; else empty
 
 
 @dataclass(frozen=True, slots=True)

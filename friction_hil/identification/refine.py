@@ -40,40 +40,16 @@ def is_dynamic(structure: ModelStructure) -> bool:
 
 
 def refine(
-    regression: Regression,
-    coarse: Regression,
-    originals: Data,
-    at: Array,
+    regression: Regression,  # on `friction_hil.identification.fine.fine_data`
+    coarse: Regression,  # the same with fewer steps of the model per sample: the search and the weights come from there
+    originals: Data,  # the ordinary records
+    at: Array,  # (m,), coordinates to start from
     scales: InitialScales,
     *,
-    replicas: int = REPLICAS,
-    seed: int = 0,
+    replicas: int = REPLICAS,  # simulated experiments, at least 2
+    seed: int = 0,  # of the simulated experiments
 ) -> tuple[Estimate, Inference, list[str]]:
-    """Estimate a structure on fine records.
-
-    Parameters
-    ----------
-    regression : Regression
-        On `friction_hil.identification.fine.fine_data`.
-    coarse : Regression
-        The same with fewer steps of the model per sample: the search and the weights come from there.
-    originals : Data
-        The ordinary records.
-    at : (m,) array
-        Coordinates to start from.
-    scales : InitialScales
-    replicas : int
-        Number of simulated experiments; at least 2.
-    seed : int
-        Their seed.
-
-    Returns
-    -------
-    estimate : Estimate
-        With the bias subtracted.
-    inference : Inference
-    notes : list of str
-    """
+    """Estimate a structure on fine records: the estimate, with the bias subtracted, its uncertainty, and notes."""
     estimate = coarse.estimate(inside(coarse, at, scales), evaluations=_EVALUATIONS)
     weights = _weights(coarse.data, estimate.residual)
     for _ in range(_REWEIGHTINGS - 1):

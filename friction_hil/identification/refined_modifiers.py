@@ -29,29 +29,14 @@ _RIDGE = 1e-9  # of columns of length 1
 
 @dataclass(frozen=True, slots=True)
 class RefinedModifiers:
-    """Result of `refine_modifiers`.
+    """Result of `refine_modifiers`."""
 
-    Attributes
-    ----------
-    tried : tuple of Fit
-        Refined fits with further modifiers.
-    outdone : tuple of Fit
-        Fits that lost the comparison of a fit with and without these modifiers, of either kind.
-    """
-
-    tried: tuple[Fit, ...]
-    outdone: tuple[Fit, ...]
+    tried: tuple[Fit, ...]  # refined fits with further modifiers
+    outdone: tuple[Fit, ...]  # fits that lost the comparison of a fit with and without these modifiers, of either kind
 
 
 def refine_modifiers(fitter: CandidateFitter, refined: Sequence[Fit]) -> RefinedModifiers:
-    """Refine the best families once more with the modifiers that their residuals support.
-
-    Parameters
-    ----------
-    fitter : CandidateFitter
-    refined : sequence of Fit
-        Refined fits.
-    """
+    """Refine the best families once more with the modifiers that their residuals support."""
     tried: list[Fit] = []
     outdone: list[Fit] = []
     for base in _bases(refined):

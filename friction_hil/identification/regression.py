@@ -43,37 +43,17 @@ ROBUST_DEVIATIONS = 3.0  # beyond which a residual counts less
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Estimated parameters of a structure and of the mechanics, with the residual.
+    """Estimated parameters of a structure and of the mechanics, with the residual."""
 
-    Attributes
-    ----------
-    values : dict
-        All estimated parameters by name: of friction, and ``inertia``, ``offset``, ``gravity.sine`` ...
-    coordinates : (m,) array
-        Coordinates of the nonlinear parameters.
-    at_bound : tuple of str
-        Parameters that ended at a bound.
-    dependent : tuple of str
-        Linear parameters left out because their columns are combinations of the others.
-    residual : (k,) array
-        Measured minus predicted torque.
-    jacobian : (k, p) array
-        Derivative of the predicted torque with respect to each parameter of ``names``.
-    names : tuple of str
-        Free parameters: neither held nor at a bound nor dependent.
-    weights : (k,) array
-        Weights of the rows; ones for plain least squares.
-    is_converged : bool
-    """
-
+    # all estimated parameters by name: of friction, and ``inertia``, ``offset``, ``gravity.sine`` ...
     values: dict[str, float]
-    coordinates: Array
-    at_bound: tuple[str, ...]
-    dependent: tuple[str, ...]
-    residual: Array
-    jacobian: Array
-    names: tuple[str, ...]
-    weights: Array
+    coordinates: Array  # (m,), of the nonlinear parameters
+    at_bound: tuple[str, ...]  # parameters that ended at a bound
+    dependent: tuple[str, ...]  # linear parameters left out because their columns are combinations of the others
+    residual: Array  # (k,), measured minus predicted torque
+    jacobian: Array  # (k, p), derivative of the predicted torque with respect to each parameter of ``names``
+    names: tuple[str, ...]  # free parameters: neither held nor at a bound nor dependent
+    weights: Array  # (k,), of the rows; ones for plain least squares
     is_converged: bool
 
     @property
@@ -83,27 +63,15 @@ class Estimate:
 
 
 class Regression:
-    """A model structure and the linear parameters of the mechanics, to be fitted to data.
-
-    Parameters
-    ----------
-    data : Data
-    structure : ModelStructure
-    mechanics : sequence of str
-        Linear parameters of the mechanics to identify.
-    held : mapping
-        Held ones by name.
-    loads : sequence of (n,) arrays, optional
-        Load torque of each record, if the structure depends on it.
-    """
+    """A model structure and the linear parameters of the mechanics, to be fitted to data."""
 
     def __init__(
         self,
         data: Data,
         structure: ModelStructure,
-        mechanics: Sequence[str],
-        held: Mapping[str, float] | None = None,
-        loads: Sequence[Array] | None = None,
+        mechanics: Sequence[str],  # linear parameters of the mechanics to identify
+        held: Mapping[str, float] | None = None,  # those that are held, by name
+        loads: Sequence[Array] | None = None,  # load torque (n,) of each record, if the structure depends on it
     ) -> None:
         self.data, self.structure, self.loads = data, structure, loads
         self.held = dict(held or {})
@@ -340,22 +308,11 @@ class Regression:
     def estimate(
         self, start: Array, *, is_robust: bool = False, evaluations: int = 60, weights: Array | None = None
     ) -> Estimate:
-        """Estimate all parameters from one start.
+        """Estimate all parameters from one start, (m,).
 
-        Parameters
-        ----------
-        start : (m,) array
-        is_robust : bool
-            True to reweight residuals beyond three robust standard deviations.
-        evaluations : int
-            Largest number of evaluations of each search.
-        weights : (k,) array, optional
-            Initial weights of the rows.
-
-        Raises
-        ------
-        FitError
-            The torque is not finite where the search starts.
+        ``is_robust``: residuals beyond three robust standard deviations are reweighted. ``evaluations``: most of each
+        search. ``weights``: (k,), initial ones of the rows. Raises `FitError`: the torque is not finite where the
+        search starts.
         """
         pinned: list[str] = []
         at = start

@@ -41,33 +41,17 @@ _LEAST_ERROR = 1e-3  # of a line: an interpolated, short or noiseless window is 
 
 @dataclass(frozen=True, slots=True)
 class Resonance:
-    """Two masses on a spring, with standard errors.
+    """Two masses on a spring, with standard errors."""
 
-    Attributes
-    ----------
-    values, errors : dict
-        ``motor_inertia``, ``load_inertia``, ``inertia`` (their sum), ``stiffness``, ``damping``, ``antiresonance_hz``,
-        ``resonance_hz``, ``damping_ratio`` (of the resonance), ``viscous`` and ``delay_s``: SI of the axis. Standard
-        errors include the mismatch of the form.
-    misfit : float
-        Root mean square of the relative deviation from the measured response, used lines.
-    """
-
+    # ``motor_inertia``, ``load_inertia``, ``inertia`` (their sum), ``stiffness``, ``damping``, ``antiresonance_hz``,
+    # ``resonance_hz``, ``damping_ratio`` (of the resonance), ``viscous`` and ``delay_s``: SI of the axis
     values: dict[str, float]
-    errors: dict[str, float]
-    misfit: float
+    errors: dict[str, float]  # standard errors of the values; include the mismatch of the form
+    misfit: float  # root mean square of the relative deviation from the measured response, used lines
 
 
 def fit_resonance(response: FrequencyResponse) -> tuple[Resonance | None, str]:
-    """Fit two masses to a frequency response.
-
-    Returns
-    -------
-    Resonance or None
-        None if the response does not show a resonance.
-    str
-        Why it does not; empty if it does.
-    """
+    """Fit two masses to a frequency response; None, and why, if it does not show a resonance."""
     low, high = response.band_hz
     inside = (response.frequency_hz >= low) & (response.frequency_hz <= high)
     if np.mean(response.is_used[inside]) < _LEAST_USED:
@@ -150,13 +134,8 @@ def _fit(response: FrequencyResponse, corrected: Complex) -> tuple[Resonance | N
 def two_mass_response(values: dict[str, float], frequency_hz: Array, beside: Complex | float = 0.0) -> Complex:
     """Return velocity over torque (m,) of fitted masses.
 
-    Parameters
-    ----------
-    values : dict
-        Those of a `Resonance`.
-    frequency_hz : (m,) array
-    beside : (m,) array of complex, optional
-        Torque of other axes that move with this one, over its velocity.
+    ``values``: those of a `Resonance`. ``frequency_hz`` is (m,). ``beside``: (m,), torque of other axes that move with
+    this one, over its velocity.
     """
     s = 2j * math.pi * frequency_hz
     spring = values["stiffness"] + s * values["damping"]

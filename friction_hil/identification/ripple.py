@@ -41,33 +41,17 @@ _POLISHES = 3  # of all orders, each after another one has changed
 
 
 class RippleSearch:
-    """Search for harmonics in a residual.
-
-    Parameters
-    ----------
-    position : (k,) array
-        rad or m.
-    residual : (k,) array
-        N m or N.
-    jacobian : (k, p) array
-        Derivatives of the predicted torque over the parameters that the fit has already.
-    weights : (k,) array
-        Weights of the rows.
-    parts : sequence of slice
-        Rows of each record.
-    is_linear : bool
-        True if the position is a length: orders are then real and per metre.
-    """
+    """Search for harmonics in a residual."""
 
     def __init__(
         self,
-        position: Array,
-        residual: Array,
-        jacobian: Array,
-        weights: Array,
-        parts: Sequence[slice],
+        position: Array,  # (k,), rad or m
+        residual: Array,  # (k,), N m or N
+        jacobian: Array,  # (k, p), derivatives of the predicted torque over the parameters that the fit has already
+        weights: Array,  # (k,), of the rows
+        parts: Sequence[slice],  # rows of each record
         *,
-        is_linear: bool,
+        is_linear: bool,  # the position is a length: orders are then real and per metre
     ) -> None:
         self._is_linear = is_linear
         self._turns = position / (1.0 if is_linear else 2.0 * math.pi)

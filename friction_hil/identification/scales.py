@@ -25,12 +25,8 @@ def estimate_scales(data: Data, mechanics: tuple[str, ...]) -> InitialScales:
     """Estimate the scales of friction by linear regressions, with one nonlinear number tried over its range.
 
     The presliding deflection comes from Dahl's curve, whose only other parameter is its level, and the Stribeck
-    velocity from the hump of the static curve.
-
-    Raises
-    ------
-    RecordingError
-        The axis does not move, or no torque was measured.
+    velocity from the hump of the static curve. Raises `RecordingError`: the axis does not move, or no torque was
+    measured.
     """
     speed = max(float(np.max(np.abs(record.velocity))) for record in data.records)
     travel = max(float(np.ptp(record.position)) for record in data.records)

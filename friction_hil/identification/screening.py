@@ -32,24 +32,12 @@ _SIGNIFICANT = 3.0  # standard errors by which it must be worse
 
 @dataclass(slots=True)
 class Search:
-    """State of the search of one candidate.
+    """State of the search of one candidate."""
 
-    Attributes
-    ----------
-    at : (m,) array
-        Coordinates of the best parameters so far.
-    error : PredictionError or None
-        Error with them on the data that it is fitted to.
-    is_ended : bool
-        True if other candidates fit far better.
-    failure : Exception or None
-        Why the candidate has no finite error.
-    """
-
-    at: Array
-    error: PredictionError | None = None
-    is_ended: bool = False
-    failure: Exception | None = None
+    at: Array  # (m,), coordinates of the best parameters so far
+    error: PredictionError | None = None  # with them, on the data that it is fitted to
+    is_ended: bool = False  # other candidates fit far better
+    failure: Exception | None = None  # why the candidate has no finite error
 
     def estimate(self, regression: Regression) -> Estimate:
         """Return the estimate at the coordinates that were found."""
@@ -59,13 +47,7 @@ class Search:
 def screened(regressions: Sequence[Regression], bases: Sequence[Array], scales: InitialScales) -> list[Search]:
     """Search for the parameters of each candidate, as long as it may be among the best ones.
 
-    Parameters
-    ----------
-    regressions : sequence of Regression
-        On the same data.
-    bases : sequence of (m,) array
-        Coordinates to start from; the scales suggest others.
-    scales : InitialScales
+    The regressions are on the same data. ``bases``: coordinates (m,) to start from; the scales suggest others.
     """
     found = in_parallel([partial(_begun, *given, scales) for given in zip(regressions, bases, strict=True)])
     for evaluations, ratio in _ROUNDS:

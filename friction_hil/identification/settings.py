@@ -15,71 +15,42 @@ GravityKind = Literal["auto", "none", "constant", "pendulum"]
 
 @dataclass(frozen=True, slots=True)
 class IdentificationSettings:
-    """Settings of `friction_hil.identification.identify`.
+    """Settings of `friction_hil.identification.identify`."""
 
-    Attributes
-    ----------
-    families : tuple of str
-        Names of the model families to fit; empty for all.
-    axis : str
-        ``rotary`` or ``linear``.
-    gravity : str
-        ``none``, ``constant`` (vertical axis), ``pendulum`` (sine and cosine of the position), or ``auto``: pendulum
-        if it predicts held-out blocks better.
-    held : dict
-        Parameters held at a given value, by name.
-    is_robust : bool
-        True for Huber's loss instead of least squares.
-    has_modifiers : bool
-        True to try modifiers other than direction.
-    has_unknown_gain : bool
-        True if the column ``torque`` is a signal in a unit of its own (V, A), with torque = gain signal - back_emf
-        velocity. Gain and back-EMF are then identified, and the held inertia or gravity sets the scale
-        (`friction_hil.identification.unknown_gain`).
-    least_speed, sliding_s, sliding_distance, group_by
-        See `friction_hil.identification.data.prepare`. Groups are held out one after the other.
-    seed : int
-        Seed of the random starting points.
-    lowpass_hz, decimation
-        See `friction_hil.identification.data.prepare`.
-    refine : bool, optional
-        True to fit dynamic models once more at the full resolution of the encoder
-        (`friction_hil.identification.refine`). By default they are refined if all recordings show presliding:
-        position in known steps, sampled at 500 Hz or more, with oscillations faster than 8 Hz.
-    torque : str
-        Meaning of a measured torque, which the refinement needs: ``mean`` over the period that ends at the sample, the
-        value at that ``instant``, or ``auto``: found from the recordings, and a mean if they do not tell
-        (`friction_hil.identification.torque_timing`).
-    replicas : int
-        Number of simulated experiments that the refinement uses to estimate its bias.
-    """
-
-    families: tuple[str, ...] = ()
+    families: tuple[str, ...] = ()  # names of the model families to fit; empty: all
     axis: Literal["rotary", "linear"] = "rotary"
+    # ``none``, ``constant`` (vertical axis), ``pendulum`` (sine and cosine of the position), or ``auto``: pendulum if
+    # it predicts held-out blocks better
     gravity: GravityKind = "auto"
-    held: Mapping[str, float] = field(default_factory=dict)
-    is_robust: bool = False
-    has_modifiers: bool = True
+    held: Mapping[str, float] = field(default_factory=dict)  # parameters held at a given value, by name
+    is_robust: bool = False  # Huber's loss instead of least squares
+    has_modifiers: bool = True  # modifiers other than direction are tried
+    # The column ``torque`` is a signal in a unit of its own (V, A), with torque = gain signal - back_emf velocity. Gain
+    # and back-EMF are then identified, and the held inertia or gravity sets the scale
+    # (`friction_hil.identification.unknown_gain`).
     has_unknown_gain: bool = False
-    least_speed: float = 0.0
+    least_speed: float = 0.0  # this and the next three: see `friction_hil.identification.data.prepare`
     sliding_s: float = 0.0
     sliding_distance: float = 0.0
-    group_by: str | None = None
-    seed: int = 0
-    lowpass_hz: float | None = None
+    group_by: str | None = None  # groups are held out one after the other
+    seed: int = 0  # of the random starting points
+    lowpass_hz: float | None = None  # this and the decimation: see `friction_hil.identification.data.prepare`
     decimation: int | None = None
+    # Fit dynamic models once more at the full resolution of the encoder (`friction_hil.identification.refine`). None:
+    # if all recordings show presliding: position in known steps, sampled at 500 Hz or more, with oscillations faster
+    # than 8 Hz.
     refine: bool | None = None
+    # Meaning of a measured torque, which the refinement needs: ``mean`` over the period that ends at the sample, the
+    # value at that ``instant``, or ``auto``: found from the recordings, and a mean if they do not tell
+    # (`friction_hil.identification.torque_timing`).
     torque: Literal["auto", "mean", "instant"] = "auto"
-    replicas: int = REPLICAS
+    replicas: int = REPLICAS  # simulated experiments that the refinement uses to estimate its bias
 
 
 def chosen_families(names: Sequence[str]) -> tuple[str, ...]:
     """Return the families of friction models to fit: the named ones, or all if ``names`` is empty.
 
-    Raises
-    ------
-    UsageError
-        A name is unknown, or that family cannot be fitted to recordings.
+    Raises `UsageError`: a name is unknown, or that family cannot be fitted to recordings.
     """
     if not names:
         return structures.families()

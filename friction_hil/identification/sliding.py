@@ -39,20 +39,11 @@ _KNOWN = 0.1  # standard error of an inertia over its value
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlidingRows:
-    """Rows of one record in which the axis slides, behind a low-pass.
-
-    Attributes
-    ----------
-    record : RegressionSegment
-    low_hz : float
-        Cut-off of the low-pass.
-    rows : array of int
-        At the full rate.
-    """
+    """Rows of one record in which the axis slides, behind a low-pass."""
 
     record: RegressionSegment
-    low_hz: float
-    rows: NDArray[np.intp]
+    low_hz: float  # cut-off of the low-pass
+    rows: NDArray[np.intp]  # at the full rate
 
     def compared(self, values: Array) -> Array:
         """Low-pass values (n,) or (n, m), and return the rows."""
@@ -119,16 +110,8 @@ def compared(parts: Sequence[SlidingRows], columns: Sequence[Array]) -> Array:
 def fitted(parts: Sequence[SlidingRows], matrix: Array) -> tuple[Array, Array, Array, NDArray[np.intp]]:
     """Fit columns (k, m), as of `compared`, to the torque.
 
-    Returns
-    -------
-    factors : (m,) array
-        0 for a column that is zero in all rows.
-    covariance : (m, m) array
-        For residuals that are correlated within a stretch of time.
-    residual : (k,) array
-        Of all parts.
-    starts : array of int
-        First row of each stretch of time.
+    Returns the factors (m,), 0 for a column that is zero in all rows; their covariance (m, m), for residuals that are
+    correlated within a stretch of time; the residual (k,) of all parts; and the first row of each stretch of time.
     """
     torque = np.concatenate([part.torque for part in parts])
     norms = np.linalg.norm(matrix, axis=0)
@@ -146,23 +129,13 @@ def fitted(parts: Sequence[SlidingRows], matrix: Array) -> tuple[Array, Array, A
 
 @dataclass(frozen=True, slots=True)
 class SlidingMechanics:
-    """Inertia and gravity where the axis slides.
+    """Inertia and gravity where the axis slides."""
 
-    Attributes
-    ----------
-    inertia, inertia_error : float
-        And its standard error, kg m^2 or kg.
-    sine, cosine : float
-        Gravity, N m; 0 if not fitted.
-    has_swing : bool
-        True if this gravity is many standard errors above zero, and no small part of the torque.
-    """
-
-    inertia: float
-    inertia_error: float
-    sine: float
-    cosine: float
-    has_swing: bool
+    inertia: float  # kg m^2 or kg
+    inertia_error: float  # standard error
+    sine: float  # of gravity, N m; 0 if not fitted
+    cosine: float  # of gravity, N m; 0 if not fitted
+    has_swing: bool  # this gravity is many standard errors above zero, and no small part of the torque
 
     def differs(self, other: "SlidingMechanics") -> bool:
         """True if another band of frequencies shows another inertia: then the load swings on a coupling."""

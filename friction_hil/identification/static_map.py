@@ -23,28 +23,15 @@ _SMALLEST = 1e-9  # of the largest torque: a parameter below is zero
 
 @dataclass(frozen=True, slots=True)
 class StaticFit:
-    """One family on a map.
-
-    Attributes
-    ----------
-    parameters : dict of float
-    offset : float
-        Constant torque; 0 where the speeds have one sign.
-    standard_errors : dict of float
-        By parameter, with ``offset``; NaN where the map does not determine it.
-    rmse, relative_error : float
-        N m or N; relative to the norm of the torques.
-    score : float
-        AICc; lower is better.
-    """
+    """One family on a map."""
 
     family: str
     parameters: dict[str, float]
-    offset: float
-    standard_errors: dict[str, float]
-    rmse: float
-    relative_error: float
-    score: float
+    offset: float  # constant torque; 0 where the speeds have one sign
+    standard_errors: dict[str, float]  # by parameter, with ``offset``; NaN where the map does not determine it
+    rmse: float  # N m or N
+    relative_error: float  # relative to the norm of the torques
+    score: float  # AICc; lower is better
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,19 +47,11 @@ class StaticMap:
 def fit_map(recordings: Sequence[Recording], families: Sequence[str] = ()) -> StaticMap:
     """Fit static friction to the points of maps.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Each with ``velocity`` and ``torque``; the order of the rows does not matter.
-    families : sequence of str
-        Names of static families; all of `FAMILIES` by default.
+    Each recording has ``velocity`` and ``torque``; the order of the rows does not matter. ``families``: static ones;
+    all of `FAMILIES` if empty.
 
-    Raises
-    ------
-    RecordingError
-        A column is missing, there are too few speeds, or the torque drives the motion.
-    UsageError
-        A family is not static.
+    Raises `RecordingError`: a column is missing, there are too few speeds, or the torque drives the motion;
+    `UsageError`: a family is not static.
     """
     for name in families:
         if name not in FAMILIES:

@@ -34,40 +34,19 @@ _SPRING_RATIOS = (0.2, 1.0, 3.0, 10.0)  # of the deflections at which elements o
 class InitialScales:
     """Scales of friction estimated before any model is fitted, SI of the axis. All are finite and above zero.
 
-    Attributes
-    ----------
-    level, static_level : float
-        Friction at low speed, and its limit towards standstill.
-    speed : float
-        Top speed.
-    travel : float
-        Range of positions.
-    deflections : tuple of float
-        Presliding deflections (level over stiffness), best first.
-    stribeck_velocities : tuple of float
-        Best first.
-    speeds : tuple of float
-        Speeds of the points of a table.
-    least_sliding_speed : float
-        Speed below which the axis slides, past presliding, for a small part of the time only.
-    largest : float
-        Largest friction that was measured.
-
-    Raises
-    ------
-    RecordingError
-        A scale is zero, below zero or not finite: the searches begin there, and their bounds are multiples of it.
+    Raises `RecordingError`: a scale is zero, below zero or not finite: the searches begin there, and their bounds are
+    multiples of it.
     """
 
-    level: float
-    static_level: float
-    speed: float
-    travel: float
-    deflections: tuple[float, ...]
-    stribeck_velocities: tuple[float, ...]
-    speeds: tuple[float, ...]
-    least_sliding_speed: float
-    largest: float
+    level: float  # friction at low speed
+    static_level: float  # limit of that friction towards standstill
+    speed: float  # top speed
+    travel: float  # range of positions
+    deflections: tuple[float, ...]  # in presliding (level over stiffness), best first
+    stribeck_velocities: tuple[float, ...]  # best first
+    speeds: tuple[float, ...]  # of the points of a table
+    least_sliding_speed: float  # below which the axis slides, past presliding, for a small part of the time only
+    largest: float  # largest friction that was measured
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -82,25 +61,14 @@ class InitialScales:
 class Coordinate:
     """One coordinate of the nonlinear search.
 
-    Attributes
-    ----------
-    names : tuple of str
-        Parameters with this value, by their names in `FrictionModel.free`; the first one names the coordinate.
-    lower, upper : float
-        Bounds of the parameter.
-    is_log : bool
-        True to search for the logarithm of the parameter.
-
-    Raises
-    ------
-    FitError
-        The bounds are not finite or not ordered, or one of a logarithm is not above zero.
+    Raises `FitError`: the bounds are not finite or not ordered, or one of a logarithm is not above zero.
     """
 
+    # parameters with this value, by their names in `FrictionModel.free`; the first one names the coordinate
     names: tuple[str, ...]
-    lower: float
+    lower: float  # bounds of the parameter itself
     upper: float
-    is_log: bool
+    is_log: bool  # the logarithm of the parameter is searched for
 
     def __post_init__(self) -> None:
         is_ordered = -math.inf < self.lower <= self.upper < math.inf
@@ -130,34 +98,16 @@ class Coordinate:
 
 @dataclass(frozen=True, slots=True)
 class ModelStructure:
-    """A family of friction models with modifiers, and its parameters to identify.
+    """A family of friction models with modifiers, and its parameters to identify."""
 
-    Attributes
-    ----------
-    family : str
-        Name in the registry.
-    coordinates : tuple of Coordinate
-        Nonlinear parameters.
-    linear : dict
-        Linear parameters: keys of `data.linear_column` by parameter name.
-    constants : dict
-        Held parameters by name.
-    modifiers : tuple of str
-        Names of the modifiers.
-    axis : str
-    without : tuple of str
-        Parameters held at zero because the data do not excite them.
-    is_flat : bool
-        True if the static levels are equal to the Coulomb level, because the data do not show the difference.
-    """
-
-    family: str
-    coordinates: tuple[Coordinate, ...]
-    linear: Mapping[str, str]
-    constants: Mapping[str, Any] = field(default_factory=dict)
+    family: str  # name in the registry
+    coordinates: tuple[Coordinate, ...]  # nonlinear parameters
+    linear: Mapping[str, str]  # keys of `data.linear_column` by parameter name
+    constants: Mapping[str, Any] = field(default_factory=dict)  # held parameters by name
     modifiers: tuple[str, ...] = ()
     axis: Axis = "rotary"
-    without: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()  # parameters held at zero because the data do not excite them
+    # the static levels are equal to the Coulomb level, because the data do not show the difference
     is_flat: bool = False
 
     @property
@@ -193,10 +143,7 @@ class ModelStructure:
     def model(self, values: Mapping[str, float]) -> FrictionModel:
         """Create the model with these values and the constants; unnamed parameters take their defaults.
 
-        Raises
-        ------
-        InvalidParameterError
-            The values are inconsistent.
+        Raises `InvalidParameterError`: the values are inconsistent.
         """
         parameters, modifiers = nested({**self.constants, **values})
         return models.create(self.family, modifiers=modifiers, axis=self.axis, **parameters)
@@ -311,10 +258,7 @@ def families() -> tuple[str, ...]:
 def build(family: str, scales: InitialScales, axis: Axis, period_s: float, *, is_directed: bool) -> ModelStructure:
     """Return the structure of a family, with one set of parameters or one for each direction.
 
-    Raises
-    ------
-    UsageError
-        The family is unknown or cannot be fitted.
+    Raises `UsageError`: the family is unknown or cannot be fitted.
     """
     try:
         recipe = _RECIPES[EQUAL_IN_FEEDFORWARD.get(family, family)]

@@ -46,25 +46,13 @@ _UPPER = 0.95  # probability that the lag is below its upper limit
 
 @dataclass(frozen=True, slots=True)
 class LagEstimate:
-    """Lag of the reported torque behind the command.
+    """Lag of the reported torque behind the command."""
 
-    Attributes
-    ----------
-    lag_s, error_s : float
-        Time constant and its standard error: mean and standard deviation over its likelihood, s.
-    most_s : float
-        The lag is below this with a probability of 95 %, s.
-    longest_s : float
-        Longest lag that was looked for, s.
-    gain : float
-        Reported torque over commanded torque: 1 if the drive applies the command, and both are scaled alike.
-    """
-
-    lag_s: float
-    error_s: float
-    most_s: float
-    longest_s: float
-    gain: float
+    lag_s: float  # time constant: mean over its likelihood
+    error_s: float  # standard error: standard deviation over the likelihood
+    most_s: float  # the lag is below this with a probability of 95 %
+    longest_s: float  # longest lag that was looked for
+    gain: float  # reported torque over commanded torque: 1 if the drive applies the command, and both are scaled alike
 
 
 def identify_torque_lag(
@@ -72,25 +60,14 @@ def identify_torque_lag(
 ) -> LagEstimate:
     """Identify the lag of the torque from the same motion with and without compensation, or several such motions.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Rows in which the axis moves, with ``cycle``, ``position``, ``torque``, ``command`` and the demand, SI.
-    mode : str
-        ``csp``, ``csv`` or ``cst``.
-    delay_s : float
-        Time from the sample of a row until its command is in force, s.
-    is_mean : bool
-        True if the reported torque is a mean over the period before the sample, False if that of the instant.
-    resolution : float
-        Step to which commanded and reported torque are rounded. In CST, where nothing else moves the torque between
-        the steps, rounding hides a part of the lag: what it hides in a simulation of the result is added again, and
-        counts as an error.
+    The recordings have the rows in which the axis moves, with ``cycle``, ``position``, ``torque``, ``command`` and the
+    demand, SI. ``mode``: ``csp``, ``csv`` or ``cst``. ``delay_s``: from the sample of a row until its command is in
+    force. ``is_mean``: the reported torque is a mean over the period before the sample; False: that of the instant.
+    ``resolution``: step to which commanded and reported torque are rounded; in CST, where nothing else moves the torque
+    between the steps, rounding hides a part of the lag: what it hides in a simulation of the result is added again, and
+    counts as an error.
 
-    Raises
-    ------
-    RecordingError
-        The recordings are too short, or the command hardly changes.
+    Raises `RecordingError`: the recordings are too short, or the command hardly changes.
     """
     found = _identified(recordings, mode, delay_s, is_mean=is_mean)
     if mode != "cst" or not resolution > 0.0:
@@ -131,19 +108,9 @@ def _identified(recordings: Sequence[Recording], mode: str, delay_s: float, *, i
 def lag_response(lag: float, delay: float, *, is_mean: bool) -> Array:
     """Return how much of each command there is in a torque sample: step response of a first-order lag, differenced.
 
-    Parameters
-    ----------
-    lag : float
-        Time constant, periods.
-    delay : float
-        Time from the sample of a row until its command is in force, for a period; in periods.
-    is_mean : bool
-        True if the torque is the mean over the period before the sample.
-
-    Returns
-    -------
-    (17,) array
-        For the command of the same row, of the row before, and so on; their sum approaches 1.
+    Returns (17,), for the command of the same row, of the row before, and so on; their sum approaches 1. ``lag``: time
+    constant, and ``delay``: from the sample of a row until its command is in force, for a period; both in periods.
+    ``is_mean``: the torque is the mean over the period before the sample.
     """
     ages = np.arange(-2.0, _COMMANDS + 1.0) - delay
     if is_mean:  # of the step response over the period before the sample: difference of its integral

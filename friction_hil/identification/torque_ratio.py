@@ -39,35 +39,20 @@ _LEAST_OWN = 1e-3  # fraction of the command that must not be explained by what 
 
 @dataclass(frozen=True, slots=True)
 class RatioEstimate:
-    """Reported over commanded torque.
-
-    Attributes
-    ----------
-    ratio, error : float
-        Ratio and its standard error, which contains `unexplained`.
-    unexplained : float
-        Fraction of the reported torque (RMS) that command and loops leave unexplained.
-    """
+    """Reported over commanded torque."""
 
     ratio: float
-    error: float
-    unexplained: float
+    error: float  # standard error of the ratio; contains ``unexplained``
+    unexplained: float  # fraction of the reported torque (RMS) that command and loops leave unexplained
 
 
 def identify_torque_ratio(recordings: Sequence[Recording], mode: str) -> RatioEstimate:
     """Identify the reported over the commanded torque from runs that differ in the commanded torque.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Rows in which the axis moves, with ``cycle``, ``position``, ``torque``, ``command`` and ``position_demand``, SI.
-    mode : str
-        ``csp``, ``csv`` or ``cst``.
+    The recordings have the rows in which the axis moves, with ``cycle``, ``position``, ``torque``, ``command`` and
+    ``position_demand``, SI. ``mode``: ``csp``, ``csv`` or ``cst``.
 
-    Raises
-    ------
-    RecordingError
-        The recordings are too short, or the commanded torque does not change by itself.
+    Raises `RecordingError`: the recordings are too short, or the commanded torque does not change by itself.
     """
     parts = [_signals(each, has_loops=mode != "cst") for each in recordings]
     torque = np.concatenate([each[0] for each in parts])

@@ -52,25 +52,15 @@ _MOST_EXTRAPOLATED = 2.0  # of a first step, by those that would follow
 
 @dataclass(frozen=True, slots=True)
 class TorqueTiming:
-    """Age of a reported torque.
+    """Age of a reported torque."""
 
-    Attributes
-    ----------
-    delay_s, error_s : float
-        Mean age relative to the position of the sample, and its standard error, s.
-    period_s : float
-        Sampling period.
-    meaning : str or None
-        ``mean`` over the period before the sample, ``instant``, ``late`` (older than a mean), or None if the recordings
-        do not tell.
-    assumed : str
-        What it is taken for if they do not tell: ``instant`` if the driver stated the age of its torque, else ``mean``.
-    """
-
-    delay_s: float
-    error_s: float
-    period_s: float
+    delay_s: float  # mean age relative to the position of the sample
+    error_s: float  # standard error of the age
+    period_s: float  # sampling period
+    # ``mean`` over the period before the sample, ``instant``, ``late`` (older than a mean); None: the recordings do not
+    # tell
     meaning: Meaning | None
+    # what it is taken for if they do not tell: ``instant`` if the driver stated the age of its torque, else ``mean``
     assumed: Meaning = "mean"
 
     @property
@@ -96,12 +86,7 @@ class TorqueTiming:
 def torque_timing(fitter: CandidateFitter, fits: Sequence[Fit]) -> TorqueTiming:
     """Find out how old the torque of the recordings is.
 
-    Parameters
-    ----------
-    fitter : CandidateFitter
-        With records that can be refined.
-    fits : sequence of Fit
-        Fits to ordinary records, those of dynamic families being used.
+    The records of the fitter can be refined. The fits are to ordinary records; those of dynamic families are used.
     """
     [period_s] = {1.0 / each.rate_hz for each in fitter.data.records[:1]}
     dynamic = sorted((each for each in fits if is_dynamic(each.structure)), key=lambda each: each.held_out.rmse)

@@ -28,10 +28,7 @@ _VISCOUS_COLUMNS = ("viscous", "viscous.positive", "viscous.negative")  # their 
 def known_torque(held: Mapping[str, float]) -> dict[str, float]:
     """Return those of the held parameters that are mechanical or the back-EMF; they set the scale of the torque.
 
-    Raises
-    ------
-    UsageError
-        No held parameter sets the scale, or the gain itself is held.
+    Raises `UsageError`: no held parameter sets the scale, or the gain itself is held.
     """
     known = {name: value for name, value in held.items() if name in (*MECHANICS, BACK_EMF)}
     if GAIN in held:
@@ -73,13 +70,7 @@ def check_held(structure: ModelStructure, held: Mapping[str, float]) -> None:
 
 
 def usable(fits: Sequence[Fit]) -> list[Fit]:
-    """Return the fits, in units of the signal, whose gain is positive.
-
-    Raises
-    ------
-    RecordingError
-        No fit has a positive gain.
-    """
+    """Return the fits, in units of the signal, whose gain is positive; a `RecordingError`: none is."""
     found = [each for each in fits if each.values[INVERSE_GAIN] > 0.0]
     if not found:
         raise RecordingError(

@@ -17,17 +17,9 @@ def processors() -> int:
 def in_parallel(jobs: Sequence[Callable[[], Result]], begin: Callable[[int], None] = lambda _: None) -> list[Result]:
     """Run jobs that do not depend on each other; return their results in the order of the jobs.
 
-    Parameters
-    ----------
-    jobs : sequence of callable
-        The results must not depend on the order in which they run.
-    begin : callable
-        Called in the calling thread with the index of each job in turn, before its result is awaited.
-
-    Raises
-    ------
-    Exception
-        What the first of the jobs that failed has raised.
+    The results must not depend on the order in which the jobs run. ``begin`` is called in the calling thread with the
+    index of each job in turn, before its result is awaited. What the first of the jobs that failed has raised is
+    raised.
     """
     count = min(processors(), len(jobs))
     if count < 2:
