@@ -118,10 +118,7 @@ def ramp_s(axes: "Iterable[AxisConfig]") -> float:
 def make_path(config: "AxisConfig", position_resolution: float, period_s: float) -> Path:
     """Return the path of the configured trajectory; an experiment begins with a few counts of the encoder.
 
-    Raises
-    ------
-    UsageError
-        The encoder is too coarse for an experiment, or the bounds of a multisine leave no room for it.
+    Raises `UsageError`: the encoder is too coarse for an experiment, or the bounds of a multisine leave no room for it.
     """
     motion = config.trajectory
     if motion.kind == "experiment":
@@ -150,13 +147,7 @@ def periodic_path(motion: "PeriodicMotion") -> Path:
 
 
 def multisine_plan(motion: "Multisine", period_s: float) -> multisine.MultisinePlan:
-    """Return strokes and multisine within the bounds of a configuration.
-
-    Raises
-    ------
-    UsageError
-        The bounds leave no room for them.
-    """
+    """Return strokes and multisine within the bounds of a configuration; a `UsageError`: they leave no room."""
     return multisine.plan(
         motion.velocity,
         motion.travel,
@@ -168,13 +159,7 @@ def multisine_plan(motion: "Multisine", period_s: float) -> multisine.MultisineP
 
 
 def experiment_sweeps(motion: "ExperimentBounds", position_resolution: float, period_s: float) -> tuple[Sweep, ...]:
-    """Return the sweeps of an experiment within these bounds.
-
-    Raises
-    ------
-    UsageError
-        The encoder is too coarse.
-    """
+    """Return the sweeps of an experiment within these bounds; a `UsageError`: the encoder is too coarse."""
     return experiment.plan(
         motion.velocity,
         motion.travel,
@@ -188,10 +173,7 @@ def experiment_sweeps(motion: "ExperimentBounds", position_resolution: float, pe
 def experiment_note(config: "AxisConfig", position_resolution: float, period_s: float) -> str:
     """Return what the experiment of an axis cannot show with its encoder; empty for another trajectory, or for nothing.
 
-    Raises
-    ------
-    UsageError
-        The encoder is too coarse for any experiment.
+    Raises `UsageError`: the encoder is too coarse for any experiment.
     """
     motion = config.trajectory
     if motion.kind != "experiment":

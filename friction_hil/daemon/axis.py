@@ -57,30 +57,9 @@ class AxisUpdate(NamedTuple):
 class AxisLoop:
     """Computation of one axis.
 
-    Parameters
-    ----------
-    name : str
-    config : AxisConfig
-    facts : AxisFacts
-        Resolution and delays, as found by the driver.
-    period_s : float
-    path_time : PathTime
-        Shared by all axes, so that they stay on their common path.
-    shadow_names : sequence of str
-        Shadow models of all axes: the rows of all axes have the same columns.
-    max_stale_cycles : int
-        Largest number of successive cycles without usable feedback that are bridged.
-
-    Attributes
-    ----------
-    is_stopped_by_gaps : bool
-        The axis stops where set-points are missing: it has a path of positions. Velocity or torque would be kept.
-    is_broken : bool
-        Its computation has failed: it gets no torque any more.
-    taken_back : str
-        Why the compensation was taken back in this run; empty if it was not.
-    lacks_demand : bool
-        Another controller moves the axis, and no demanded position has been heard of it so far.
+    ``facts``: resolution and delays, as found by the driver. ``path_time``: shared by all axes, so that they stay on
+    their common path. ``shadow_names``: shadow models of all axes: the rows of all axes have the same columns.
+    ``max_stale_cycles``: largest number of successive cycles without usable feedback that are bridged.
     """
 
     # slots here and in its parts: with a __dict__, the deep copy that warms the caches would be laid out differently,
@@ -164,11 +143,13 @@ class AxisLoop:
             is_velocity_trusted=config.mode != "cst" and config.compensation.velocity != "drive",
         )
         self.motion = AxisMotion(name, unit, config, limits, facts, period_s, self.lead_s, path_time)
+        # stops where set-points are missing: it has a path of positions; velocity or torque would be kept
         self.is_stopped_by_gaps = config.mode == "csp" and self.motion.distance > 0.0
         motion_s = 1.0 / config.trajectory.frequency if hasattr(config.trajectory, "frequency") else math.inf
         self.following_errors = FollowingErrors(period_s, path_time.ramp_s, motion_s)
         self._worsening = WorseningJudge(period_s, motion_s, facts.position_resolution)
-        self.taken_back = self._news = ""
+        self.taken_back = self._news = ""  # why the compensation was taken back in this run; empty if it was not
+        # another controller moves the axis, and no demanded position has been heard of it so far
         self.lacks_demand = False
         self.stale_cycles = 0  # without usable feedback
         self.gaps = FeedbackGaps()
@@ -191,7 +172,7 @@ class AxisLoop:
         self._make_checks = functools.partial(_checks, name, unit, config, limits, facts, period_s, self.motion)
         self._first_motion, self._first_torque, self._follow_check = self._make_checks()
         self._is_velocity_doubt_told = False
-        self.is_broken = False
+        self.is_broken = False  # its computation has failed: it gets no torque any more
         self._is_standing = False  # in the last cycle with usable feedback
         self._held = 0  # cycles since then
         self._last_cycle = -1
@@ -211,11 +192,7 @@ class AxisLoop:
     def apply(self, change: AxisChange, running_s: float) -> None:
         """Change settings, model or the switch of the compensation before the next cycle; see `AxisChange`.
 
-        Parameters
-        ----------
-        change : AxisChange
-        running_s : float
-            Time since the motion began, s; NaN before.
+        ``running_s``: time since the motion began, s; NaN before.
         """
         if change.record is not None:
             self.compensator.adopt(change.record, change.friction)
@@ -326,18 +303,9 @@ class AxisLoop:
     ) -> AxisUpdate:
         """Compute one cycle: check the feedback, compensate, command, record.
 
-        Parameters
-        ----------
-        cycle : int
-        state : LoopState
-        running_s : float
-            Time since the motion began, or in a dry run since its start; NaN before.
-        feedback : Feedback
-            From the drive, this cycle.
-        command : Command
-            Filled with the set-point and torque of this cycle.
-        row : AxisRow
-            Filled with the columns of the recording and the states before this cycle.
+        ``running_s``: time since the motion began, or in a dry run since its start, s; NaN before. ``feedback``: from
+        the drive, this cycle. ``command`` is filled with the set-point and torque of this cycle, ``row`` with the
+        columns of the recording and the states before this cycle.
         """
         time_s, compensator, supervisor = cycle * self._period_s, self.compensator, self.supervisor
         missed = self._count_missed(cycle)

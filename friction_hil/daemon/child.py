@@ -19,14 +19,8 @@ class Child:
     It has a session of its own, so that Ctrl-C reaches only this process, which ends its children in order. Its
     standard input is closed when this process ends, even if it is killed; ``simulate --exit-with-stdin`` then ends too.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        Command and its arguments, without the program's name.
-    folder : Path
-        Folder for its output.
-    environment : mapping, optional
-        Variables that it gets besides those of this process.
+    ``arguments``: command and its arguments, without the program's name. ``folder``: for its output. ``environment``:
+    variables that it gets besides those of this process.
     """
 
     def __init__(

@@ -30,24 +30,6 @@ class CommandWriter:
     A torque whose command the driver reports as lost (`Feedback.is_setpoint_lost`) may or may not be in the drive. The
     next one stays within a step of it and of all that the drive may have instead, so that neither the drive nor the
     wire sees more than one step.
-
-    Parameters
-    ----------
-    config : AxisConfig
-    limits : SafetyLimits
-    motion : AxisMotion
-    period_s : float
-    lead_s : float
-        Time from sampling the position until the torque acts.
-
-    Attributes
-    ----------
-    offset_sent : tuple of float
-        Position and velocity that are added to the set-point that is sent, SI.
-    held_position : float
-        Position at which the axis is held outside of the moving states, SI; NaN before the first cycle.
-    most, effort : float
-        Bound of what the loop's controller and the compensation ask for together (CST), and what they asked for, N m.
     """
 
     __slots__ = (
@@ -82,7 +64,7 @@ class CommandWriter:
         self._limits = limits
         self._motion = motion
         self._period_s = period_s
-        self._lead_s = lead_s
+        self._lead_s = lead_s  # from sampling the position until the torque acts
         self._static = static_torque(config)
         self._last_static = 0.0
         self._difference = self._fade_s = self._fade_left_s = 0.0  # from the torque before the last change
@@ -92,8 +74,10 @@ class CommandWriter:
         self._error_left = 0.0  # following error with which it came to rest
         self._torque = 0.0
         self._lowest = self._highest = 0.0  # of what the drive may have
-        self.offset_sent = (0.0, 0.0)
+        self.offset_sent = (0.0, 0.0)  # position and velocity that are added to the set-point that is sent, SI
+        # at which the axis is held outside of the moving states, SI; NaN before the first cycle
         self.held_position = math.nan
+        # N m (CST): bound of what the loop's controller and the compensation ask for together, and what they asked for
         self.most, self.effort = math.inf, 0.0
 
     def compile(self) -> None:
@@ -126,20 +110,9 @@ class CommandWriter:
         whose brake closes some time after the request to disable sags until then. In cst the loop's controller goes on
         as well, as long as the drive takes its torque: the feed-forward alone is only as good as the model.
 
-        Parameters
-        ----------
-        command : Command
-            Filled.
-        state : LoopState
-        time_s : float
-        position, velocity : float
-            Last usable position and estimated velocity, SI.
-        now : Setpoint or None
-            Set-point at the time of the feedback.
-        compensation : float
-            Torque of the compensator, N m.
-        feedback : Feedback
-            State of the drive, and whether the command before was lost.
+        ``position``, ``velocity``: the last usable position and the estimated velocity, SI. ``now``: set-point at the
+        time of the feedback. ``compensation``: torque of the compensator, N m. ``feedback``: state of the drive, and
+        whether the command before was lost.
         """
         command.velocity = 0.0
         before = self._torque

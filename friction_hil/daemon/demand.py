@@ -20,14 +20,8 @@ class DemandEstimator:
     a cycle late or is rounded to the same count, the gap is filled in on the straight line to the next one; until that
     comes, the motion is taken to go on with the acceleration that it had.
 
-    Parameters
-    ----------
-    period_s : float
-        Time between set-points, s.
-    delay_s : float
-        Time until the drive's demand equals the newest set-point, s.
-    lead_s : float
-        Time until this cycle's torque acts, s.
+    ``period_s``: time between set-points, s. ``delay_s``: time until the drive's demand equals the newest set-point, s.
+    ``lead_s``: time until this cycle's torque acts, s.
 
     Examples
     --------

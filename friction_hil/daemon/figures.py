@@ -59,64 +59,33 @@ class Condition(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ConditionFigures(Figures):
-    """Following error of one axis in one condition.
+    """Following error of one axis in one condition; ``rms`` and ``peak`` in rad or m."""
 
-    Attributes
-    ----------
-    rms, peak : float
-        rad or m.
-    counted, left_out : int
-        Cycles that count, and those that do not because a period was missed or feedback was late, in them or shortly
-        before.
-    is_whole : bool
-        False if they are less than a period of the motion, and so miss parts of it.
-    """
-
-    counted: int
-    left_out: int
-    is_whole: bool = True
+    counted: int  # cycles that count
+    left_out: int  # cycles that do not because a period was missed or feedback was late, in them or shortly before
+    is_whole: bool = True  # False if they are less than a period of the motion, and so miss parts of it
 
 
 @dataclass(frozen=True, slots=True)
 class AxisFigures:
-    """Figures of one axis in a run.
+    """Figures of one axis in a run."""
 
-    Attributes
-    ----------
-    unit : str
-        Unit of the position: rad or m.
-    without, compensated : ConditionFigures or None
-        Following error without and with compensation; None if no cycle of the condition counts.
-    is_comparable : bool
-        False if the motion differs from one moment to the next, as that of an experiment does: then the two conditions
-        do not compare.
-    stale, bridged : int
-        Cycles without usable feedback; those of them after which there was feedback again.
-    bridged_reasons : dict of str to int
-        Number of bridged cycles by the reason that the driver gave.
-    load : AxisFigures or None
-        The same of the load, against the path; None where it has no encoder.
-    taken_back : str
-        What the compensation was taken back for; empty if it was not.
-    configured_delay, delay : float
-        Periods until the drive's demand equals a set-point: as configured, and as the errors fit it, which are then
-        given without it; NaN where they show no other one.
-    lacks_demand : bool
-        Another controller moves the axis, and no demanded position was heard of it.
-    """
-
-    unit: str
-    without: ConditionFigures | None
-    compensated: ConditionFigures | None
+    unit: str  # of the position: rad or m
+    without: ConditionFigures | None  # following error without compensation; None if no cycle of the condition counts
+    compensated: ConditionFigures | None  # the same with compensation
+    # False if the motion differs from one moment to the next, as that of an experiment does: then the two conditions do
+    # not compare
     is_comparable: bool
-    stale: int
-    bridged: int = 0
+    stale: int  # cycles without usable feedback
+    bridged: int = 0  # those of them after which there was feedback again
+    # number of bridged cycles by the reason that the driver gave
     bridged_reasons: dict[str, int] = field(default_factory=dict)
-    load: "AxisFigures | None" = None
-    taken_back: str = ""
-    configured_delay: float = math.nan
+    load: "AxisFigures | None" = None  # the same of the load, against the path; None where it has no encoder
+    taken_back: str = ""  # what the compensation was taken back for; empty if it was not
+    configured_delay: float = math.nan  # periods until the drive's demand equals a set-point
+    # the same as the errors fit it, which are then given without it; NaN where they show no other one
     delay: float = math.nan
-    lacks_demand: bool = False
+    lacks_demand: bool = False  # another controller moves the axis, and no demanded position was heard of it
 
     @property
     def reduction(self) -> Figures | None:
@@ -170,20 +139,8 @@ class FollowingErrors:
     compared over the same parts of the path and equally long; if a run is too short for one, the steady motion that
     there is. Of a recording `friction_hil.analysis.baseline` computes the same figures by this class.
 
-    Attributes
-    ----------
-    news : ErrorFigures or None
-        Set when a time without compensation ends: of all whole periods without it, or of this time if there is none.
-        Whoever tells it sets it to None.
-
-    Parameters
-    ----------
-    period_s : float
-        Period of the loop, s.
-    start_s : float
-        Time that the axes take to reach full speed, s.
-    motion_s : float
-        Period of the motion, s; infinity if it has none.
+    ``start_s``: time that the axes take to reach full speed, s. ``motion_s``: period of the motion, s; infinity if it
+    has none.
     """
 
     __slots__ = (
@@ -219,6 +176,8 @@ class FollowingErrors:
         self._begin = self._period_begin = self._period_end = math.inf
         self._recovered = 0.0  # cycle from which on errors count again
         self._parts = [_Parts() for _ in Condition]
+        # set when a time without compensation ends: of all whole periods without it, or of this time if there is none;
+        # whoever tells it sets it to None
         self.news: ErrorFigures | None = None
         self._told_end = -math.inf  # cycle before which the cycles of the last news were
         # of the period that has not ended yet: plain numbers, because every cycle adds to them
@@ -245,17 +204,9 @@ class FollowingErrors:
     ) -> bool:
         """Take one cycle of the motion; return True if it counts as settled.
 
-        Parameters
-        ----------
-        condition : Condition
-        error : float
-            Demanded minus measured position, rad or m.
-        missed : int
-            Number of periods between the cycle before and this one.
-        is_usable : bool
-            True if the feedback of this cycle is fresh.
-        velocity, acceleration : float
-            Demanded, SI, from which a delay of the demand follows; a velocity of 0 shows none.
+        ``error``: demanded minus measured position, rad or m. ``missed``: number of periods between the cycle before
+        and this one. ``is_usable``: the feedback of this cycle is fresh. ``velocity``, ``acceleration``: demanded, SI,
+        from which a delay of the demand follows; a velocity of 0 shows none.
         """
         self._cycle = cycle = self._cycle + 1 + missed
         if condition is not self._condition:
@@ -371,24 +322,15 @@ class FeedbackGaps:
     """Cycles without usable feedback that were bridged by prediction, and why there was none.
 
     A gap counts when feedback is there again; one that ends the run, and what is missing after that, was not bridged.
-
-    Attributes
-    ----------
-    bridged : int
-        Number of cycles.
-    reasons : dict of str to int
-        Number of these cycles by the reason that the driver gave.
-    is_open : bool
-        True while feedback is missing.
     """
 
     __slots__ = ("_gap", "_last_missing", "bridged", "is_open", "reasons")
 
     def __init__(self) -> None:
         self._last_missing: deque[int] = deque(maxlen=_NAMED_WITHIN)  # cycles
-        self.bridged = 0
-        self.reasons: dict[str, int] = {}
-        self.is_open = False  # no property: it is read in every cycle
+        self.bridged = 0  # cycles
+        self.reasons: dict[str, int] = {}  # number of these cycles by the reason that the driver gave
+        self.is_open = False  # feedback is missing; no property: it is read in every cycle
         self._gap: list[str] = []  # reasons of the cycles since the last usable feedback
 
     def miss(self, cycle: int, reason: str) -> None:
@@ -424,14 +366,7 @@ def is_limit_cycle(warning: str, name: str) -> bool:
 
 
 class CompensationNotices:
-    """Warnings about the compensation of one axis: lowered gain, and a network beyond its trained speed.
-
-    Parameters
-    ----------
-    name, unit : str
-        Name of the axis; unit of its position, ``rad`` or ``m``.
-    compensator : Compensator
-    """
+    """Warnings about the compensation of one axis: lowered gain, and a network beyond its trained speed."""
 
     __slots__ = (
         "_beyond",
@@ -442,7 +377,7 @@ class CompensationNotices:
     )
 
     def __init__(self, name: str, unit: str, compensator: Compensator) -> None:
-        self._name, self._unit = name, unit
+        self._name, self._unit = name, unit  # unit of the position, ``rad`` or ``m``
         self.renew(compensator)
 
     def renew(self, compensator: Compensator) -> None:

@@ -69,28 +69,8 @@ class Phase(IntEnum):
 class FirstMotion:
     """Move one axis a little, and see whether its velocity target means what its unit says.
 
-    Parameters
-    ----------
-    name, unit : str
-        Name of the axis; unit of its position, ``rad`` or ``m``.
-    limits : SafetyLimits
-    period_s : float
-    position_resolution, velocity_resolution : float
-        Smallest steps of the position and of the velocity target, SI.
-
-    Attributes
-    ----------
-    target : float
-        Velocity target of this cycle, SI.
-    bound : float
-        Distance beyond which the motion ends in any case, SI; stopping takes a little more.
-    warning : str or None
-        Set at the end where the axis moves slower than its target although its unit is right.
-
-    Raises
-    ------
-    UsageError
-        The position is too coarse for the position limits.
+    The resolutions are the smallest steps of the position and of the velocity target, SI. Raises `UsageError`: the
+    position is too coarse for the position limits.
     """
 
     __slots__ = (
@@ -134,6 +114,7 @@ class FirstMotion:
         self._distance = max(
             min(_BOUND_S * limits.velocity, _BOUND_SPAN * span) / _PARTS, _LEAST_STEPS * position_resolution
         )
+        # distance beyond which the motion ends in any case, SI; stopping takes a little more
         self.bound = _PARTS * self._distance
         if self.bound > 0.5 * span:
             raise UsageError(
@@ -152,7 +133,8 @@ class FirstMotion:
         self._direction = 1.0
         self._steps = 0  # the target, in increments
         self._repeats = _REPEATS
-        self.target = 0.0
+        self.target = 0.0  # velocity of this cycle, SI
+        # set at the end where the axis moves slower than its target although its unit is right
         self.warning: str | None = None
 
     @property
@@ -163,12 +145,8 @@ class FirstMotion:
     def take(self, position: float, velocity: float, *, is_usable: bool = True) -> str | None:
         """Take one cycle's feedback and set the next target; return a fault as a message, or None.
 
-        Parameters
-        ----------
-        position, velocity : float
-            As the drive reports them, SI.
-        is_usable : bool
-            False for a cycle without feedback, and for a period that was missed.
+        ``position``, ``velocity``: as the drive reports them, SI. ``is_usable``: False for a cycle without feedback,
+        and for a period that was missed.
         """
         if self._phase is Phase.DONE:
             return None

@@ -33,23 +33,8 @@ _LEAST_RUNAWAY_STEPS = 80.0
 class FollowCheck:
     """Check of one axis.
 
-    Parameters
-    ----------
-    name, unit : str
-        Name of the axis; unit of its position, ``rad`` or ``m``.
-    limits : SafetyLimits
-    extent : float
-        Largest distance of the path from its beginning, SI.
-    period_s : float
-    position_resolution : float
-        Smallest step of the position, SI.
-    is_torque_ours : bool
-        True in mode CST.
-
-    Attributes
-    ----------
-    is_confirmed : bool
-        The axis has followed its path: nothing more is to be checked.
+    ``extent``: largest distance of the path from its beginning, SI. ``position_resolution``: smallest step of the
+    position, SI. ``is_torque_ours``: True in mode CST.
     """
 
     __slots__ = (
@@ -105,23 +90,15 @@ class FollowCheck:
         self._origin = 0.0  # where the axis began to leave its set-point
         self._next = self._runaway / 2.0**_DOUBLINGS  # distance at which the speed is noted next
         self._speed = math.nan  # at half of that distance
-        self.is_confirmed = False
+        self.is_confirmed = False  # the axis has followed its path: nothing more is to be checked
 
     def take(
         self, position: float, velocity: float, demand: float, torque: float, *, is_usable: bool = True
     ) -> str | None:
         """Take one cycle of the motion; return a fault as a message, or None.
 
-        Parameters
-        ----------
-        position, velocity : float
-            Of the feedback, SI.
-        demand : float
-            Demanded position at the time of the feedback.
-        torque : float
-            Torque that is sent, SI.
-        is_usable : bool
-            False for a cycle without feedback, and for a period that was missed.
+        ``demand``: demanded position at the time of the feedback. ``torque``: that is sent, SI. ``is_usable``: False
+        for a cycle without feedback, and for a period that was missed.
         """
         self._unheard += 1
         if not is_usable:

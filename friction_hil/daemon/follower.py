@@ -55,16 +55,13 @@ class FollowerStateMachine(RunStateMachine):
 class FollowerSupervisor(Supervisor):
     """Check the feedback of an axis that another controller moves; see `friction_hil.daemon.safety.Supervisor`.
 
-    Attributes
-    ----------
-    is_operating : bool
-        The drive is in Operation enabled, in the configured mode. Otherwise the axis may be moved by hand or be homed:
-        its position may jump, and its limits do not apply.
+    Outside of Operation enabled, and in another mode than the configured one, the axis may be moved by hand or be
+    homed: its position may jump, and its limits do not apply.
     """
 
     __slots__ = ("is_operating",)
 
-    is_operating: bool
+    is_operating: bool  # in Operation enabled, in the configured mode
 
     def take(self, feedback: Feedback, missed: int = 0) -> bool:
         """Take one cycle's feedback; return True if it is fresh, finite and, while the drive operates, plausible."""

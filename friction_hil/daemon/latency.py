@@ -25,18 +25,10 @@ _HISTOGRAM_NS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """Wake-up latency of a loop.
+    """Wake-up latency of a loop."""
 
-    Attributes
-    ----------
-    late_us : (n,) array
-        Time from the deadline to each wake-up, us, ascending.
-    missed : int
-        Periods that passed without a wake-up.
-    """
-
-    late_us: NDArray[np.float64]
-    missed: int
+    late_us: NDArray[np.float64]  # (n,) from the deadline to each wake-up, us, ascending
+    missed: int  # periods that passed without a wake-up
 
     def percentile_us(self, share: float) -> float:
         """Return the latency, us, that ``share`` of the wake-ups do not exceed; one of those that were measured."""
@@ -54,15 +46,7 @@ class Latency:
 
 
 def measure(clock: Clock, period_s: float, cycles: int) -> Latency:
-    """Wait for ``cycles`` periods as the loop does, and do nothing in them.
-
-    Parameters
-    ----------
-    clock : Clock
-        It spins as long as it was made to.
-    period_s : float
-    cycles : int
-    """
+    """Wait for ``cycles`` periods as the loop does, and do nothing in them; ``clock`` spins as it was made to."""
     pacer = Pacer(clock, period_s, lambda _: None)
     late_ns = array.array("q", bytes(8 * cycles))
     cycle = missed = 0
@@ -107,12 +91,8 @@ def has_cyclictest() -> bool:
 def cyclictest(priority: int, period_s: float, cycles: int, *, is_fine: bool = False) -> Latency:
     """Measure with cyclictest, under SCHED_FIFO with ``priority`` or, if it is 0, with ordinary scheduling.
 
-    With ``is_fine`` it counts nanoseconds, up to a millisecond, instead of microseconds up to 20 ms.
-
-    Raises
-    ------
-    FrictionHilError
-        It failed.
+    With ``is_fine`` it counts nanoseconds, up to a millisecond, instead of microseconds up to 20 ms. Raises
+    `FrictionHilError`: it failed.
     """
     scheduling = [f"--priority={priority}", "--mlockall"] if priority else ["--policy=other"]
     command = ["cyclictest", "--quiet", "--threads=1", f"--interval={period_s * 1e6:.0f}", f"--loops={cycles}"]

@@ -13,13 +13,7 @@ _TRIES = 100  # of a reader, who meets a writer once in a thousand times
 
 
 class LearningBoard:
-    """The memory, for the process that learns and for the control process.
-
-    Parameters
-    ----------
-    descriptor : int
-        Of an existing board; -1 makes one.
-    """
+    """The memory, for the process that learns and for the control process; a descriptor of -1 makes a new board."""
 
     def __init__(self, descriptor: int = -1) -> None:
         if descriptor < 0:
@@ -64,25 +58,14 @@ class LearningBoard:
 
 
 def read_done_cycle(descriptor: int) -> int:
-    """Return the cycle up to which all rows are dealt with; -1 before the first.
-
-    Parameters
-    ----------
-    descriptor : int
-        Of a board, for reading.
-    """
+    """Return the cycle up to which all rows are dealt with; -1 before the first."""
     return int(_HEAD.unpack(os.pread(descriptor, _HEAD.size, 0))[1])
 
 
 def first_report(mode: str, unit: str, gain: float) -> dict[str, Any]:
     """Return the report on an axis before its process has said anything; all reports have these keys.
 
-    Parameters
-    ----------
-    mode : {"on", "propose"}
-    unit : {"rad", "m"}
-    gain : float
-        Of the configuration.
+    ``mode``: on or propose; ``unit``: rad or m; ``gain``: of the configuration.
     """
     return {
         "mode": mode,
@@ -122,13 +105,7 @@ def first_report(mode: str, unit: str, gain: float) -> dict[str, Any]:
 
 
 def read_report(descriptor: int) -> dict[str, Any]:
-    """Return what the process that learns has said last; empty if there is nothing, or half of it.
-
-    Parameters
-    ----------
-    descriptor : int
-        Of a board, for reading.
-    """
+    """Return what the process that learns has said last; empty if there is nothing, or half of it."""
     for _ in range(_TRIES):
         head = os.pread(descriptor, _HEAD.size, 0)
         number, _, length = _HEAD.unpack(head)

@@ -18,16 +18,9 @@ _TITLE = "the process that learns"
 class LearningService(TendedProcess):
     """The process that learns; nothing depends on it.
 
-    Parameters
-    ----------
-    spawn : Spawn
-    board : LearningBoard
-        Where it says what has happened; whoever made it closes it after this.
-    socket : str
-        Path of the control socket, through which it attaches and hands over.
-    period_s : float
-    is_simulated : bool
-        The loop waits for it at each tick, so that the same run gives the same hand-overs.
+    Whoever made the board, where it says what has happened, closes it after this. Through ``socket``, the path of the
+    control socket, it attaches and hands over. With ``is_simulated`` the loop waits for it at each tick, so that the
+    same run gives the same hand-overs.
     """
 
     def __init__(self, spawn: Spawn, board: LearningBoard, socket: str, period_s: float, *, is_simulated: bool) -> None:

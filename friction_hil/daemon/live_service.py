@@ -13,15 +13,7 @@ _STDERR = 2
 
 
 class LiveService(TendedProcess):
-    """The process that serves live data; nothing depends on it.
-
-    Parameters
-    ----------
-    spawn : Spawn
-    name : str
-        Name of this daemon, to which the process attaches.
-    config : LiveConfig
-    """
+    """The process that serves live data and attaches to the daemon called ``name``; nothing depends on it."""
 
     def __init__(self, spawn: Spawn, name: str, config: LiveConfig) -> None:
         self._token = -1

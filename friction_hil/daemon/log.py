@@ -32,48 +32,22 @@ class Sink(Protocol):
 
 @dataclass(slots=True)
 class LoopResult:
-    """Result of a run.
-
-    Attributes
-    ----------
-    cycles, missed : int
-    late_p50_us, late_p99_us : float
-        Lateness of the wake-ups, us.
-    faults, warnings : list of str
-    notices : list of str
-        What the drives said beside their feedback, e.g. emergencies, and what was asked for: the first of each kind.
-    drive_states : list of DriveState
-        State of each drive after the stop; empty after a dry run.
-    leftovers : list of str
-        What the driver could not leave as it was found.
-    """
+    """Result of a run."""
 
     cycles: int = 0
     missed: int = 0
-    late_p50_us: float = math.nan
+    late_p50_us: float = math.nan  # lateness of the wake-ups, us
     late_p99_us: float = math.nan
     faults: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    # what the drives said beside their feedback, e.g. emergencies, and what was asked for: the first of each kind
     notices: list[str] = field(default_factory=list)
-    drive_states: list[DriveState] = field(default_factory=list)
-    leftovers: list[str] = field(default_factory=list)
+    drive_states: list[DriveState] = field(default_factory=list)  # of each drive after the stop; empty after a dry run
+    leftovers: list[str] = field(default_factory=list)  # what the driver could not leave as it was found
 
 
 class RunLog:
-    """Keep faults and warnings, and hand them to the sink.
-
-    Parameters
-    ----------
-    sink : Sink
-    period_s : float
-        Period of the loop, s.
-
-    Attributes
-    ----------
-    result : LoopResult
-    has_fault : bool
-        There is a fault that nobody has reset.
-    """
+    """Keep faults and warnings, and hand them to the sink."""
 
     def __init__(self, sink: Sink, period_s: float) -> None:
         self._sink = sink
@@ -83,7 +57,7 @@ class RunLog:
         self._acts = 0  # in the result
         self._room, self._room_cycle = _BURST, 0  # for notices of drives
         self._is_flooded = False
-        self.has_fault = False
+        self.has_fault = False  # there is a fault that nobody has reset
         self._missed = 0  # periods
         self._missed_cycle = -1  # that followed them
         self._error_without: dict[str, str] = {}

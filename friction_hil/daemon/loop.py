@@ -21,23 +21,7 @@ from friction_hil.motion.trajectory import PathTime
 
 
 class Loop:
-    """Drive some axes through a run.
-
-    Parameters
-    ----------
-    drives : Drives
-        Drives that are connected but not started.
-    axes : sequence of AxisLoop
-        Axes in the order of the drives' axes.
-    path_time : PathTime
-        Path time of all axes.
-    clock : Clock
-    sink : Sink
-    settings : LoopSettings
-    stop : StopRequest
-    mailbox : MailboxReader, optional
-        Brings changes while the loop runs.
-    """
+    """Drive some axes through a run. The drives are connected but not started, the axes in the order of theirs."""
 
     def __init__(
         self,

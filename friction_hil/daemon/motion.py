@@ -24,30 +24,8 @@ _EXTENT_HZ = 1000.0  # rate at which a motion without a period is sampled for it
 class AxisMotion:
     """Set-points of one axis.
 
-    Parameters
-    ----------
-    name, unit : str
-        For messages.
-    config : AxisConfig
-    limits : SafetyLimits
-    facts : AxisFacts
-    period_s : float
-    lead_s : float
-        Time from sampling the position until the torque acts.
-    path_time : PathTime
-        Shared by all axes, so that they stay on their common path.
-
-    Attributes
-    ----------
-    has_setpoint : bool
-        False with ``trajectory: {kind: none}``.
-    lead_s : float
-        As given; another model may need another one.
-
-    Raises
-    ------
-    UsageError
-        The encoder is too coarse for an experiment.
+    ``path_time`` is shared by all axes, so that they stay on their common path. Raises `UsageError`: the encoder is too
+    coarse for an experiment.
     """
 
     __slots__ = (
@@ -73,10 +51,10 @@ class AxisMotion:
         path_time: PathTime,
     ) -> None:
         self._name, self._unit, self._limits = name, unit, limits
-        self.lead_s = lead_s
+        self.lead_s = lead_s  # from sampling the position until the torque acts; another model may need another one
         self._setpoint_delay_s = facts.setpoint_delay_s
         given = config.trajectory
-        self.has_setpoint = given.kind != "none"
+        self.has_setpoint = given.kind != "none"  # False with ``trajectory: {kind: none}``
         try:
             path = make_path(config, facts.position_resolution, period_s)
         except UsageError as error:
@@ -104,10 +82,7 @@ class AxisMotion:
     def check(self, start: float) -> None:
         """Check that the path from ``start`` stays inside the limits.
 
-        Raises
-        ------
-        UsageError
-            The path leaves the position limits or is faster than the velocity limit.
+        Raises `UsageError`: the path leaves the position limits or is faster than the velocity limit.
         """
         low, high, speed = start + self._extent[0], start + self._extent[1], self._extent[2]
         limits, unit = self._limits, self._unit

@@ -16,19 +16,14 @@ class ServiceManager:
 
     A message that its full queue does not take is left out: the loop must not wait, and the next one follows.
 
-    Parameters
-    ----------
-    address : str
-        Path of a Unix datagram socket; abstract if it begins with ``@``.
-    watchdog_s : float or None
-        Interval within which it expects a sign of life, s; None: none is expected.
+    ``address``: path of a Unix datagram socket; abstract if it begins with ``@``.
     """
 
     def __init__(self, address: str, watchdog_s: float | None) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
         self._socket.setblocking(False)
         self._address = "\0" + address[1:] if address.startswith("@") else address
-        self.watchdog_s = watchdog_s
+        self.watchdog_s = watchdog_s  # interval within which it expects a sign of life, s; None: none is expected
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> "ServiceManager | None":
@@ -75,18 +70,10 @@ class NotifyingSink:
     """Sink that reports to the service manager what passes through it.
 
     The rows of the loop, and nothing else, feed the watchdog: they come once per cycle, with feedback of the drives.
-
-    Parameters
-    ----------
-    sink : Sink
-        Receiver of all rows and events.
-    manager : ServiceManager
-    period_s : float
-        Period of the loop, s.
     """
 
     def __init__(self, sink: Sink, manager: ServiceManager, period_s: float) -> None:
-        self._sink = sink
+        self._sink = sink  # receiver of all rows and events
         self._manager = manager
         every_s = manager.alive_every_s
         self._rows_between = 0 if every_s is None else max(1, int(every_s / period_s))

@@ -16,34 +16,18 @@ _EARLY = 0.15  # of the period: a locked loop is awake this long before SYNC, so
 
 
 class Pacer:
-    """Waits for the cycles of a loop and keeps the figures of its punctuality.
-
-    Parameters
-    ----------
-    clock : Clock
-    period_s : float
-    warm_caches : callable
-        Called with the number of the next cycle while there is time left before its deadline.
-
-    Attributes
-    ----------
-    skipped : int
-        Periods that were missed before the present cycle.
-    overslept_ns : int
-        Time from the deadline that was waited for to the wake-up.
-    late_us : float
-        Lateness within the present cycle, us: missed periods do not count.
-    """
+    """Waits for the cycles of a loop and keeps the figures of its punctuality."""
 
     def __init__(self, clock: Clock, period_s: float, warm_caches: Callable[[int], None]) -> None:
         self._clock = clock
         self._period_ns = round(period_s * 1e9)
+        # called with the number of the next cycle while there is time left before its deadline
         self._warm_caches = warm_caches
         self._start_ns = 0
         self._histogram = np.zeros(_HISTOGRAM_US + 1, dtype=np.int64)
-        self.skipped = 0
-        self.overslept_ns = 0
-        self.late_us = 0.0
+        self.skipped = 0  # periods that were missed before the present cycle
+        self.overslept_ns = 0  # from the deadline that was waited for to the wake-up
+        self.late_us = 0.0  # lateness within the present cycle, us: missed periods do not count
 
     def start(self) -> None:
         """Let cycle 0 begin one period from now."""
@@ -75,21 +59,11 @@ class Pacer:
 
 
 class LockedPacer(Pacer):
-    """Waits for the cycles of a loop whose drives another controller paces: each begins shortly before its SYNC.
-
-    Parameters
-    ----------
-    clock : Clock
-    period_s : float
-    warm_caches : callable
-        As for `Pacer`.
-    lock : PhaseLock
-        Fed by the driver with the stamps of SYNC.
-    """
+    """Waits for the cycles of a loop whose drives another controller paces: each begins shortly before its SYNC."""
 
     def __init__(self, clock: Clock, period_s: float, warm_caches: Callable[[int], None], lock: PhaseLock) -> None:
         super().__init__(clock, period_s, warm_caches)
-        self._lock = lock
+        self._lock = lock  # fed by the driver with the stamps of SYNC
         self._early_ns = round(_EARLY * self._period_ns)
 
     def start(self) -> None:
@@ -135,21 +109,7 @@ class ExchangeTimes:
 
 
 class CacheWarmer:
-    """Runs the code of a cycle on a copy of an axis: caches that a sleep has emptied cost as much as the work itself.
-
-    Parameters
-    ----------
-    drives : Drives
-    axis : AxisLoop
-        Copied.
-    row : AxisRow
-        Copied.
-
-    Attributes
-    ----------
-    error : str or None
-        First exception; nothing is warmed after it.
-    """
+    """Runs a cycle's code on copies of axis and row: caches that a sleep emptied cost as much as the work itself."""
 
     def __init__(self, drives: Drives, axis: AxisLoop, row: AxisRow) -> None:
         self._drives = drives
@@ -157,7 +117,7 @@ class CacheWarmer:
         self._row = AxisRow(row.values.copy(), axis.shadow_names)
         self._feedback = Feedback(state=DriveState.OPERATION_ENABLED, is_fresh=True)
         self._command = Command()
-        self.error: str | None = None
+        self.error: str | None = None  # first exception; nothing is warmed after it
 
     def warm(self, cycle: int) -> str | None:
         """Run the code of a cycle; nothing is sent, and nothing of the real axes changes. Return the error, if any."""

@@ -66,15 +66,8 @@ def punctuality(priority: int) -> Iterator[list[Finding]]:
 
     Asks for SCHED_FIFO, locked memory, no garbage collection and no deep sleep of the processor.
 
-    Parameters
-    ----------
-    priority : int
-        SCHED_FIFO priority 1 to 99; 0 changes nothing.
-
-    Yields
-    ------
-    list of Finding
-        One for each request, granted or not, with its remedy.
+    ``priority``: of SCHED_FIFO, 1 to 99; 0 changes nothing. Yields one finding for each request, granted or not, with
+    its remedy.
     """
     if priority == 0:
         yield []

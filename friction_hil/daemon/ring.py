@@ -89,15 +89,7 @@ class _Ring:
 
 
 class RingWriter(_Ring):
-    """Writing end, used by the loop; creates the memory.
-
-    Parameters
-    ----------
-    width : int
-        Number of values in a row.
-    capacity : int
-        Number of rows that the ring holds.
-    """
+    """Writing end, used by the loop; creates the memory for ``capacity`` rows of ``width`` values."""
 
     def __init__(self, width: int, capacity: int) -> None:
         if width < 1 or capacity < 1:
@@ -246,19 +238,13 @@ class RingReader(_Ring):
 
 
 class RingObserver(_Ring):
-    """An end that only looks: it takes nothing from the reader, and releases nothing. It cannot write.
-
-    Attributes
-    ----------
-    rows_missed : int
-        Number of rows that `new_rows` has not returned, because they were overwritten.
-    """
+    """An end that only looks: it takes nothing from the reader, and releases nothing. It cannot write."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, is_written=False)
         self._events_seen = 0
         self._rows_seen: int | None = None
-        self.rows_missed = 0
+        self.rows_missed = 0  # rows that `new_rows` has not returned, because they were overwritten
 
     @property
     def rows_written(self) -> int:
@@ -273,10 +259,7 @@ class RingObserver(_Ring):
     def new_rows(self, wanted: NDArray[np.intp]) -> Array:
         """Return the rows since the last call as a copy, oldest first, shape (n, m); the first call, those there are.
 
-        Parameters
-        ----------
-        wanted : (m,) array
-            Values of each row that are copied; a row is mostly states of compensators.
+        ``wanted``: (m,) values of each row that are copied; a row is mostly states of compensators.
         """
         end = self._header[_ROWS]
         oldest = self._oldest(end, self.capacity)

@@ -42,22 +42,14 @@ def row_width(shadow_names: Sequence[str]) -> int:
 
 
 class AxisRow:
-    """Writer of one axis's part of a row.
-
-    Parameters
-    ----------
-    values : (width,) array
-        The part: `row_width` columns, then the states of the compensators. Kept, and written to.
-    shadow_names : sequence of str
-        Shadow models of all axes, in the order of their columns.
-    """
+    """Writer of one axis's part of a row."""
 
     __slots__ = ("_cells", "_first_shadow", "_first_state", "_shadow_names", "values")
 
     def __init__(self, values: Array, shadow_names: Sequence[str]) -> None:
-        self.values = values
+        self.values = values  # (width,) `row_width` columns, then the states of the compensators; kept, and written to
         self._cells = cast("memoryview[float]", values.data)
-        self._shadow_names = list(shadow_names)
+        self._shadow_names = list(shadow_names)  # of all axes, in the order of their columns
         self._first_shadow = len(columns.NAMES)
         self._first_state = row_width(shadow_names)
 

@@ -25,54 +25,20 @@ _BRIDGED_PERIODS = 1  # without a set-point, which a drive bridges; after more, 
 
 @dataclass(frozen=True, slots=True)
 class LoopSettings:
-    """Settings of the loop.
-
-    Attributes
-    ----------
-    period_s : float
-    duration_s : float
-        Time after which the motion comes to rest; infinity for none.
-    max_missed : int
-        Missed periods in a row that are a fault.
-    enable_timeout_s : float
-        Time within which all drives must be enabled.
-    dry_run : bool
-        Listen, compute, record; never command.
-    is_fault_reset_wanted : bool
-        True to reset, before enabling, the fault that a drive is found in.
-    is_follower : bool
-        Another controller enables and moves the drives.
-    is_waiting : bool
-        True to enable nothing before somebody starts the axes, and to wait again after a stop or a fault.
-    """
+    """Settings of the loop."""
 
     period_s: float
-    duration_s: float = math.inf
-    max_missed: int = 10
-    enable_timeout_s: float = ENABLE_TIMEOUT_S
-    dry_run: bool = False
-    is_fault_reset_wanted: bool = False
-    is_follower: bool = False
-    is_waiting: bool = False
+    duration_s: float = math.inf  # after which the motion comes to rest; infinity for none
+    max_missed: int = 10  # periods in a row that are a fault
+    enable_timeout_s: float = ENABLE_TIMEOUT_S  # within which all drives must be enabled
+    dry_run: bool = False  # listen, compute, record; never command
+    is_fault_reset_wanted: bool = False  # reset, before enabling, the fault that a drive is found in
+    is_follower: bool = False  # another controller enables and moves the drives
+    is_waiting: bool = False  # enable nothing before somebody starts the axes, and wait again after a stop or a fault
 
 
 class RunControl:
-    """Begin a run, take it from state to state, and end it.
-
-    Parameters
-    ----------
-    axes : sequence of AxisLoop
-    path_time : PathTime
-        Shared by the axes.
-    settings : LoopSettings
-    stop : StopRequest
-    log : RunLog
-
-    Attributes
-    ----------
-    is_stop_asked : bool
-        Somebody has asked to stop since the start: drives that are found with power are disabled too.
-    """
+    """Begin a run, take it from state to state, and end it."""
 
     def __init__(
         self,
@@ -94,6 +60,7 @@ class RunControl:
         self._running_since_s = 0.0 if settings.dry_run else math.nan
         self._is_paused = settings.is_waiting and not settings.dry_run
         self._reset_until_s = -math.inf
+        # somebody has asked to stop since the start: drives that are found with power are disabled too
         self.is_stop_asked = False
         if settings.is_fault_reset_wanted:
             for axis in axes:
@@ -213,12 +180,8 @@ class RunControl:
     def begin(self, feedback: Sequence[Feedback], time_s: float) -> bool:
         """Return True once every axis has reported its position and its path has been checked from there.
 
-        Raises
-        ------
-        DriveError
-            An axis has not reported a position in time.
-        UsageError
-            The path of an axis leaves its limits.
+        Raises `DriveError`: an axis has not reported a position in time; `UsageError`: the path of an axis leaves its
+        limits.
         """
         if self._has_begun:
             return True

@@ -86,23 +86,10 @@ def why_unusable(feedback: Feedback) -> str:
 class Supervisor:
     """Check the feedback of one axis.
 
-    Parameters
-    ----------
-    name : str
-        Name of the axis, for messages.
-    limits : SafetyLimits
-    period_s : float
-        Period of the loop, s.
-    position_resolution : float
-        Smallest step of the position, SI.
-    unit : str
-        Unit of position, for messages: ``rad`` or ``m``.
-    max_stale_cycles : int
-        Largest number of successive cycles without usable feedback that are bridged.
-    velocity_resolution : float
-        Smallest step of the reported velocity, SI; 0 if it is not known.
-    is_velocity_trusted : bool
-        False: speed is judged from the position alone until a motion has confirmed the velocity that is reported.
+    ``position_resolution``: smallest step of the position, SI. ``unit``: of the position, for messages: ``rad`` or
+    ``m``. ``max_stale_cycles``: largest number of successive cycles without usable feedback that are bridged.
+    ``velocity_resolution``: smallest step of the reported velocity, SI; 0 if it is not known. ``is_velocity_trusted``:
+    if False, speed is judged from the position alone until a motion has confirmed the velocity that is reported.
     """
 
     __slots__ = (
@@ -235,16 +222,8 @@ class Supervisor:
     def find_fault(self, feedback: Feedback, state: LoopState, velocity: float, position_demand: float) -> str | None:
         """Return the fault of the axis as a message, or None.
 
-        Parameters
-        ----------
-        feedback : Feedback
-            After `take`.
-        state : LoopState
-            Following and an enabled drive are required only while the axis moves.
-        velocity : float
-            Estimated velocity, SI.
-        position_demand : float
-            Demanded position at the time of the feedback; NaN where there is none.
+        ``feedback``: after `take`. ``state``: following and an enabled drive are required only while the axis moves.
+        ``velocity``: estimated, SI. ``position_demand``: at the time of the feedback; NaN where there is none.
         """
         if feedback.message:
             return FaultCode.DRIVER_MESSAGE.append_to(f"{self._name}: {feedback.message}")
@@ -353,21 +332,13 @@ class Supervisor:
 class FaultReset:
     """Reset of the fault in which a drive is found at the start, on the user's request; no later fault is reset.
 
-    Parameters
-    ----------
-    is_wanted : bool
-        True if the user asked for it (``--reset-fault``).
-
-    Attributes
-    ----------
-    is_open : bool
-        The permission is still given.
+    ``is_wanted``: the user asked for it (``--reset-fault``).
     """
 
     __slots__ = ("_until_s", "is_open")
 
     def __init__(self, is_wanted: bool) -> None:
-        self.is_open = is_wanted
+        self.is_open = is_wanted  # the permission is still given
         self._until_s = _FAULT_RESET_S
 
     def take(self, feedback: Feedback) -> None:

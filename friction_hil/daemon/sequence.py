@@ -49,29 +49,15 @@ class Timeout:
 
 
 class RunStateMachine:
-    """State of a run, and when it began.
-
-    Parameters
-    ----------
-    is_listening : bool
-        Stay idle: a dry run enables nothing.
-    enable_timeout_s : float
-        Time within which all drives must be enabled.
-
-    Attributes
-    ----------
-    state : LoopState
-    since_s : float
-        Time at which this state began.
-    """
+    """State of a run, and when it began."""
 
     __slots__ = ("_changed_s", "_enable_timeout_s", "_is_listening", "_moved_s", "_timeout", "since_s", "state")
 
     def __init__(self, *, is_listening: bool, enable_timeout_s: float = ENABLE_TIMEOUT_S) -> None:
-        self._is_listening = is_listening
-        self._enable_timeout_s = enable_timeout_s
+        self._is_listening = is_listening  # stay idle: a dry run enables nothing
+        self._enable_timeout_s = enable_timeout_s  # within which all drives must be enabled
         self.state = LoopState.IDLE
-        self.since_s = 0.0
+        self.since_s = 0.0  # time at which this state began
         self._timeout: Timeout | None = None
         self._moved_s = 0.0
         self._changed_s = 0.0  # time in this state after which neither set-point nor compensation changes any more
@@ -181,13 +167,7 @@ def timeout_faults(
     Of a drive that has been silent for too long nothing is known: its missing feedback is a fault already, and the
     state in which it is left is read back after the stop, or is unknown then.
 
-    Parameters
-    ----------
-    timeout : Timeout
-    state : LoopState
-        State that the run has just left.
-    names, feedback, is_standing, is_silent : sequence
-        Of each axis.
+    ``state``: that the run has just left. The sequences hold a value of each axis.
     """
     is_any = False
     for name, heard, stands, silent in zip(names, feedback, is_standing, is_silent, strict=True):

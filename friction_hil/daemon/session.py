@@ -150,22 +150,9 @@ def run_session(
 ) -> SessionResult:
     """Run the daemon until its duration is over, ``stop`` is requested, or a fault has been dealt with.
 
-    Parameters
-    ----------
-    configuration : Configuration
-    settings : SessionSettings
-    stop : StopRequest
-        May be set at any time, from a signal handler.
-    report : callable
-        Called with lines for the user; not during the cyclic phase.
-
-    Raises
-    ------
-    FrictionHilError
-        Before anything has moved: the bus, a drive or the recording is not usable. Later faults are in the
-        result.
-    Interrupted
-        A signal came before anything was enabled.
+    ``stop`` may be set at any time, from a signal handler. ``report`` is called with lines for the user; not during the
+    cyclic phase. Raises `FrictionHilError`, before anything has moved: the bus, a drive or the recording is not usable
+    (later faults are in the result); `Interrupted`: a signal came before anything was enabled.
     """
     clock: Clock = SteppedClock() if settings.is_paced_by_sync else RealClock(configuration.realtime.spin_us)
     with contextlib.ExitStack() as stack:

@@ -12,17 +12,12 @@ _NOTEWORTHY = 0.01  # of limits.torque: identification finds a small offset wher
 
 
 class StaticTorque(NamedTuple):
-    """Feed-forward torque that depends on nothing but the position.
+    """Feed-forward torque that depends on nothing but the position, N m or N.
 
-    Attributes
-    ----------
-    bound : float
-        Largest absolute torque, N m or N; 0 where nothing is fed forward.
-    offset, constant, sine, cosine : float
-        ``mechanics.offset`` and ``mechanics.gravity`` of the model file, N m or N.
+    The values beside the bound are ``mechanics.offset`` and ``mechanics.gravity`` of the model file.
     """
 
-    bound: float
+    bound: float  # largest absolute torque; 0 where nothing is fed forward
     offset: float
     constant: float
     sine: float

@@ -12,19 +12,12 @@ SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP"
 
 
 class StopRequest:
-    """Request to stop, set from a signal handler and read by the loop.
-
-    Attributes
-    ----------
-    is_requested : bool
-        By the user, or by the loop itself when its duration is over.
-    is_by_user : bool
-    """
+    """Request to stop, set from a signal handler and read by the loop."""
 
     __slots__ = ("_is_raised", "_signal", "is_by_user", "is_requested")
 
     def __init__(self) -> None:
-        self.is_requested = False
+        self.is_requested = False  # by the user, or by the loop itself when its duration is over
         self.is_by_user = False
         self._is_raised = False
         self._signal: int | None = None

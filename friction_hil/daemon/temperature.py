@@ -9,15 +9,7 @@ _PATIENCE_S = 2.0  # for a first temperature
 
 
 class TemperatureNotices:
-    """Says, once each, that a model that depends on temperature has none measured, or an implausible one.
-
-    Parameters
-    ----------
-    name : str
-        Name of the axis.
-    compensator : Compensator
-    period_s : float
-    """
+    """Says, once each, that a model that depends on temperature has none measured, or an implausible one."""
 
     __slots__ = ("_instead", "_is_known", "_left", "_name", "_told")
 

@@ -14,29 +14,10 @@ _WRONG_USE = 2  # exit status: another start would fail in the same way
 class TendedProcess:
     """A process of this package, started again when it dies.
 
-    Parameters
-    ----------
-    spawn : Spawn
-    module : str
-        What it runs, as ``python -m`` takes it.
-    words : sequence of str
-        Its command line.
-    title : str
-        What reports call it.
-    loss : str
-        What reports say is missing when it is not started any more.
-    descriptors : sequence of int
-        Descriptors that it inherits.
-    stdout : int
-        Where its output goes, as Popen takes it.
-    severity : {"warning", "notice"}
-        Of the event that reports its death.
-
-    Attributes
-    ----------
-    process : Process
-        The one that was started last.
-    severity : str
+    ``module``: what it runs, as ``python -m`` takes it. ``title``: what reports call it. ``loss``: what reports say is
+    missing when it is not started any more. ``descriptors``: that it inherits. ``stdout``: where its output goes, as
+    Popen takes it. ``severity``: warning or notice, of the event that reports its death. ``process`` is the one that
+    was started last.
     """
 
     def __init__(

@@ -20,10 +20,7 @@ Table = dict[str, list[float]]
 def uncertainty_table(axis: "AxisConfig") -> Table | None:
     """Return the standard deviation of a model's torque over the velocity; None if its errors are not known.
 
-    Parameters
-    ----------
-    axis : AxisConfig
-        Its model file has standard errors where `friction-hil identify` or `tune` wrote it.
+    The model file of ``axis`` has standard errors where `friction-hil identify` or `tune` wrote it.
     """
     model = axis.model.friction_model
     errors, correlations = errors_of(axis.model.fit)

@@ -31,23 +31,12 @@ _MOST_MISSING = 0.25  # part of a window without usable feedback that voids it
 
 
 class Window(NamedTuple):
-    """Result of one window.
+    """Result of one window."""
 
-    Attributes
-    ----------
-    displacement : float
-        Change of the position, SI.
-    integral : float
-        Integral of the reported velocity over the same time, SI.
-    duration_s : float
-    is_contradictory : bool
-        Both differ by more than filters, delays and resolutions explain.
-    """
-
-    displacement: float
-    integral: float
+    displacement: float  # change of the position, SI
+    integral: float  # of the reported velocity over the same time, SI
     duration_s: float
-    is_contradictory: bool
+    is_contradictory: bool  # both differ by more than filters, delays and resolutions explain
 
     @property
     def ratio(self) -> float:
@@ -60,22 +49,8 @@ class Window(NamedTuple):
 class VelocityCheck:
     """Compare velocity and position of one axis over windows of 20 ms, at least 10 cycles.
 
-    Parameters
-    ----------
-    period_s : float
-    velocity_limit : float
-        Largest velocity of the axis, SI; a tenth of it is the smallest difference that counts.
-    position_resolution : float
-        Smallest step of the position, SI.
-    velocity_resolution : float, optional
-        Smallest step of the reported velocity, SI.
-
-    Attributes
-    ----------
-    is_lasting : bool
-        The last `WINDOWS_TO_FAULT` windows were contradictory.
-    last : Window or None
-        Result of the last window that was not void.
+    ``velocity_limit``: largest velocity of the axis, SI; a tenth of it is the smallest difference that counts. The
+    resolutions are the smallest steps of the position and of the reported velocity, SI.
     """
 
     __slots__ = (
@@ -104,8 +79,8 @@ class VelocityCheck:
         slowest = max(_FLOOR * velocity_limit, velocity_resolution)
         self._floor = slowest * duration_s + _COUNTS * position_resolution
         self._lag_s = _LAG_S + 2.0 * period_s
-        self.last: Window | None = None
-        self.is_lasting = False
+        self.last: Window | None = None  # result of the last window that was not void
+        self.is_lasting = False  # the last `WINDOWS_TO_FAULT` windows were contradictory
         self._contradictions = 0
         self.restart()
 
@@ -123,12 +98,8 @@ class VelocityCheck:
     def take(self, position: float, velocity: float, *, is_usable: bool = True) -> Window | None:
         """Take one cycle's feedback; return the result of the window that ends with it.
 
-        Parameters
-        ----------
-        position, velocity : float
-            As the drive reports them, SI.
-        is_usable : bool
-            False for a cycle without feedback: the velocity before is taken for it.
+        ``position``, ``velocity``: as the drive reports them, SI. ``is_usable``: False for a cycle without feedback:
+        the velocity before is taken for it.
         """
         is_usable = is_usable and math.isfinite(position) and math.isfinite(velocity)
         if not math.isfinite(self._start):

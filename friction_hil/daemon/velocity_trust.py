@@ -26,19 +26,7 @@ _HELD_S = 0.03  # without such a motion, until the torque rises on
 class VelocityTrust:
     """Compares the velocity that a drive reports with its position until one motion has confirmed it.
 
-    Parameters
-    ----------
-    period_s : float
-    position_resolution, velocity_resolution : float
-        Smallest steps, SI; 0 for a velocity step that is not known.
-
-    Attributes
-    ----------
-    is_confirmed : bool
-    velocity : float
-        As the drive reports it once that is confirmed, before by the position, SI.
-    contradiction : float
-        Reported velocity over that of the position, once several comparisons in a row contradicted; else NaN.
+    The resolutions are the smallest steps, SI; 0 for a velocity step that is not known.
 
     Examples
     --------
@@ -69,8 +57,10 @@ class VelocityTrust:
     def __init__(self, period_s: float, position_resolution: float, velocity_resolution: float = 0.0) -> None:
         self._period_s, self._resolution, self._velocity_resolution = period_s, position_resolution, velocity_resolution
         self._position = self._start = math.nan
+        # velocity: as the drive reports it once that is confirmed, before by the position, SI
         self._reported = self.velocity = 0.0
         self._contradictions = 0
+        # contradiction: reported velocity over that of the position, once several comparisons in a row contradicted
         self.is_confirmed, self.contradiction = False, math.nan
         self._begin()
 
@@ -118,12 +108,7 @@ class FirstTorque:
     It rises from zero while the axis does not follow the torque, and stays while it does. An axis that moves against
     the torque gets all of it: a load must not fall, and with the wrong sign `follow_check` finds it out.
 
-    Parameters
-    ----------
-    torque, velocity : float
-        Limits, SI.
-    period_s : float
-    position_resolution : float
+    ``torque``, ``velocity``: limits, SI.
 
     Examples
     --------

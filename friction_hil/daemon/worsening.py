@@ -71,17 +71,7 @@ class _Errors:
 
 
 class WorseningJudge:
-    """Judge of one axis.
-
-    Parameters
-    ----------
-    period_s : float
-        Period of the loop, s.
-    motion_s : float
-        Period of the motion, s; infinity if it has none.
-    resolution : float
-        Smallest step of the position, SI.
-    """
+    """Judge of one axis; ``motion_s``: period of the motion, infinity without one; ``resolution``: of the position."""
 
     __slots__ = ("_before", "_given", "_least_velocity", "_resolution", "_window", "_windows", "_with", "_without")
 
@@ -105,13 +95,7 @@ class WorseningJudge:
     def take(self, condition: Condition, velocity: float, acceleration: float, error: float) -> Worse | None:
         """Take a cycle of settled motion; return the result once the compensation has made the error larger.
 
-        Parameters
-        ----------
-        condition : Condition
-        velocity, acceleration : float
-            Demanded, SI.
-        error : float
-            Demanded minus measured position.
+        ``velocity``, ``acceleration``: demanded, SI. ``error``: demanded minus measured position.
         """
         if not abs(velocity) > self._least_velocity or self._windows >= _MOST_WINDOWS:
             return None

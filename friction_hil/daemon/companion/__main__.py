@@ -25,14 +25,9 @@ from friction_hil.daemon.companion.memory import allocate
 def main(ring_descriptor: int, job_descriptor: int, journal_descriptor: int, number: int, death: str) -> int:
     """Serve the job; return the exit status.
 
-    Parameters
-    ----------
-    ring_descriptor, job_descriptor, journal_descriptor : int
-        Shared memory of the rows, of the job, and of the changes of the run (-1: none).
-    number : int
-        Number of the first worker: 1 at the start of a run.
-    death : str
-        How the companion before this one has died; empty for the first one.
+    The descriptors are those of shared memory: of the rows, of the job, and of the changes of the run (-1: none).
+    ``number``: of the first worker, 1 at the start of a run. ``death``: how the companion before this one has died;
+    empty for the first one.
     """
     for ignored in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ignored, signal.SIG_IGN)

@@ -32,15 +32,8 @@ class BlackBox:
     A fault while a file is being written belongs to that file. What cannot be written is reported, and given up: the
     run, and its recording, go on.
 
-    Parameters
-    ----------
-    job : Job
-        With a ``black_box``.
-    history : History
-        To which the rows are appended before this is told of them.
-    changes : Changes
-    budget : Budget, optional
-        In which room is made for it.
+    ``job`` has a ``black_box``. The rows are appended to ``history`` before this is told of them. ``budget``: in which
+    room is made for the files.
     """
 
     def __init__(self, job: Job, history: History, changes: Changes, budget: Budget | None = None) -> None:

@@ -25,14 +25,8 @@ class Budget:
     those of faults, nor files that were renamed, made by another program or cannot be read. Files of faults, and those
     that do not say whose they are, count all the same; those of other daemons do not, nor what is no regular file.
 
-    Parameters
-    ----------
-    path : Path
-        First file of the present recording.
-    size : int
-        Bytes.
-    series : str, optional
-        What the files of this daemon have as such.
+    ``path``: first file of the present recording. ``size``: bytes. ``series``: what the files of this daemon have as
+    such.
     """
 
     def __init__(self, path: Path, size: int, series: str | None = None) -> None:

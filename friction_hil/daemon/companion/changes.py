@@ -15,16 +15,10 @@ Event = tuple[float, str, str]
 
 
 class Changes:
-    """Changes of the run, from the journal of the control socket, for one file after the other.
-
-    Parameters
-    ----------
-    descriptor : int
-        Memory of the journal; -1 for none.
-    """
+    """Changes of the run, from the journal of the control socket, for one file after the other."""
 
     def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
+        self._descriptor = descriptor  # memory of the journal; -1 for none
 
     def entries(self) -> dict[int, dict[str, Any]]:
         """Return the changes that the journal has, by number."""
@@ -36,28 +30,17 @@ class Changes:
 
 
 class FileChanges:
-    """Changes that the rows of one file need: each file stands alone, and holds no others.
-
-    Parameters
-    ----------
-    descriptor : int
-        As of `Changes`.
-    column : int or None
-        Column with the number of the change in force.
-    """
+    """Changes that the rows of one file need: each file stands alone, and holds no others."""
 
     def __init__(self, descriptor: int, column: int | None) -> None:
+        # memory of the journal, -1 for none; column with the number of the change in force
         self._descriptor, self._column = descriptor, column
         self._written = {0}  # numbers; 0: the configuration of the run
 
     def ahead_of(self, rows: Array, events: Iterable[Event]) -> list[Event]:
         """Return what has to be written ahead of rows: changes from before the file, and those whose event was lost.
 
-        Parameters
-        ----------
-        rows : (n, width) array
-        events : iterable of tuple
-            Events that are still to be written: changes among them follow in their turn.
+        ``rows``: (n, width). ``events``: still to be written; changes among them follow in their turn.
         """
         if self._column is None or self._descriptor < 0:
             return []

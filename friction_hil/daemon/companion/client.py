@@ -25,44 +25,21 @@ _SLICE_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class CompanionReport:
-    """Report on a finished recording.
+    """Report on a finished recording."""
 
-    Attributes
-    ----------
-    recording : tuple of str
-        Its files that are there, in order; none without a path.
-    rows, lost : int
-        Number of rows that are safe, and of those that are not.
-    problems : tuple of str
-        Problems during the run, one sentence each.
-    pending : int
-        Number of rows that a companion which does not end has yet to write; they are neither safe nor lost.
-    black_boxes : tuple of str
-        Files of faults, each with the minute before it.
-    """
-
-    recording: tuple[str, ...]
-    rows: int
-    lost: int
-    problems: tuple[str, ...]
-    pending: int = 0
-    black_boxes: tuple[str, ...] = ()
+    recording: tuple[str, ...]  # its files that are there, in order; none without a path
+    rows: int  # that are safe
+    lost: int  # rows that are not safe
+    problems: tuple[str, ...]  # during the run, one sentence each
+    pending: int = 0  # rows that a companion which does not end has yet to write; they are neither safe nor lost
+    black_boxes: tuple[str, ...] = ()  # files of faults, each with the minute before it
 
 
 class Companion:
     """A running companion process. Create it with `start` and `close` it in any case.
 
-    Attributes
-    ----------
-    push, push_event, free_slots : callable
-        Methods of `friction_hil.daemon.ring.RingWriter`. They never wait, and work on if the companion dies: rows that
-        no companion takes in time are lost, and counted.
-    process : Process
-        The supervisor.
-    worker_pid : int
-        Process that writes the recording.
-    is_given_up : bool
-        True if no companion records any more: it ended by itself, or died again and again.
+    ``push``, ``push_event`` and ``free_slots`` never wait, and work on if the companion dies: rows that no companion
+    takes in time are lost, and counted.
     """
 
     def __init__(self, job: Job, journal_descriptor: int, spawn: Spawn) -> None:
@@ -78,12 +55,12 @@ class Companion:
         self._problems: list[str] = []
         self._report: CompanionReport | None = None
         self._is_woken = False
-        self.push = self._ring.push
+        self.push = self._ring.push  # methods of `friction_hil.daemon.ring.RingWriter`
         self.push_event = self._ring.push_event
         self.free_slots = self._ring.free_slots
-        self.worker_pid = 0
-        self.is_given_up = False
-        self.process: Process
+        self.worker_pid = 0  # of the process that writes the recording
+        self.is_given_up = False  # no companion records any more: it ended by itself, or died again and again
+        self.process: Process  # the supervisor
         self._launch()
 
     @classmethod
@@ -93,12 +70,8 @@ class Companion:
         Missing folders of the path are made. ``journal_descriptor`` is the journal of the changes of the run, see
         `friction_hil.daemon.control.journal`; -1 for none. ``spawn`` starts this companion, and those after it.
 
-        Raises
-        ------
-        UsageError
-            The path does not end in ``.mcap``.
-        RecordingError
-            The file cannot be made or exists already, or the process does not start.
+        Raises `UsageError`: the path does not end in ``.mcap``; `RecordingError`: the file cannot be made or exists
+        already, or the process does not start.
         """
         if job.path is not None:
             prepare(Path(job.path), overwrite=job.overwrite)
@@ -174,10 +147,7 @@ class Companion:
     def _launch(self, death: str = "") -> None:
         """Start a supervisor, whose first worker writes the next file of the recording.
 
-        Raises
-        ------
-        OSError
-            The system makes no process; nothing has changed.
+        Raises `OSError`: the system makes no process; nothing has changed.
         """
         descriptors = [self._ring.descriptor, self._job_descriptor, self._journal_descriptor]
         command = ["-m", "friction_hil.daemon.companion", *map(str, (*descriptors, self._opened + 1, death))]

@@ -20,19 +20,7 @@ _COUNT, _STATE_COUNT, _LAST_CYCLE, _FAULT_ROW, _FAULT_END_S = range(5)  # words 
 
 
 class History:
-    """Rows of the last minute.
-
-    Parameters
-    ----------
-    job : Job
-    memory : buffer
-        All zero at first.
-
-    Attributes
-    ----------
-    before : int
-        Number of rows of a minute, or fewer where they would take too much memory.
-    """
+    """Rows of the last minute, in ``memory``, which is all zero at first."""
 
     def __init__(self, job: Job, memory: mmap.mmap | bytearray) -> None:
         self._axes, self._columns, self._state_width = len(job.axes), len(job.columns), job.state_width
@@ -40,6 +28,7 @@ class History:
         self._capacity = rows_kept(job)
         self._is_successor = True  # of a worker whose rows may come once more, until one comes that it had not kept
         self._second = max(1, round(1.0 / job.period_s))  # rows
+        # rows of a minute, or fewer where they would take too much memory
         self.before = max(1, round(self._capacity / KEPT))
         self._header = np.frombuffer(memory, np.float64, _FAULT_END_S + 1)
         width, at = self._axes * self._columns, HEADER_BYTES

@@ -27,65 +27,32 @@ class Job:
     """Job of the companion.
 
     A row of the ring holds, for each axis in turn, its ``columns`` and then ``state_width`` values of state.
-
-    Attributes
-    ----------
-    axes : list of str
-        Names of the axes.
-    columns : list of str
-        Columns of every axis, from `friction_hil.recordings.columns`.
-    state_width : int
-        Values of compensator state an axis, before the step of the cycle.
-    period_s : float
-        Period of the loop, s.
-    started_unix_ns : int
-        Wall-clock time of ``time_s`` = 0, ns since 1970.
-    path : str, optional
-        File of the recording, ``.mcap``; none when absent.
-    overwrite : bool
-        True to replace an existing file; otherwise it is an error.
-    metadata : dict
-        Values that JSON can hold, by name; written to the file before the first row.
-    status_line : bool
-        True to print a live line to standard error.
-    status_title : str
-        What moves and for how long, for that line.
-    kinds : list of {"rotary", "linear"}
-        Kind of each axis, for the units of the status line; all rotary when empty.
-    rotate_s, rotate_bytes : optional
-        Duration, s, and size of a file, after which the recording goes on in the next one.
-    budget_bytes : int, optional
-        Disk space of all recordings of this series.
-    series : str, optional
-        The daemon and the path wanted, in every file: what has another one belongs to another daemon.
-    black_box : str, optional
-        Where files of faults are written: ``run.mcap`` makes ``run-fault-20260131-142530.mcap``; none when absent.
-    has_joint_states : bool
-        True to write each row also as a joint state of ROS 2.
-    uncertainty : dict
-        Of axes whose model has known errors, the `friction_hil.daemon.uncertainty.uncertainty_table` of the start.
-    factors : list of int
-        Places in the state of the factors on the model's torque beside the gain.
     """
 
     axes: list[str]
-    columns: list[str]
-    state_width: int
-    period_s: float
-    started_unix_ns: int
-    path: str | None = None
-    overwrite: bool = False
+    columns: list[str]  # of every axis, from `friction_hil.recordings.columns`
+    state_width: int  # values of compensator state an axis, before the step of the cycle
+    period_s: float  # of the loop, s
+    started_unix_ns: int  # wall-clock time of ``time_s`` = 0, ns since 1970
+    path: str | None = None  # file of the recording, ``.mcap``; none when absent
+    overwrite: bool = False  # replace an existing file; otherwise it is an error
+    # values that JSON can hold, by name; written to the file before the first row
     metadata: dict[str, Any] = field(default_factory=dict)
-    status_line: bool = False
-    status_title: str = ""
+    status_line: bool = False  # print a live line to standard error
+    status_title: str = ""  # what moves and for how long, for that line
+    # of each axis, for the units of the status line; all rotary when empty
     kinds: "list[AxisKind]" = field(default_factory=list)
-    rotate_s: float | None = None
-    rotate_bytes: int | None = None
-    budget_bytes: int | None = None
+    rotate_s: float | None = None  # duration of a file, s, after which the recording goes on in the next one
+    rotate_bytes: int | None = None  # the same by its size
+    budget_bytes: int | None = None  # disk space of all recordings of this series
+    # the daemon and the path wanted, in every file: what has another one belongs to another daemon
     series: str | None = None
+    # where files of faults are written: ``run.mcap`` makes ``run-fault-20260131-142530.mcap``; none when absent
     black_box: str | None = None
-    has_joint_states: bool = False
+    has_joint_states: bool = False  # write each row also as a joint state of ROS 2
+    # of axes whose model has known errors, the `friction_hil.daemon.uncertainty.uncertainty_table` of the start
     uncertainty: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+    # places in the state of the factors on the model's torque beside the gain
     factors: list[int] = field(default_factory=list)
 
     @property

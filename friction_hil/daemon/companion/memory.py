@@ -27,9 +27,6 @@ def size_bytes(job: Job) -> int:
 def allocate(job: Job) -> mmap.mmap:
     """Return the memory, all of it present, shared by this process and its children.
 
-    Raises
-    ------
-    OSError
-        There is not enough.
+    Raises `OSError`: there is not enough.
     """
     return mmap.mmap(-1, size_bytes(job), flags=mmap.MAP_SHARED | mmap.MAP_ANONYMOUS | mmap.MAP_POPULATE)

@@ -19,10 +19,7 @@ def begin_file(
 ) -> McapWriter:
     """Create a file for the rows of ``job``, safe on the disk chunk by chunk.
 
-    Raises
-    ------
-    OSError, RecordingError
-        It cannot be written.
+    Raises `OSError` or `RecordingError`: it cannot be written.
     """
     return McapWriter(
         path,

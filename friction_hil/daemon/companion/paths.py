@@ -19,12 +19,7 @@ def free_path(path: str | Path, started_unix_ns: int) -> Path:
     This is for the path of a configuration, which is the same at every run; a path that the user gives for one run
     is refused if it exists.
 
-    Parameters
-    ----------
-    path : path
-        File wanted.
-    started_unix_ns : int
-        Wall-clock time of the start, ns since 1970; 0 for now.
+    ``started_unix_ns``: wall-clock time of the start, ns since 1970; 0 for now.
     """
     path = Path(path)
     if not os.path.lexists(path) and not any(part_number(each, path) for each in path.parent.glob("*")):
@@ -38,13 +33,8 @@ def free_path(path: str | Path, started_unix_ns: int) -> Path:
 def series_name(config: Path | None, path: Path, daemon: str | None = None) -> str:
     """Return what all recordings of a daemon that were started with a path have in common, and no other ones.
 
-    Parameters
-    ----------
-    config : Path or None
-        File of the configuration, which names the daemon unless ``daemon`` does.
-    path : Path
-        File wanted, before `free_path` made another one of it.
-    daemon : str, optional
+    ``config``: file of the configuration, which names the daemon unless ``daemon`` does. ``path``: file wanted, before
+    `free_path` made another one of it.
     """
     return f"{daemon or default_name(config or Path())}/{path.name}"
 
@@ -71,12 +61,8 @@ def part_path(first: Path, number: int) -> Path:
 def prepare(path: Path, *, overwrite: bool) -> None:
     """Create the folder of a recording, and check that the recording can be written.
 
-    Raises
-    ------
-    UsageError
-        The path does not end in ``.mcap``, or is a folder, a pipe or a socket.
-    RecordingError
-        It exists already and must not be overwritten, or its folder cannot be created.
+    Raises `UsageError`: the path does not end in ``.mcap``, or is a folder, a pipe or a socket; `RecordingError`: it
+    exists already and must not be overwritten, or its folder cannot be created.
     """
     if path.is_dir():
         raise UsageError(f"{path} is a folder: name the file in it, e.g. {path / 'run.mcap'}")

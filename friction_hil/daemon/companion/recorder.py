@@ -36,18 +36,7 @@ class Recorder:
     recording goes on in the next one. Time is that of the rows, which no change of the system's clock affects. If the
     disk is full or gone, rows are lost, and counted, until a further file can be written.
 
-    Parameters
-    ----------
-    job : Job
-        With a path.
-    ring : RingReader
-    changes : Changes
-    clock : callable
-        Monotonic time, s.
-
-    Attributes
-    ----------
-    budget : Budget or None
+    ``job`` has a path. ``clock``: monotonic time, s.
     """
 
     def __init__(
@@ -76,10 +65,7 @@ class Recorder:
     def open(self, number: int) -> Path:
         """Open the file of part ``number``, or of the next higher one that is free; return its path.
 
-        Raises
-        ------
-        OSError, RecordingError
-            It cannot be written.
+        Raises `OSError` or `RecordingError`: it cannot be written.
         """
         path = part_path(self._first, number)
         self._number = number = part_number(path, self._first) or number

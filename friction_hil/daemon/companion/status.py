@@ -56,12 +56,8 @@ class StatusLine:
     def lines(self, lost: int, width: int, height: int) -> list[str]:
         """Return the lines for the rows taken so far, each at most ``width`` wide.
 
-        Parameters
-        ----------
-        lost : int
-            Rows that were lost so far.
-        width, height : int
-            Size of the terminal. Axes for which there is no line are counted in the last line.
+        ``lost``: rows that were lost so far. ``width``, ``height``: of the terminal; axes for which there is no line
+        are counted in the last line.
         """
         rows = np.concatenate(self._window)
         parts = [self._axis_parts(rows, axis) for axis in range(len(self._job.axes))]

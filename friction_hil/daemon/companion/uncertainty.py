@@ -15,13 +15,7 @@ _NEEDED = (columns.CHANGE, columns.UNCERTAINTY, "velocity_estimate")
 
 
 class UncertaintyColumn:
-    """Fill the column in rows of the ring, in which the loop leaves it empty.
-
-    Parameters
-    ----------
-    job : Job
-    changes : Changes
-    """
+    """Fill the column in rows of the ring, in which the loop leaves it empty."""
 
     def __init__(self, job: Job, changes: Changes) -> None:
         self._job, self._changes = job, changes
@@ -32,13 +26,7 @@ class UncertaintyColumn:
         self._in_force: dict[int, dict[str, _Settings | None]] = {}
 
     def fill(self, rows: Array) -> None:
-        """Write the column of all axes; NaN where the errors of the model are not known.
-
-        Parameters
-        ----------
-        rows : (n, width) array
-            Changed.
-        """
+        """Write the column of all axes into ``rows`` (n, width); NaN where the errors of the model are not known."""
         if min(self._change, self._uncertainty, self._velocity) < 0 or not len(rows):
             return
         for k, name in enumerate(self._job.axes):

@@ -24,21 +24,9 @@ _STANDSTILL_S = 2.0  # between two looks at the ring
 def work(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None, changes: Changes) -> int:
     """Serve the ring until it is closed and drained, or the control process is gone.
 
-    Parameters
-    ----------
-    job : Job
-    ring_descriptor : int
-        File descriptor of the ring's memory.
-    number : int
-        1 for the first worker of a run; a later one writes the next file of the recording.
-    memory : mmap or None
-        Memory of the last minute, which all workers of a supervisor share; None if faults get no files.
-    changes : Changes
-
-    Returns
-    -------
-    int
-        Exit status: 0, or ``CANNOT_OPEN`` after the reason was reported to the control process.
+    Returns the exit status: 0, or ``CANNOT_OPEN`` after the reason was reported to the control process. ``number``: 1
+    for the first worker of a run; a later one writes the next file of the recording. ``memory``: of the last minute,
+    which all workers of a supervisor share; None if faults get no files.
     """
     ring = RingReader(ring_descriptor)
     outputs = _Outputs(job, ring, memory, changes)

@@ -23,10 +23,8 @@ class DaemonGoneError(FrictionHilError):
 def ask(path: Path, request: dict[str, Any]) -> dict[str, Any]:
     """Return the answer of a daemon to a request.
 
-    Raises
-    ------
-    FrictionHilError
-        The socket may not be used, the daemon has gone, or it refuses the request; the message says why.
+    Raises `FrictionHilError`: the socket may not be used, the daemon has gone, or it refuses the request; the message
+    says why.
     """
     with Question(path, request, _PATIENCE_S) as question:
         while (answer := question.answer()) is None:
@@ -37,28 +35,14 @@ def ask(path: Path, request: dict[str, Any]) -> dict[str, Any]:
 class Question:
     """A request that was sent to a daemon, and its answer when it comes.
 
-    Parameters
-    ----------
-    path : Path
-        Socket.
-    request : dict
-    patience_s : float
-        Time for which connecting, sending and `answer` wait; 0: they never wait.
-
-    Attributes
-    ----------
-    descriptors : list of int
-        File descriptors that came with the answer. `close` closes those that nobody has taken out of the list.
-
-    Raises
-    ------
-    FrictionHilError
-        The socket may not be used, or the daemon has gone (`DaemonGoneError`); the message says why.
+    Raises `FrictionHilError`: the socket may not be used, or the daemon has gone (`DaemonGoneError`); the message says
+    why. ``patience_s``: time for which connecting, sending and `answer` wait, s; 0: they never wait.
     """
 
     def __init__(self, path: Path, request: dict[str, Any], patience_s: float = 0.0) -> None:
         self._path, self._patience_s = path, patience_s
         self._line = b""
+        # that came with the answer; `close` closes those that nobody has taken out of the list
         self.descriptors: list[int] = []
         self._connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
@@ -78,10 +62,8 @@ class Question:
     def answer(self) -> dict[str, Any] | None:
         """Return the answer; None if a part of it is still to come.
 
-        Raises
-        ------
-        FrictionHilError
-            The daemon has gone (`DaemonGoneError`), or it refuses the request; the message says why.
+        Raises `FrictionHilError`: the daemon has gone (`DaemonGoneError`), or it refuses the request; the message says
+        why.
         """
         with self._explained():
             try:

@@ -16,20 +16,7 @@ if TYPE_CHECKING:
 
 
 class Changes:
-    """Takes changes from the mailbox.
-
-    Parameters
-    ----------
-    mailbox : MailboxReader
-    axes : sequence of AxisLoop
-    log : RunLog
-    run : RunControl
-
-    Attributes
-    ----------
-    last : float
-        Number of the last change of settings that was applied; 0 before the first.
-    """
+    """Takes changes from the mailbox."""
 
     __slots__ = ("_axes", "_is_garbage_told", "_log", "_mailbox", "_rooms", "_run", "last")
 
@@ -38,7 +25,7 @@ class Changes:
         self._is_garbage_told = False
         models = [one for axis in axes for one in (axis.compensator, *axis.shadows.values())]
         self._rooms = {PLAIN_ROOM, *(one.record[0]["friction"].size for one in models)}
-        self.last = 0.0
+        self.last = 0.0  # number of the last change of settings that was applied; 0 before the first
 
     @property
     def has_news(self) -> bool:
@@ -46,16 +33,7 @@ class Changes:
         return self._mailbox.has_news
 
     def take(self, cycle: int, running_s: float, feedback: Sequence[Feedback]) -> None:
-        """Take the message, if it is a whole one, and apply it or refuse it.
-
-        Parameters
-        ----------
-        cycle : int
-        running_s : float
-            Time since the motion began, s; NaN before.
-        feedback : sequence of Feedback
-            Of this cycle.
-        """
+        """Take the message, if it is a whole one, and apply it or refuse it; ``running_s`` as for `AxisLoop.apply`."""
         message = self._mailbox.take(cycle)
         if message is None:
             if self._mailbox.garbage:

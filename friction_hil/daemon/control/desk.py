@@ -42,15 +42,7 @@ _MOST_OTHERS = 16  # at once: half of the places that the server has
 
 
 class Desk:
-    """Answers requests.
-
-    Parameters
-    ----------
-    job : ControlJob
-    ring_descriptor, mailbox_descriptor, journal_descriptor : int
-    learning_descriptor : int or None
-        Memory of what the process that learns says; None without one.
-    """
+    """Answers requests."""
 
     def __init__(
         self,
@@ -65,7 +57,7 @@ class Desk:
         self._mailbox = MailboxWriter(mailbox_descriptor)
         self._journal = journal_descriptor
         # opened again: what is open for reading only can be given to others
-        self._learning = learning_descriptor
+        self._learning = learning_descriptor  # memory of what the process that learns says; None without one
         shown = [each for each in (ring_descriptor, self._journal, learning_descriptor) if each is not None]
         self._read_only = [os.open(f"/proc/self/fd/{each}", os.O_RDONLY) for each in shown]
         self._state = DaemonState(ring_descriptor, self._names, job.columns, job.state_width)
@@ -88,12 +80,7 @@ class Desk:
     def answer(self, line: bytes, user: int) -> dict[str, Any]:
         """Return the answer to a request; ``ok`` is false with ``problems`` where it is refused.
 
-        Parameters
-        ----------
-        line : bytes
-            The request.
-        user : int
-            Number of the user who asks.
+        ``user``: number of the user who asks.
         """
         try:
             request = _request(line)
@@ -330,10 +317,7 @@ class Desk:
     def _send(self, change: Change) -> int:
         """Hand a change to the loop; return the cycle in which it was applied.
 
-        Raises
-        ------
-        RefusedError
-            The loop refuses it, has ended, or does not answer.
+        Raises `RefusedError`: the loop refuses it, has ended, or does not answer.
         """
         if self._state.has_ended:
             raise RefusedError("the daemon has ended its loop")
@@ -410,13 +394,7 @@ class _Turn:
 
 
 def _request(line: bytes) -> dict[str, Any]:
-    """Return a request that has the form of one.
-
-    Raises
-    ------
-    RefusedError
-        It has not; the message says what is wrong.
-    """
+    """Return a request that has the form of one; a `RefusedError` says what is wrong with it."""
     try:
         request = json.loads(line)
     except (ValueError, RecursionError):

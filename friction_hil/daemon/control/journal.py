@@ -62,26 +62,12 @@ def entries(descriptor: int) -> list[dict[str, Any]]:
 def present(
     descriptor: int, configuration: Mapping[str, Any], files: Mapping[str, str], number: int
 ) -> tuple[dict[str, Any], dict[str, int], dict[str, str | None]]:
-    """Return what is in force after a change.
+    """Return what is in force after a change: configuration, numbers of the models, model files.
 
-    Parameters
-    ----------
-    descriptor : int
-    configuration : dict
-        At the start of the run, as returned by `friction_hil.config.self_contained`.
-    files : dict of str
-        Model file of each axis at the start; axes whose model was given inline have none.
-    number : int
-        Of the change; 0 before the first.
-
-    Returns
-    -------
-    configuration : dict
-        A copy, with the settings and models of the change.
-    models_of : dict of int
-        Number of the change that brought the model of each axis; 0 for that of the start.
-    files : dict of str or None
-        Model file of each axis.
+    ``configuration``: at the start of the run, as returned by `friction_hil.config.self_contained`; a copy of it is
+    returned, with the settings and models of the change. ``files``: model file of each axis at the start; axes whose
+    model was given inline have none. ``number``: of the change; 0 before the first. The number of a model is that of
+    the change that brought it; 0 for that of the start.
     """
     now: dict[str, Any] = json.loads(json.dumps(configuration))
     known = {entry["number"]: entry for entry in entries(descriptor)}
@@ -99,15 +85,8 @@ def present(
 def needed(known: Sequence[dict[str, Any]], in_force: int, now_s: float) -> list[dict[str, Any]]:
     """Return the entries that the rows of the last `KEPT_S` need, with those that brought their models.
 
-    Parameters
-    ----------
-    known : sequence of dict
-        Entries with ``number``, ``axes``, ``before`` (number of the one in force when it was made) and ``time_s``
-        (of the latest row then).
-    in_force : int
-        Number of the one in force; 0 for none.
-    now_s : float
-        Time of the latest row.
+    An entry has ``number``, ``axes``, ``before`` (number of the one in force when it was made) and ``time_s`` (of the
+    latest row then). ``in_force``: number of the one in force; 0 for none. ``now_s``: time of the latest row.
     """
     by_number = {entry["number"]: entry for entry in known}
     wanted = set(sorted(number for number in by_number if number > in_force)[-_MOST_PENDING:])

@@ -23,10 +23,7 @@ class NameTakenError(UsageError):
 def control_socket(name: str, group: str | None, *, is_next_taken: bool) -> "ControlSocket":
     """Return the control socket of a daemon called ``name``, or with ``is_next_taken`` ``name-2`` if there is one.
 
-    Raises
-    ------
-    UsageError
-        As `ControlSocket`.
+    Raises `UsageError` as `ControlSocket` does.
     """
     for number in range(2, _MOST_NAMES):
         try:
@@ -40,24 +37,8 @@ def control_socket(name: str, group: str | None, *, is_next_taken: bool) -> "Con
 class ControlSocket:
     """Socket of a daemon, and the lock of its name: both end with this process.
 
-    Parameters
-    ----------
-    name : str
-    group : str, optional
-        Group whose members may use the socket too.
-
-    Attributes
-    ----------
-    path : Path
-    descriptor : int
-        Listening socket.
-
-    Raises
-    ------
-    UsageError
-        The name or the group is wrong, or another daemon has this name (`NameTakenError`).
-    FrictionHilError
-        The socket cannot be made.
+    ``group``: its members may use the socket too. Raises `UsageError`: the name or the group is wrong, or another
+    daemon has this name (`NameTakenError`); `FrictionHilError`: the socket cannot be made.
     """
 
     def __init__(self, name: str, group: str | None = None) -> None:
@@ -76,7 +57,7 @@ class ControlSocket:
         except BaseException:
             self.close()
             raise
-        self.descriptor = self._socket.fileno()
+        self.descriptor = self._socket.fileno()  # listening socket
 
     def _take_name(self, name: str) -> None:
         digest = hashlib.sha256(os.fsencode(self.path.absolute())).hexdigest()

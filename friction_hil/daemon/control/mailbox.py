@@ -36,18 +36,7 @@ class _Mailbox:
 
 
 class MailboxReader(_Mailbox):
-    """End of the loop; creates the memory.
-
-    Parameters
-    ----------
-    capacity : int
-        Longest message, bytes.
-
-    Attributes
-    ----------
-    garbage : str
-        What was wrong with the message that `take` has just refused; empty otherwise.
-    """
+    """End of the loop; creates the memory. ``capacity``: longest message, bytes."""
 
     def __init__(self, capacity: int) -> None:
         descriptor = os.memfd_create("friction_hil-mailbox")
@@ -56,7 +45,7 @@ class MailboxReader(_Mailbox):
         self._words[_MAGIC] = _MAGIC_NUMBER
         self._seen = 0
         self._rests_until = 0
-        self.garbage = ""
+        self.garbage = ""  # what was wrong with the message that `take` has just refused; empty otherwise
 
     @property
     def has_news(self) -> bool:
@@ -64,13 +53,7 @@ class MailboxReader(_Mailbox):
         return self._words[_SEQUENCE] != self._seen
 
     def take(self, cycle: int) -> bytes | None:
-        """Return the new message, None if there is no whole one.
-
-        Parameters
-        ----------
-        cycle : int
-            Cycle of the loop: after garbage, the mailbox is left alone for a while.
-        """
+        """Return the new message, None if there is no whole one; after garbage, the mailbox rests for some cycles."""
         self.garbage = ""
         sequence = self._words[_SEQUENCE]
         if sequence & 1 or cycle < self._rests_until:
@@ -99,13 +82,7 @@ class MailboxReader(_Mailbox):
 
 
 class MailboxWriter(_Mailbox):
-    """End of the process that serves the control socket.
-
-    Raises
-    ------
-    ValueError
-        The memory is not a mailbox of this version.
-    """
+    """End of the process that serves the control socket; a `ValueError`: the memory is no mailbox of this version."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor)
@@ -113,13 +90,7 @@ class MailboxWriter(_Mailbox):
             raise ValueError("the shared memory is not a mailbox of this version")
 
     def post(self, message: bytes) -> None:
-        """Write a message for the loop.
-
-        Raises
-        ------
-        ValueError
-            It is longer than the mailbox.
-        """
+        """Write a message for the loop; a `ValueError`: it is longer than the mailbox."""
         if not 0 < len(message) <= self.capacity:
             raise ValueError(f"a message of {len(message)} bytes does not fit into {self.capacity}")
         sequence = (self._words[_SEQUENCE] | 1) & 0x7FFFFFFFFFFFFFF
@@ -141,10 +112,7 @@ class MailboxWriter(_Mailbox):
     def wait(self, number: int, timeout_s: float) -> tuple[int, str] | None:
         """Wait for the answer to a message.
 
-        Returns
-        -------
-        tuple of (int, str) or None
-            Cycle in which it was applied, and the reason if it was refused; None if no answer came in time.
+        Returns the cycle in which it was applied, and the reason if it was refused; None if no answer came in time.
         """
         end_s = time.monotonic() + timeout_s
         while self._words[_ANSWERED] != number:

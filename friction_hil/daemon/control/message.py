@@ -27,45 +27,22 @@ class Action(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class AxisChange:
-    """Change of one axis.
+    """Change of one axis; what is None stays as it is."""
 
-    Attributes
-    ----------
-    is_enabled : bool or None
-        The compensation is to be on or off; None: as it is.
-    record : record or None
-        New settings of the compensator; None: as they are.
-    friction : array or None
-        State in which another model begins; None: the model stays.
-    static : StaticTorque or None
-        New feed-forward of gravity and offset; None: as it is.
-    """
-
-    is_enabled: bool | None = None
-    record: "StructuredArray | None" = None
-    friction: "Array | None" = None
-    static: "StaticTorque | None" = None
+    is_enabled: bool | None = None  # the compensation is to be on or off
+    record: "StructuredArray | None" = None  # new settings of the compensator
+    friction: "Array | None" = None  # state in which another model begins; None: the model stays
+    static: "StaticTorque | None" = None  # new feed-forward of gravity and offset
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A message to the loop: all of it is applied in one cycle, or nothing.
+    """A message to the loop: all of it is applied in one cycle, or nothing."""
 
-    Attributes
-    ----------
-    number : int
-        Counts up from 1.
-    action : Action
-    axes : list of AxisChange or None
-        One for each axis; None: it stays as it is.
-    text : str
-        Who changed what, for the notice.
-    """
-
-    number: int
+    number: int  # counts up from 1
     action: Action = Action.NONE
-    axes: Sequence[AxisChange | None] = field(default_factory=list)
-    text: str = ""
+    axes: Sequence[AxisChange | None] = field(default_factory=list)  # one for each axis; None: it stays as it is
+    text: str = ""  # who changed what, for the notice
 
 
 def pack(change: Change) -> bytes:

@@ -45,10 +45,7 @@ def own_folder() -> Path:
 def socket_path(name: str) -> Path:
     """Return the path of the socket of a daemon of this user.
 
-    Raises
-    ------
-    UsageError
-        The name cannot be one, or the path is longer than that of a socket can be.
+    Raises `UsageError`: the name cannot be one, or the path is longer than that of a socket can be.
     """
     if not is_name(name):
         raise UsageError(
@@ -98,10 +95,7 @@ def is_live(path: Path) -> bool:
 def find(name: str) -> Path:
     """Return the socket of the daemon called ``name``.
 
-    Raises
-    ------
-    UsageError
-        None of this name runs; the message lists those that do.
+    Raises `UsageError`: none of this name runs; the message lists those that do.
     """
     daemons = dict(running())
     if name in daemons:

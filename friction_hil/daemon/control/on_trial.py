@@ -20,30 +20,17 @@ class RefusedError(FrictionHilError):
 
 @dataclass(frozen=True, slots=True)
 class OnTrial:
-    """What the process that learns says of itself in a request.
+    """What the process that learns says of itself in a request."""
 
-    Attributes
-    ----------
-    process : int
-        Its number: its death ends the trial.
-    upon : int
-        Number of the change that it knows as the last one.
-    axes : list of str
-        Axes with something on trial from this request on.
-    """
-
-    process: int
-    upon: int
-    axes: list[str]
+    process: int  # its number: its death ends the trial
+    upon: int  # number of the change that it knows as the last one
+    axes: list[str]  # with something on trial from this request on
 
     @classmethod
     def of(cls, given: Any, names: Collection[str]) -> "OnTrial | None":
         """Return what a request says; None if it is not from the process that learns.
 
-        Raises
-        ------
-        RefusedError
-            It is not as described above.
+        Raises `RefusedError`: it is not as described above.
         """
         if given is None:
             return None
@@ -66,15 +53,8 @@ class OnTrial:
     ) -> None:
         """Note in the entry of a change what to go back to.
 
-        Parameters
-        ----------
-        entry : dict
-        before : dict
-            Configuration before the change.
-        models_of : dict of int
-            Number of the change that brought the model of each axis before this one.
-        former : dict
-            What was on trial already, as `on_trial` returns it.
+        ``before``: configuration before the change. ``models_of``: number of the change that brought the model of each
+        axis before this one. ``former``: what was on trial already, as `on_trial` returns it.
         """
         for name in self.axes:
             axis = before["axes"][name]
@@ -106,14 +86,8 @@ def values_before(
 ) -> dict[str, Any]:
     """Return the values that take back what is on trial, without those that somebody gives anew.
 
-    Parameters
-    ----------
-    former : dict
-        As `on_trial` returns it.
-    values : collection of str
-        Keys of those that are given.
-    models_of : dict of int
-        Number of the change that brought the present model of each axis: one that stayed is not changed again.
+    ``former``: as `on_trial` returns it. ``values``: keys of those that are given. ``models_of``: number of the change
+    that brought the present model of each axis: one that stayed is not changed again.
     """
     given = {key.replace(".compensation.", ".", 1) for key in values}
     return {

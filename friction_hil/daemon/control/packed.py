@@ -46,18 +46,9 @@ def room(axes: int) -> int:
 def unpack(message: bytes, records: Sequence[StructuredArray], rooms: Collection[int] = (PLAIN_ROOM,)) -> Change:
     """Return the change that a message holds.
 
-    Parameters
-    ----------
-    message : bytes
-    records : sequence of record
-        Present settings of each axis.
-    rooms : collection of int
-        Numbers of model parameters for which the loop has compiled code; any other would be compiled within a cycle.
-
-    Raises
-    ------
-    ValueError
-        The message is not a change that can be applied to these axes; it says why.
+    ``records``: present settings of each axis. ``rooms``: numbers of model parameters for which the loop has compiled
+    code; any other would be compiled within a cycle. Raises `ValueError`: the message is not a change that can be
+    applied to these axes; it says why.
     """
     if len(message) < 8 * HEAD + TEXT_BYTES or len(message) % 8:
         raise ValueError("it is no change")

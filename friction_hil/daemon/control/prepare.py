@@ -39,22 +39,12 @@ _ELSEWHERE = "change it in the configuration, and start the daemon again"
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A change that can be sent to the loop.
+    """A change that can be sent to the loop."""
 
-    Attributes
-    ----------
-    configuration : dict
-        Plain values of the whole configuration after the change.
-    axes : list of AxisChange or None
-    models : dict of str
-        File of the new model of each axis that gets one from a file.
-    uncertainty : dict
-        `friction_hil.daemon.uncertainty.uncertainty_table` of each axis that gets a model with known errors.
-    """
-
-    configuration: dict[str, Any]
+    configuration: dict[str, Any]  # plain values of the whole configuration after the change
     axes: list[AxisChange | None]
-    models: dict[str, str]
+    models: dict[str, str]  # file of the new model of each axis that gets one from a file
+    # the `uncertainty_table` of each axis that gets a model with known errors
     uncertainty: dict[str, Table] = field(default_factory=dict)
 
 
@@ -69,27 +59,14 @@ def prepare(
 ) -> Prepared:
     """Check values and prepare what the loop needs of them.
 
-    Parameters
-    ----------
-    configuration : dict
-        Present configuration, as returned by `friction_hil.config.self_contained`.
-    source : str
-        Where it came from, for messages.
-    values : dict
-        New values by their keys, ``x.gain`` or ``x.adaptation.time_s``; ``x.model`` is the path of a file or
-        its content.
-    facts : sequence of AxisFacts
-        Of all axes, in their order.
-    rows : dict of (dict of (n,) arrays, (m,) array)
-        Latest inputs of each axis's compensator, and its state before the first of them: another model begins in the
-        state in which it would be.
-    has_network : bool
-        The loop has the code for models with a network.
+    ``configuration``: the present one, as returned by `friction_hil.config.self_contained`; ``source``: where it came
+    from, for messages. ``values``: new values by their keys, ``x.gain`` or ``x.adaptation.time_s``; ``x.model`` is the
+    path of a file or its content. ``facts``: of all axes, in their order. ``rows``: latest inputs (n,) of each axis's
+    compensator, and its state (m,) before the first of them: another model begins in the state in which it would be.
+    ``has_network``: the loop has the code for models with a network.
 
-    Raises
-    ------
-    UsageError
-        A key or a value is wrong, or not to be changed while the daemon runs; the message lists all that is wrong.
+    Raises `UsageError`: a key or a value is wrong, or not to be changed while the daemon runs; the message lists all
+    that is wrong.
     """
     wanted = copy.deepcopy(dict(configuration))
     models: dict[str, str | None] = {}
@@ -146,10 +123,7 @@ def prepare(
 def _place(key: str, axes: Mapping[str, Any]) -> tuple[str, list[str]]:
     """Return axis and field path of a key.
 
-    Raises
-    ------
-    UsageError
-        There is no such key, or it is not to be changed while the daemon runs.
+    Raises `UsageError`: there is no such key, or it is not to be changed while the daemon runs.
     """
     axis, _, rest = key.partition(".")
     if axis not in axes:
@@ -192,10 +166,8 @@ def _shortened(problem: str, source: str) -> str:
 def _check_kind(name: str, path: Any, kind: str) -> None:
     """Refuse the model of another kind of axis: as part of the configuration it would ask for other units first.
 
-    Raises
-    ------
-    UsageError
-        The model is for a linear axis and this one is rotary, or the other way round; or the path is none.
+    Raises `UsageError`: the model is for a linear axis and this one is rotary, or the other way round; or the path is
+    none.
     """
     if isinstance(path, Mapping):
         if path.get("axis") != kind:
@@ -212,12 +184,7 @@ def _check_kind(name: str, path: Any, kind: str) -> None:
 
 
 def _check_takes_torque(fact: AxisFacts) -> None:
-    """Refuse compensation where no torque gets to the drive.
-
-    Raises
-    ------
-    UsageError
-    """
+    """Refuse compensation, by a `UsageError`, where no torque gets to the drive."""
     if not fact.takes_torque:
         raise UsageError(
             f"{fact.name}.enabled: must be false, because this drive takes no torque beside the set-points of its mode "
@@ -226,13 +193,7 @@ def _check_takes_torque(fact: AxisFacts) -> None:
 
 
 def _check_model(name: str, after: AxisConfig, *, has_network: bool) -> None:
-    """Refuse a model that cannot take the place of the present one.
-
-    Raises
-    ------
-    UsageError
-        It cannot; the message says why.
-    """
+    """Refuse a model that cannot take the place of the present one, by a `UsageError` that says why."""
     if after.compensation.transmission is not None:
         raise UsageError(
             f"{name}.model: cannot be changed while the daemon runs, because compensation.transmission is on and "
@@ -275,21 +236,9 @@ def state_in(
     At rest these say nothing of the bristles, which have been bent since the last motion: a model of the same family
     begins with the present state.
 
-    Parameters
-    ----------
-    compensator : Compensator
-        With the model; changed.
-    latest : tuple or None
-        Inputs (n,) of the cycles by name, and the state of the present compensator before the first of them.
-    name : str
-        Of the axis, for messages.
-    is_alike : bool
-        The present model is of the same family, with the same modifiers.
-
-    Raises
-    ------
-    UsageError
-        Its torque is not finite there.
+    ``compensator`` has the model, and is changed. ``latest``: inputs (n,) of the cycles by name, and the state of the
+    present compensator before the first of them. ``name``: of the axis, for messages. ``is_alike``: the present model
+    is of the same family, with the same modifiers. Raises `UsageError`: the torque of the model is not finite there.
     """
     initial = compensator.friction_state
     if latest is not None:
@@ -306,14 +255,8 @@ def state_in(
 def entry_of(number: int, prepared: Prepared, models_of: Mapping[str, int], text: str) -> dict[str, Any]:
     """Return what the journal and the recording keep of a change.
 
-    Parameters
-    ----------
-    number : int
-    prepared : Prepared
-    models_of : dict of int
-        Number of the change that brought the present model of each axis; 0: the configuration of the run.
-    text : str
-        Who changed what.
+    ``models_of``: number of the change that brought the present model of each axis; 0: the configuration of the run.
+    ``text``: who changed what.
     """
     axes: dict[str, Any] = {}
     for (name, axis), change in zip(prepared.configuration["axes"].items(), prepared.axes, strict=True):

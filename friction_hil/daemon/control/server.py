@@ -22,15 +22,7 @@ _HUNG_UP = f"hung up: {MOST_CLIENTS} clients are connected, and this one was sil
 
 
 class ControlServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
-    """Serves a socket that listens already.
-
-    Parameters
-    ----------
-    descriptor : int
-        Listening socket.
-    answer : callable
-        Called with a request (bytes) and the number of the user who sent it; returns the answer (dict).
-    """
+    """Serves a socket that listens already."""
 
     daemon_threads = True
 
@@ -38,7 +30,7 @@ class ControlServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
         super().__init__("", _Connection, bind_and_activate=False)
         self.socket.close()
         self.socket = socket.socket(fileno=os.dup(descriptor))
-        self.answer = answer
+        self.answer = answer  # of a request (bytes) and the number of the user who sent it
         self.places = _Places()
 
     def process_request(self, request: Any, client_address: Any) -> None:

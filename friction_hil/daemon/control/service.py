@@ -15,38 +15,15 @@ from friction_hil.daemon.tended_process import TendedProcess
 
 @dataclass(frozen=True, slots=True)
 class Memories:
-    """Descriptors of the memories that the process reads.
+    """Descriptors of the memories that the process reads."""
 
-    Attributes
-    ----------
-    ring : int
-        Rows and events, which it only reads.
-    journal : int
-        Changes.
-    learning : int or None
-        What the process that learns says; None without one.
-    """
-
-    ring: int
-    journal: int
-    learning: int | None = None
+    ring: int  # rows and events, which it only reads
+    journal: int  # changes
+    learning: int | None = None  # what the process that learns says; None without one
 
 
 class ControlService(TendedProcess):
-    """The process that serves the control socket.
-
-    Parameters
-    ----------
-    spawn : Spawn
-    control_socket : ControlSocket
-    memories : Memories
-    job : ControlJob
-
-    Attributes
-    ----------
-    mailbox : MailboxReader
-        Brings the changes to the loop.
-    """
+    """The process that serves the control socket."""
 
     def __init__(
         self,
@@ -55,7 +32,7 @@ class ControlService(TendedProcess):
         memories: Memories,
         job: ControlJob,
     ) -> None:
-        self.mailbox = MailboxReader(room(len(job.facts)))
+        self.mailbox = MailboxReader(room(len(job.facts)))  # brings the changes to the loop
         self._job = os.memfd_create("friction_hil-control")
         with os.fdopen(os.dup(self._job), "wb") as file:
             file.write(json.dumps(asdict(job)).encode())

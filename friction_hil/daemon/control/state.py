@@ -38,22 +38,13 @@ def error_without(axis: str, unit: str, rms: float, peak: float, seconds: float)
 
 @dataclass(slots=True)
 class Messages:
-    """What a run has said so far.
+    """What a run has said so far; of warnings and notices the last ones."""
 
-    Attributes
-    ----------
-    faults : list of str
-        Faults that nobody has reset.
-    warnings, notices : list of str
-        The last ones.
-    error_without : dict of dict
-        By axis, of the last time without compensation that has ended: ``rms``, ``peak`` of the following error, rad or
-        m, and ``seconds`` of steady motion.
-    """
-
-    faults: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)  # that nobody has reset
     warnings: list[str] = field(default_factory=list)
     notices: list[str] = field(default_factory=list)
+    # by axis, of the last time without compensation that has ended: ``rms``, ``peak`` of the following error, rad or m,
+    # and ``seconds`` of steady motion
     error_without: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def take(self, name: str, text: str) -> None:
@@ -77,29 +68,13 @@ class Messages:
 
 
 class DaemonState:
-    """Latest rows and events of a daemon.
-
-    Parameters
-    ----------
-    ring_descriptor : int
-    names : sequence of str
-        Axes.
-    columns : sequence of str
-        Columns of each axis's part of a row.
-    state_width : int
-        Values of compensator state that follow them.
-
-    Attributes
-    ----------
-    messages : Messages
-    stands : bool
-        The loop wrote no row while `await_row` waited for one: what it read last says nothing about the drives now.
-    """
+    """Latest rows and events of a daemon; ``state_width``: values of compensator state behind an axis's columns."""
 
     def __init__(self, ring_descriptor: int, names: Sequence[str], columns: Sequence[str], state_width: int) -> None:
         self._ring = RingObserver(ring_descriptor)
         self._names, self._columns, self._width = names, list(columns), len(columns) + state_width
         self.messages = Messages()
+        # the loop wrote no row while `await_row` waited for one: what it read last says nothing about the drives now
         self.stands = False
 
     def await_row(self) -> None:

@@ -51,21 +51,9 @@ class Spawn(Protocol):
     """Starts a process, whose standard input is a pipe, and its output one too if ``stdout`` is None."""
 
     def __call__(self, words: Sequence[str], descriptors: Sequence[int], stdout: int | None) -> Process:
-        """Start it.
+        """Start the Python interpreter with ``words`` as its arguments; it inherits the descriptors.
 
-        Parameters
-        ----------
-        words : sequence of str
-            Arguments of the Python interpreter.
-        descriptors : sequence of int
-            Descriptors that it inherits.
-        stdout : int or None
-            Descriptor of its output; None for a pipe.
-
-        Raises
-        ------
-        OSError
-            It cannot be started.
+        ``stdout``: descriptor of its output; None for a pipe. Raises `OSError`: it cannot be started.
         """
         ...
 
@@ -84,19 +72,12 @@ def spawn_directly(words: Sequence[str], descriptors: Sequence[int], stdout: int
 
 
 class SpawnedProcess:
-    """A process that a spawner has started; see `Process`.
-
-    Attributes
-    ----------
-    returncode : int or None
-        Exit status, once that is known.
-    stdin, stdout : file or None
-    """
+    """A process that a spawner has started; see `Process`."""
 
     def __init__(self, spawner: "Spawner", stdin: IO[bytes]) -> None:
         self._spawner = spawner
         self._pid = 0
-        self.returncode: int | None = None
+        self.returncode: int | None = None  # exit status, once that is known
         self.stdin: IO[bytes] | None = stdin
         self.stdout: IO[bytes] | None = None
 
@@ -129,12 +110,7 @@ class SpawnedProcess:
             os.close(descriptor)
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for its end and return its exit status.
-
-        Raises
-        ------
-        subprocess.TimeoutExpired
-        """
+        """Wait for its end and return its exit status; a `subprocess.TimeoutExpired`: it has not come in time."""
         end_s = None if timeout is None else time.monotonic() + timeout
         while (status := self.poll()) is None:
             if end_s is not None and time.monotonic() > end_s:
@@ -162,18 +138,12 @@ class SpawnedProcess:
 
 
 class Spawner:
-    """A running spawner; `spawn` never waits. To be started before the loop, and closed after all its processes.
-
-    Attributes
-    ----------
-    process : Popen
-        The process that starts the others.
-    """
+    """A running spawner; `spawn` never waits. To be started before the loop, and closed after all its processes."""
 
     def __init__(self) -> None:
         self._connection, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with other:
-            self.process = subprocess.Popen(
+            self.process = subprocess.Popen(  # that starts the others
                 # -P: do not import modules from the current directory, which may be the user's
                 [sys.executable, "-P", "-m", "friction_hil.daemon.spawner", str(other.fileno())],
                 stdin=subprocess.DEVNULL,
