@@ -7,12 +7,7 @@ import socket
 def claim(name: bytes) -> socket.socket:
     """Return a socket that keeps other simulations from a name while it is open.
 
-    The kernel frees the name when its process ends in any way.
-
-    Raises
-    ------
-    OSError
-        Another process has it.
+    The kernel frees the name when its process ends in any way. Raises `OSError`: another process has it.
     """
     owner = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:

@@ -93,25 +93,7 @@ def _crc_table(polynomial: int, width: int, *, is_reflected: bool) -> tuple[int,
 
 
 class Checker:
-    """Appends checksums to lines, and checks them.
-
-    Parameters
-    ----------
-    settings : Checksum
-
-    Attributes
-    ----------
-    size : int
-        Largest number of characters that the checksum adds to a line.
-    pattern : bytes
-        Regular expression of prefix and checksum; the checksum itself is a group.
-    compute : callable
-        Function that computes the checksum of a line.
-    form : bytes
-        Format of prefix and checksum, for ``%``.
-    base : int
-        Base of the written number, 10 or 16.
-    """
+    """Appends checksums to lines, and checks them."""
 
     def __init__(self, settings: Checksum) -> None:
         self.compute = checksum_function(settings)
@@ -119,21 +101,17 @@ class Checker:
         is_hex = settings.form == "hex"
         width = bits // 4 if is_hex else len(str((1 << bits) - 1))
         prefix = settings.prefix.encode()
+        # of prefix and checksum, for `%`
         self.form = prefix.replace(b"%", b"%%") + (b"%%0%dX" % width if is_hex else b"%d")
         self.base = 16 if is_hex else 10
         number = b"[0-9A-Fa-f]{%d}" % width if is_hex else b"[0-9]{1,%d}" % width
+        # of prefix and checksum; the checksum itself is a group
         self.pattern = re.escape(prefix) + b"(" + number + b") *"
         self._split = re.compile(b"(.*)" + self.pattern, re.DOTALL).fullmatch
-        self.size = len(prefix) + width
+        self.size = len(prefix) + width  # most characters that the checksum adds to a line
 
     def remove(self, line: bytes) -> bytes:
-        """Return the line without its checksum.
-
-        Raises
-        ------
-        ValueError
-            The line has no checksum, or a wrong one.
-        """
+        """Return the line without its checksum. Raises `ValueError`: it has none, or a wrong one."""
         found = self._split(line)
         if found is None:
             raise ValueError("has no checksum")

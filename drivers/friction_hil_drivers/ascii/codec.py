@@ -9,17 +9,9 @@ from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyErro
 class AsciiExchange:
     """One request, or several that set the same signals to different numbers, and the reply; see `Exchange`.
 
-    Parameters
-    ----------
-    axis : str
-        Name of the axis, for messages.
-    language : Language
-    messages : sequence of CompiledMessage
-        Messages with the same signals and the same replies. The first one whose fixed numbers equal those in the image
-        is sent.
-    image : Image
-    addressee : str
-        Name of the drive that answers; the same for all axes if a reply does not show which of them it is from.
+    The first of ``messages`` whose fixed numbers equal those in the image is sent; all have the same signals and the
+    same replies. ``addressee``: drive that answers; the same for all axes if a reply does not show which of them it is
+    from.
     """
 
     def __init__(
@@ -67,10 +59,7 @@ class AsciiExchange:
     def encode(self) -> bytes:
         """Return the request with the values of the image.
 
-        Raises
-        ------
-        ValueError
-            A value is missing, not finite, or not one that a message can write.
+        Raises `ValueError`: a value is missing, not finite, or not one that a message can write.
         """
         language = self._language
         self._is_echo_due = language.has_echo
@@ -94,10 +83,7 @@ class AsciiExchange:
     def take(self, received: bytearray) -> bool:
         """Remove the reply from ``received`` and store it in the image; return True if it was complete.
 
-        Raises
-        ------
-        ReplyError
-            The line is an error reply, or no reply to this request; nothing was stored in the image.
+        Raises `ReplyError`: the line is an error reply, or no reply to this request; nothing was stored in the image.
         """
         if self._is_echo_due and not self._take_echo(received):
             return False
@@ -124,13 +110,7 @@ class AsciiExchange:
         return True
 
     def _read_line(self, received: bytearray) -> bool:
-        """Remove the next line and read it; return True if it was complete.
-
-        Raises
-        ------
-        ReplyError
-            See `take`.
-        """
+        """Remove the next line and read it; return True if it was complete. Raises `ReplyError`: see `take`."""
         language = self._language
         try:
             line = take_line(received, language.reply_end)
@@ -163,10 +143,7 @@ class AsciiExchange:
     def _error(self, line: bytes) -> ReplyError:
         """Return the error for a line that is none of the expected replies.
 
-        Raises
-        ------
-        ValueError
-            The line has no checksum, or a wrong one.
+        Raises `ValueError`: the line has no checksum, or a wrong one.
         """
         language = self._language
         meaning = language.meaning(line if language.checker is None else language.checker.remove(line))

@@ -33,12 +33,8 @@ class _Axis:
     def reading(self, names: Iterable[str], optional: Iterable[str] = ()) -> list[CompiledMessage]:
         """Return the fewest messages that read the signals ``names`` without writing.
 
-        Of messages that read equally many of them, the one that also reads most of ``optional`` is taken.
-
-        Raises
-        ------
-        UsageError
-            No message reads one of ``names`` without writing.
+        Of messages that read equally many of them, the one that also reads most of ``optional`` is taken. Raises
+        `UsageError`: no message reads one of ``names`` without writing.
         """
         rest, others, chosen = set(names), set(optional), []
         plain = [message for message in self.language.messages if message.reads and not message.writes]
@@ -61,15 +57,7 @@ def _reply_form(description: AsciiDescription) -> str:
 
 
 class AsciiLine:
-    """Exchanges with the axes on one line, in lines of text; see `LineProtocol`.
-
-    Parameters
-    ----------
-    descriptions : mapping of str to AsciiDescription
-        Descriptions of the axes on this line, by name.
-    options : mapping of str to AsciiOptions
-    images : mapping of str to Image
-    """
+    """Exchanges with the axes on one line, in lines of text; see `LineProtocol`."""
 
     numbers_replies = False
     show = staticmethod(shown)
@@ -99,10 +87,7 @@ class AsciiLine:
     def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
         """Plan a cycle with as few exchanges as possible, for the axes by name.
 
-        Raises
-        ------
-        UsageError
-            No message reads or writes one of the wanted signals.
+        Raises `UsageError`: no message reads or writes one of the wanted signals.
         """
         poll: list[Exchange] = []
         background: list[Exchange] = []
@@ -130,10 +115,7 @@ class AsciiLine:
     def read(self, axis: str, names: Sequence[str]) -> AsciiExchange:
         """Return the exchange that reads some signals of an axis, all by one message.
 
-        Raises
-        ------
-        UsageError
-            No message reads all of them.
+        Raises `UsageError`: no message reads all of them.
         """
         chosen = self._axes[axis].reading(names)
         if len(chosen) != 1:
@@ -143,10 +125,7 @@ class AsciiLine:
     def write(self, axis: str, names: Sequence[str]) -> AsciiExchange:
         """Return the exchange that writes exactly these signals of an axis, by one message.
 
-        Raises
-        ------
-        UsageError
-            No message writes exactly these signals.
+        Raises `UsageError`: no message writes exactly these signals.
         """
         messages = self._axes[axis].writing(names)
         if not messages:

@@ -26,14 +26,7 @@ class CompiledMessage:
 
 
 class Language:
-    """All messages to one axis and from it.
-
-    Parameters
-    ----------
-    description : AsciiDescription
-    axis : str, optional
-        Text for ``{axis}``; any name matches when not given.
-    """
+    """All messages to one axis and from it. ``axis``: text for ``{axis}``; any name matches when not given."""
 
     def __init__(self, description: AsciiDescription, axis: str | None) -> None:
         signals = description.signals
@@ -80,12 +73,9 @@ def sealer(checker: Checker | None, end: bytes) -> Callable[[bytes], bytes]:
 def reader(form: LineFormat, language: Language) -> Callable[[bytes | bytearray], tuple[list[float], int] | None]:
     """Return the function that reads replies of one format: line, checksum and line end.
 
-    Returns
-    -------
-    callable
-        Takes the received bytes. Returns the numbers, in the order of the names of ``form``, and the size of line,
-        checksum and line end; None if the reply is incomplete, of another format, an error reply or has a wrong
-        checksum. Raises ValueError if a number exceeds the range of its signal.
+    It takes the received bytes and returns the numbers, in the order of the names of ``form``, and the size of line,
+    checksum and line end; None if the reply is incomplete, of another format, an error reply or has a wrong checksum.
+    It raises `ValueError`: a number exceeds the range of its signal.
     """
     checker = language.checker
     end = (b"" if checker is None else checker.pattern) + re.escape(language.reply_end)
@@ -121,10 +111,7 @@ def reader(form: LineFormat, language: Language) -> Callable[[bytes | bytearray]
 def take_line(received: bytearray, end: bytes) -> bytes | None:
     """Remove the first line that is not empty, and return it without its end; None if it is not complete.
 
-    Raises
-    ------
-    ValueError
-        The line is longer than `LONGEST_LINE`; all received bytes were removed.
+    Raises `ValueError`: the line is longer than `LONGEST_LINE`; all received bytes were removed.
     """
     while True:
         index = received.find(end)

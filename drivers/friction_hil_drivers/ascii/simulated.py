@@ -80,12 +80,7 @@ def _numbers(message: CompiledMessage, line: bytes) -> Mapping[str, float] | Non
 class AsciiResponder:
     """Answers requests for the simulated drives on one line; see `Responder` of `serial_line.simulated.server`.
 
-    Parameters
-    ----------
-    drives : mapping of str to SimulatedDrive
-        Drives by axis.
-    descriptions, options : mapping
-        Descriptions and options by axis. Line ends, checksum and echo are taken from the first description.
+    Line ends, checksum and echo are those of the first description.
     """
 
     def __init__(
@@ -103,13 +98,9 @@ class AsciiResponder:
         self._is_too_long = False  # the rest of a line that is too long is still to come
 
     def take(self, received: bytearray) -> bytes | None:
-        """Remove one whole request and answer it.
+        """Remove one whole request and return the reply; None if the request is not complete.
 
-        Returns
-        -------
-        bytes or None
-            The reply. Empty if none is due: the request was a set-point, damaged, or for none of these drives. None if
-            the request is not complete.
+        The reply is empty if none is due: the request was a set-point, damaged, or for none of these drives.
         """
         language = self._language
         try:

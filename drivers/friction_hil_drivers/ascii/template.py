@@ -39,10 +39,7 @@ Part = str | NumberField  # text, with {axis} not replaced yet, or a number
 def parse(template: str) -> tuple[Part, ...]:
     """Split a template into its parts.
 
-    Raises
-    ------
-    ValueError
-        The text is no template; the message says what a template looks like.
+    Raises `ValueError`: the text is no template; the message says what a template looks like.
     """
     if not template.isascii() or not template.isprintable():
         raise ValueError("must be printable ASCII; line ends are given by request_end and reply_end")
@@ -82,36 +79,16 @@ def _texts(parts: list[Part]) -> list[str]:
 class LineFormat:
     """Template compiled for one axis.
 
-    Parameters
-    ----------
-    template : str
-    signals : mapping of str to AsciiSignal
-        Formats of the numbers, by signal.
-    axis : str, optional
-        Text for ``{axis}``. When not given, any name matches, and no line can be written.
-
-    Attributes
-    ----------
-    template : str
-        The template itself.
-    names : tuple of str
-        Signals in the line, in their order.
-    words : int
-        Number of parts between blanks.
-    are_floats : bool
-        All numbers in the line are floats.
-    pattern : bytes
-        Regular expression of a line that is read; each number is a group.
-    size : int
-        Characters of the longest line that can be written. For a line that is read: of the longest line whose floats
-        have at most ``whole_digits`` before the point and ``digits`` after it.
+    ``axis``: text for ``{axis}``; without it any name matches, and no line can be written.
     """
 
     def __init__(self, template: str, signals: Mapping[str, AsciiSignal], axis: str | None) -> None:
         parts = parse(template)
         self.template = template
-        self.names = tuple(field.name for field in fields(parts))
-        self.words = len(template.replace(f"{{{AXIS}}}", "" if axis is None else axis).split())
+        self.names = tuple(field.name for field in fields(parts))  # signals in the line, in their order
+        self.words = len(template.replace(f"{{{AXIS}}}", "" if axis is None else axis).split())  # parts between blanks
+        # characters of the longest line that can be written; for a line that is read, of the longest whose floats have
+        # at most `whole_digits` before the point and `digits` after it
         self.size = 0
         written, pattern = b"", rb" *"
         self._writers: list[tuple[str, float, float, Callable[[float], float]]] = []
@@ -135,16 +112,13 @@ class LineFormat:
             self._readers.append(read)
         self._written = written
         self.are_floats = all(field.type == FLOAT for field in fields(parts))
-        self.pattern = pattern + rb" *"
+        self.pattern = pattern + rb" *"  # of a line that is read; each number is a group
         self._match = re.compile(self.pattern).fullmatch
 
     def write(self, values: Mapping[str, float]) -> bytes:
         """Return the line with the numbers of ``values``: rounded, limited, and integer positions wrapped.
 
-        Raises
-        ------
-        ValueError
-            A value is missing or not finite.
+        Raises `ValueError`: a value is missing or not finite.
         """
         numbers = []  # runs in every cycle: a comprehension would cost one more call
         try:
@@ -158,10 +132,7 @@ class LineFormat:
     def read(self, line: bytes) -> list[float] | None:
         """Return the numbers in ``line``, in the order of `names`; None if the line does not match the template.
 
-        Raises
-        ------
-        ValueError
-            A number exceeds the range of its signal.
+        Raises `ValueError`: a number exceeds the range of its signal.
         """
         found = self._match(line)
         return None if found is None else self.numbers(found.groups())
@@ -169,10 +140,7 @@ class LineFormat:
     def numbers(self, texts: Sequence[bytes]) -> list[float]:
         """Convert the groups that `pattern` matched to numbers.
 
-        Raises
-        ------
-        ValueError
-            A number exceeds the range of its signal.
+        Raises `ValueError`: a number exceeds the range of its signal.
         """
         if self.are_floats:
             numbers = list(map(float, texts))

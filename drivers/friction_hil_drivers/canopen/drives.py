@@ -72,12 +72,7 @@ _PRE_OPERATIONAL = (cia301.NmtState.BOOT_UP, cia301.NmtState.PRE_OPERATIONAL)  #
 class CanopenDrives(BusDrives, CanopenService):
     """Drives of some axes on one bus; see `friction_hil.drive.Drives`.
 
-    Attributes
-    ----------
-    leftovers : list of str
-        After `close`: what could not be left as it was found.
-    remarks : list of str
-        After `close`: what is not known of how it was found.
+    After `close`, ``leftovers`` says what could not be left as it was found, and ``remarks`` what is not known of that.
     """
 
     Options = CanopenOptions
@@ -237,10 +232,7 @@ class CanopenDrives(BusDrives, CanopenService):
     def _meet(self, bus: "FrameBus") -> None:
         """Ask every node who it is, and refuse a number that two nodes have.
 
-        Raises
-        ------
-        DriveError
-            A node does not answer, or two do.
+        Raises `DriveError`: a node does not answer, or two do.
         """
         ask_identities(list(self._clients.values()), bus, self._others)
         for name, client in self._clients.items():
@@ -254,10 +246,7 @@ class CanopenDrives(BusDrives, CanopenService):
     def _look(self) -> None:
         """Read the state of every drive, before anything is written to any of them.
 
-        Raises
-        ------
-        DriveError
-            A drive has power already, or another master is at work.
+        Raises `DriveError`: a drive has power already, or another master is at work.
         """
         for name, client in self._clients.items():
             node = canopen_options(self._configs[name]).node
@@ -275,10 +264,7 @@ class CanopenDrives(BusDrives, CanopenService):
     def _refuse_other_masters(self) -> None:
         """Refuse to drive what another master drives; a dry run only listens to it.
 
-        Raises
-        ------
-        DriveError
-            Something of another master was heard.
+        Raises `DriveError`: something of another master was heard.
         """
         heard = self._others.words
         if heard and not self._dry_run:
@@ -393,10 +379,7 @@ class CanopenDrives(BusDrives, CanopenService):
     def close(self) -> list[DriveState]:
         """Disable every drive, leave each as it was found, and leave the bus.
 
-        Returns
-        -------
-        list of DriveState
-            State of each drive as it was read back at last, UNKNOWN where it was not.
+        Returns the state of each as it was read back at last, UNKNOWN where it was not.
         """
         with contextlib.ExitStack() as stack:
             for lock in self._locks:

@@ -55,18 +55,7 @@ class Member:
 
 
 class _Request(Single):
-    """Common part of all exchanges; see `friction_hil_drivers.serial_line.protocol.Exchange`.
-
-    Parameters
-    ----------
-    packets : Packets
-    label : str
-        Description of the request, for messages.
-    members : sequence of Member
-        Servos in the order in which they answer.
-    reply_bytes : int
-        Size of the data in the status packet of each servo.
-    """
+    """Common part of all exchanges; see `friction_hil_drivers.serial_line.protocol.Exchange`."""
 
     reads: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
@@ -77,8 +66,8 @@ class _Request(Single):
         self.label = self._label = f"{label} of id {ids}"
         self.addressees = frozenset(str(member.id) for member in members)
         self._packets = packets
-        self._members = {member.id: member for member in members}
-        self._reply_bytes = reply_bytes
+        self._members = {member.id: member for member in members}  # in the order in which they answer
+        self._reply_bytes = reply_bytes  # of data in the status packet of each servo
         self._packet_size = STATUS_SIZE + reply_bytes  # without stuffing
         self._longest = self._packet_size - PREFIX + _stuffing(reply_bytes)
         self._answered: set[int] = set()
@@ -104,12 +93,8 @@ class _Request(Single):
     def take(self, received: bytearray) -> bool:
         """Store the received status packets in the images; return True if all servos have answered.
 
-        Each packet is stored when it is complete, even if later ones are lost or damaged.
-
-        Raises
-        ------
-        ReplyError
-            A servo answered that was not asked; or no answer is missing any more, and one was damaged or a refusal.
+        Each packet is stored when it is complete, even if later ones are lost or damaged. Raises `ReplyError`: a servo
+        answered that was not asked; or no answer is missing any more, and one was damaged or a refusal.
         """
         while not self._is_complete:
             before = len(received)
@@ -186,16 +171,10 @@ class _Request(Single):
 
 
 class Order:
-    """Order in which the servos of a line are read: those that broke the chain come last, the most recent at the end.
-
-    Attributes
-    ----------
-    breaks : int
-        Number of times that a chain was broken.
-    """
+    """Reading order of the servos of a line: those that broke the chain come last, the most recent at the end."""
 
     def __init__(self) -> None:
-        self.breaks = 0
+        self.breaks = 0  # times that a chain was broken
         self._last: dict[int, int] = {}  # by servo: number of the last break that it caused
         self._asked: _Request | None = None
 
@@ -332,13 +311,7 @@ class Write(_Request):
         self.reply_size = STATUS_SIZE
 
     def encode(self) -> bytes:
-        """Return the request with the image's numbers.
-
-        Raises
-        ------
-        ValueError
-            A number is not finite.
-        """
+        """Return the request with the image's numbers. Raises `ValueError`: a number is not finite."""
         self._begin()
         member = self._member
         data = _words(member.block.address) + _packed(member, self.label)
@@ -372,13 +345,7 @@ class SyncWrite(_Request):
         self.request_size = REQUEST_SIZE + 4 + len(members) * (1 + block.size + _stuffing(block.size))
 
     def encode(self) -> bytes:
-        """Return the request with the images' numbers.
-
-        Raises
-        ------
-        ValueError
-            A number is not finite.
-        """
+        """Return the request with the images' numbers. Raises `ValueError`: a number is not finite."""
         parts = [self._span]
         for servo, member in self._members.items():
             parts += bytes((servo,)), _packed(member, self.label)

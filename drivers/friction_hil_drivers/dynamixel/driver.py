@@ -14,15 +14,7 @@ from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, Plan,
 class DynamixelLine:
     """Dynamixel exchanges with the axes on one line; see `LineProtocol`.
 
-    Parameters
-    ----------
-    descriptions, options, images : mapping
-        Descriptions, options and process images of the axes on this line, by name.
-
-    Raises
-    ------
-    UsageError
-        The vendor's SDK is not installed.
+    Raises `UsageError`: the vendor's SDK is not installed.
     """
 
     numbers_replies = False
@@ -64,20 +56,14 @@ class DynamixelLine:
     def read(self, axis: str, names: Sequence[str]) -> Read:
         """Return the exchange that reads some signals of an axis.
 
-        Raises
-        ------
-        ValueError
-            One request cannot read them all.
+        Raises `ValueError`: one request cannot read them all.
         """
         return Read(self._packets, [only(self._members(axis, names), "read", names)], self._order)
 
     def write(self, axis: str, names: Sequence[str]) -> Write:
         """Return the exchange that writes some signals of an axis.
 
-        Raises
-        ------
-        ValueError
-            One request cannot write them all.
+        Raises `ValueError`: one request cannot write them all.
         """
         return Write(self._packets, only(self._members(axis, names), "write", names))
 

@@ -26,36 +26,17 @@ _STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """Contents of a received packet.
+    """Contents of a received packet."""
 
-    Attributes
-    ----------
-    id : int
-        ID of the servo to which an instruction is sent, or that answers.
-    instruction : int
-    parameters : bytes
-        Parameters without stuffing; those of a status packet begin with the error field.
-    is_whole : bool
-        True if the CRC is correct. Otherwise all fields may be wrong.
-    skipped : int
-        Number of bytes before the header.
-    """
-
-    id: int
+    id: int  # of the servo to which an instruction is sent, or that answers
     instruction: int
-    parameters: bytes
-    is_whole: bool
-    skipped: int
+    parameters: bytes  # without stuffing; those of a status packet begin with the error field
+    is_whole: bool  # the CRC is correct; otherwise all fields may be wrong
+    skipped: int  # bytes before the header
 
 
 class Packets:
-    """Makes packets, and finds packets in received bytes.
-
-    Raises
-    ------
-    UsageError
-        The SDK is not installed.
-    """
+    """Makes packets, and finds packets in received bytes. Raises `UsageError`: the SDK is not installed."""
 
     def __init__(self) -> None:
         try:
@@ -81,12 +62,7 @@ class Packets:
 
         Of a damaged packet only the header is removed, so that a wrong length cannot hide an intact packet.
 
-        Parameters
-        ----------
-        received : bytearray
-            Bytes received so far.
-        longest : int
-            Greatest valid value of the length field.
+        ``longest``: greatest valid value of the length field.
         """
         skipped = 0
         while (start := received.find(HEADER)) >= 0:

@@ -93,13 +93,7 @@ class _Servo:
         self._drive.fed()
 
     def read(self, address: int, size: int) -> bytes:
-        """Return bytes of the table.
-
-        Raises
-        ------
-        RequestError
-            One of the bytes belongs to no item.
-        """
+        """Return bytes of the table. Raises `RequestError`: one of the bytes belongs to no item."""
         end = address + size
         items = [item for item in self._items if item.address < end and address < item.end]
         if sum(min(item.end, end) - max(item.address, address) for item in items) != size or not size:
@@ -119,10 +113,8 @@ class _Servo:
     def write(self, address: int, data: bytes) -> None:
         """Write bytes of the table.
 
-        Raises
-        ------
-        RequestError
-            A byte belongs to no item, an item is written only in part, or the drive refuses the number.
+        Raises `RequestError`: a byte belongs to no item, an item is written only in part, or the drive refuses the
+        number.
         """
         end = address + len(data)
         items = [item for item in self._items if item.address < end and address < item.end]
@@ -158,17 +150,7 @@ class _Servo:
 class DynamixelResponder:
     """Answers requests for the simulated drives on one line; see `Responder` of `serial_line.simulated.server`.
 
-    Parameters
-    ----------
-    drives : mapping of str to SimulatedDrive
-        Drives by axis.
-    descriptions, options : mapping
-        Descriptions and options by axis.
-
-    Raises
-    ------
-    UsageError
-        The vendor's SDK is not installed.
+    Raises `UsageError`: the vendor's SDK is not installed.
     """
 
     request_end = b""

@@ -8,27 +8,13 @@ from friction_hil_drivers.serial_line.blocks import merge, nearest_integer, repr
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """Item of the control table that holds a signal.
-
-    Attributes
-    ----------
-    name : str
-        Name of the signal.
-    address : int
-        Address of the first byte, the least significant one.
-    size : int
-        Size in bytes.
-    is_signed : bool
-        True if the number has a sign (two's complement).
-    limit : int or None
-        Greatest magnitude that the servo accepts.
-    """
+    """Item of the control table that holds a signal."""
 
     name: str
-    address: int
-    size: int
-    is_signed: bool
-    limit: int | None = None
+    address: int  # of the first byte, the least significant one
+    size: int  # bytes
+    is_signed: bool  # two's complement
+    limit: int | None = None  # greatest magnitude that the servo accepts
 
     @property
     def end(self) -> int:
@@ -39,12 +25,7 @@ class Item:
         """Return the number nearest to ``number`` that the servo accepts.
 
         The number is rounded, and limited to ``limit`` and to the range of the item's size. A position wraps in that
-        range instead, as the servo's counter does.
-
-        Raises
-        ------
-        ValueError
-            The number is not finite.
+        range instead, as the servo's counter does. Raises `ValueError`: the number is not finite.
         """
         count = 1 << 8 * self.size
         low = -count // 2 if self.is_signed else 0
@@ -53,13 +34,7 @@ class Item:
         return nearest_integer(self.name, number, bounds, (low, high))
 
     def pack(self, number: float) -> bytes:
-        """Return the bytes for a number; see `representable`.
-
-        Raises
-        ------
-        ValueError
-            The number is not finite.
-        """
+        """Return the bytes for a number; see `representable`. Raises `ValueError`: the number is not finite."""
         return self.representable(number).to_bytes(self.size, "little", signed=self.is_signed)
 
     def number(self, data: bytes) -> float:
@@ -78,10 +53,7 @@ class ItemBlock:
     def pack(self, values: dict[str, float]) -> bytes:
         """Return the bytes for the numbers of the block's signals.
 
-        Raises
-        ------
-        ValueError
-            A number is not finite; the message names its signal.
+        Raises `ValueError`: a number is not finite; the message names its signal.
         """
         numbers = representable_numbers(self.items, values)
         return b"".join(

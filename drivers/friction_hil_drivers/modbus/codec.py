@@ -45,31 +45,17 @@ EXCEPTIONS = {
 
 
 class ModbusExchange(Single):
-    """A request to one drive and its reply; see `friction_hil_drivers.serial_line.protocol.Exchange`.
-
-    Parameters
-    ----------
-    framing : Framing
-        Framing of the line.
-    unit : int
-        Address of the drive.
-    image : Image
-        Process image: it has the numbers to write, and the reply fills it.
-    read, write : RegisterBlock or None
-        Registers that are read and written; an exchange with both uses function 23.
-    write_functions : sequence of int
-        Functions for writing that the drive has.
-    """
+    """A request to one drive and its reply; see `friction_hil_drivers.serial_line.protocol.Exchange`."""
 
     def __init__(
         self,
         framing: Framing,
-        unit: int,
-        image: Image,
+        unit: int,  # address of the drive
+        image: Image,  # has the numbers to write, and the reply fills it
         *,
-        read: RegisterBlock | None = None,
+        read: RegisterBlock | None = None,  # an exchange with both `read` and `write` uses function 23
         write: RegisterBlock | None = None,
-        write_functions: Sequence[int] = (),
+        write_functions: Sequence[int] = (),  # that the drive has
     ) -> None:
         self._framing = framing
         self._unit = unit
@@ -101,13 +87,7 @@ class ModbusExchange(Single):
         self.reply_size = self._reply_length + framing.overhead
 
     def encode(self) -> bytes:
-        """Return the request with the numbers of the image.
-
-        Raises
-        ------
-        ValueError
-            A number is not finite.
-        """
+        """Return the request with the numbers of the image. Raises `ValueError`: a number is not finite."""
         try:
             pdu = self._make(self._image.values)
         except ValueError as error:
@@ -126,10 +106,7 @@ class ModbusExchange(Single):
     def take(self, received: bytearray) -> bool:
         """Remove the reply from ``received`` and store it in the image; return True if it was complete.
 
-        Raises
-        ------
-        ReplyError
-            The bytes are no reply to this request, or the drive refuses it.
+        Raises `ReplyError`: the bytes are no reply to this request, or the drive refuses it.
         """
         pdu = self._framing.cut(received, self._unit, self._head, self._reply_length)
         if pdu is None:

@@ -17,13 +17,7 @@ _SILENCE_CHARS = 3.5
 
 
 class ModbusLine:
-    """Modbus exchanges with the axes on one line; see `LineProtocol`.
-
-    Parameters
-    ----------
-    descriptions, options, images : mapping
-        Descriptions, options and process images of the axes on this line, by name.
-    """
+    """Modbus exchanges with the axes on one line; see `LineProtocol`."""
 
     def __init__(
         self,
@@ -70,20 +64,14 @@ class ModbusLine:
     def read(self, axis: str, names: Sequence[str]) -> ModbusExchange:
         """Return the exchange that reads some signals of an axis.
 
-        Raises
-        ------
-        ValueError
-            One request cannot read them all.
+        Raises `ValueError`: one request cannot read them all.
         """
         return self._request(axis, read=only(self._descriptions[axis].read_blocks(tuple(names)), "read", names))
 
     def write(self, axis: str, names: Sequence[str]) -> ModbusExchange:
         """Return the exchange that writes some signals of an axis.
 
-        Raises
-        ------
-        ValueError
-            One request cannot write them all.
+        Raises `ValueError`: one request cannot write them all.
         """
         return self._request(axis, write=only(self._descriptions[axis].write_blocks(tuple(names)), "write", names))
 

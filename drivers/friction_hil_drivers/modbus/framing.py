@@ -35,21 +35,8 @@ class Framing(Protocol):
     def cut(self, received: bytearray, unit: int, head: bytes, size: int) -> bytes | None:
         """Remove the reply to the last request, and return its PDU; None while it is not complete.
 
-        Parameters
-        ----------
-        received : bytearray
-            Bytes received so far.
-        unit : int
-            Address to which the request was sent.
-        head : bytes
-            First bytes of the expected PDU.
-        size : int
-            Length of the expected PDU.
-
-        Raises
-        ------
-        ReplyError
-            The received bytes are no reply to this request.
+        ``head``: first bytes of the PDU that is expected; ``size``: its length. Raises `ReplyError`: what came is no
+        reply to this request.
         """
         ...
 

@@ -30,29 +30,14 @@ _FLOAT32_MAX = 3.4028234663852886e38
 
 @dataclass(frozen=True, slots=True)
 class RegisterField:
-    """Registers (or the coil) that hold a signal, and the format of its number.
-
-    Attributes
-    ----------
-    name : str
-        Name of the signal.
-    table : str
-        Table of the registers: holding or input registers, coils or discrete inputs.
-    address : int
-        Address of the first register, as on the wire: from 0.
-    kind : str
-        Type of the number.
-    word_order : str
-        Word of a number of 32 bits that has the lower address: the high one (big) or the low one.
-    byte_order : str
-        Byte of a register that is sent first: the high one (big), as Modbus requires, or the low one.
-    """
+    """Registers (or the coil) that hold a signal, and the format of its number."""
 
     name: str
-    table: Table
-    address: int
+    table: Table  # holding or input registers, coils or discrete inputs
+    address: int  # of the first register, as on the wire: from 0
     kind: Kind
-    word_order: Order = "big"
+    word_order: Order = "big"  # word of 32 bits at the lower address: the high one (big) or the low one
+    # byte of a register that is sent first: the high one (big), as Modbus requires, or the low one
     byte_order: Order = "big"
 
     @property
@@ -63,12 +48,8 @@ class RegisterField:
     def representable(self, number: float) -> float:
         """Return the number nearest to ``number`` that can be written: rounded, and limited to the range of its type.
 
-        A position wraps in that range instead, as the drive's counter does.
-
-        Raises
-        ------
-        ValueError
-            The number is not finite.
+        A position wraps in that range instead, as the drive's counter does. Raises `ValueError`: the number is not
+        finite.
         """
         if self.kind == "float32":
             return saturated(number, -_FLOAT32_MAX, _FLOAT32_MAX)
@@ -78,10 +59,7 @@ class RegisterField:
     def words(self, number: float) -> list[int]:
         """Return the registers (or the coil) for a number; see `representable`.
 
-        Raises
-        ------
-        ValueError
-            The number is not finite.
+        Raises `ValueError`: the number is not finite.
         """
         if self.kind == "bool":
             return [int(self.representable(number))]
@@ -118,21 +96,10 @@ class RegisterBlock:
 
 
 class Layout:
-    """Conversion between the numbers in a block of registers and its bytes on the wire.
-
-    Parameters
-    ----------
-    block : RegisterBlock
-        Block of holding or input registers.
-
-    Attributes
-    ----------
-    size : int
-        Bytes of the block.
-    """
+    """Conversion between the numbers in a block of holding or input registers and its bytes on the wire."""
 
     def __init__(self, block: RegisterBlock) -> None:
-        self.size = 2 * block.count
+        self.size = 2 * block.count  # bytes
         self._fields = block.fields
         self._numbers = struct.Struct(">" + "".join(_FORMATS[field.kind] for field in block.fields))
         order = [at for field in block.fields for at in _byte_offsets(field, block.address)]
@@ -149,10 +116,7 @@ class Layout:
     def pack(self, values: Mapping[str, float]) -> bytes:
         """Return the bytes of the block for numbers by signal; see `RegisterField.representable`.
 
-        Raises
-        ------
-        ValueError
-            A number is not finite.
+        Raises `ValueError`: a number is not finite.
         """
         data = self._numbers.pack(*representable_numbers(self._fields, values))
         return data if self._is_plain else bytes(self._into(data + b"\0"))
@@ -175,15 +139,8 @@ def _layout_of(field: RegisterField) -> Layout:
 def merged(fields: Iterable[RegisterField], *, max_gap: int, max_count: int, alignment: int = 1) -> list[RegisterBlock]:
     """Cover signals with as few blocks as possible.
 
-    Parameters
-    ----------
-    fields : iterable of RegisterField
-    max_gap : int
-        Largest number of consecutive registers without a signal in a block.
-    max_count : int
-        Largest number of registers in a block.
-    alignment : int
-        Blocks begin and end at multiples of this number.
+    ``max_gap``: most registers in a row without a signal in a block; ``max_count``: most registers in a block;
+    ``alignment``: blocks begin and end at its multiples.
     """
     tables: dict[Table, list[RegisterField]] = {}
     for field in fields:

@@ -110,10 +110,7 @@ class _RegisterSpace:
     def _found(self, table: Table, address: int, count: int) -> list[tuple[RegisterField, int] | None]:
         """Return the registers at these addresses; None for unused ones that the drive allows to be read.
 
-        Raises
-        ------
-        RequestError
-            The drive refuses to read one of the addresses.
+        Raises `RequestError`: the drive refuses to read one of the addresses.
         """
         description = self._description
         if table in ("holding", "input") and not 0 < count <= description.max_read_registers:
@@ -175,15 +172,7 @@ class _RegisterSpace:
 
 
 class ModbusResponder:
-    """Answers requests for the simulated drives on one line; see `Responder` of `serial_line.simulated.server`.
-
-    Parameters
-    ----------
-    drives : mapping of str to SimulatedDrive
-        Drives by axis.
-    descriptions, options : mapping
-        Descriptions and options by axis.
-    """
+    """Answers requests for the simulated drives on one line; see `Responder` of `serial_line.simulated.server`."""
 
     request_end = b""
 
@@ -199,13 +188,9 @@ class ModbusResponder:
         self._tcp = FramerSocket(DecodePDU(True))
 
     def take(self, received: bytearray) -> bytes | None:
-        """Remove one whole request and answer it.
+        """Remove one whole request and return the reply; None if the request is not complete.
 
-        Returns
-        -------
-        bytes or None
-            The reply. Empty if none is due: the request was for none of these drives, or damaged. None if the request
-            is not complete.
+        The reply is empty if none is due: the request was for none of these drives, or damaged.
         """
         return self._take_tcp(received) if self._is_tcp else self._take_rtu(received)
 

@@ -65,10 +65,7 @@ def make_scales(
 ) -> SignalScales:
     """Compute the scales of a drive on one axis.
 
-    Raises
-    ------
-    OptionError
-        A unit needs a key that the configuration does not give, or does not fit this kind of axis.
+    Raises `OptionError`: a unit needs a key that the configuration does not give, or does not fit this kind of axis.
     """
     for mistake in unit_mistakes(axis, description, units, kind):
         raise mistake
@@ -96,20 +93,11 @@ def error_text(description: Description, number: float) -> str:
 def not_zero(
     description: Description,
     names: Iterable[str],
+    # the drive's number of a signal, None where it does not tell it: some registers can only be written
     read: Callable[[str], float | None],
     write_zero: Callable[[str], None],
 ) -> list[str]:
-    """Set commands that the drive lets be read to zero where they are not; return those that stay, in words.
-
-    Parameters
-    ----------
-    description : Description
-    names : iterable of str
-    read : callable
-        Returns the drive's number of a signal, None where it does not tell it: some registers can only be written.
-    write_zero : callable
-        Writes a signal.
-    """
+    """Set commands that the drive lets be read to zero where they are not; return those that stay, in words."""
     left = []
     for name in filter(description.can_be_read, names):
         if held := read(name):
@@ -121,47 +109,27 @@ def not_zero(
 
 
 class SerialAxis:
-    """Decodes and encodes the process image of one drive.
-
-    Parameters
-    ----------
-    name : str
-    description : Description
-    scales : SignalScales
-    image : Image
-        Process image that the exchanges on the line fill and read.
-    commands : sequence of str
-        Signals that are written in each cycle.
-    before : sequence of Step
-        Steps written before the drive is enabled.
-    period_s : float
-        Least time over which a velocity is derived from positions, s.
-
-    Attributes
-    ----------
-    read_back : frozenset of str
-        Signals of the drive's watchdog that the drive lets be read: on the way to power, a step that writes one of
-        them is done when the drive reports what was written.
-    written : mapping of str to float, or None
-        Step that the drive accepted, and whose values are still to be read back.
-    """
+    """Decodes and encodes the process image of one drive."""
 
     def __init__(
         self,
         name: str,
         description: Description,
         scales: SignalScales,
-        image: Image,
-        commands: tuple[str, ...],
-        before: Sequence[Step] = (),
-        period_s: float = 0.0,
+        image: Image,  # that the exchanges on the line fill and read
+        commands: tuple[str, ...],  # written in each cycle
+        before: Sequence[Step] = (),  # written before the drive is enabled
+        period_s: float = 0.0,  # least time over which a velocity is derived from positions, s
     ) -> None:
         self.name = name
         self.image = image
         self._period_s = period_s
         self.sequencer = Sequencer(description, before)
         self.state = DriveState.UNKNOWN
+        # signals of the watchdog that the drive lets be read: on the way to power, a step that writes one of them is
+        # done when the drive reports what was written
         self.read_back: frozenset[str] = frozenset()
+        # step that the drive accepted, and whose values are still to be read back
         self.written: Mapping[str, float] | None = None
         self._description = description
         self.scales = scales
@@ -186,13 +154,7 @@ class SerialAxis:
     def fill(self, feedback: Feedback, time_s: float, last_error: str) -> None:
         """Fill the feedback from the image; position and velocity that were not read keep their last values.
 
-        Parameters
-        ----------
-        feedback : Feedback
-        time_s : float
-            Time at which this cycle's values were asked for, s.
-        last_error : str
-            Last error on the line.
+        ``time_s``: when this cycle's values were asked for; ``last_error``: on the line.
         """
         values, fresh = self.image.values, self.image.fresh
         is_fresh = fresh.issuperset(self._fast)

@@ -29,10 +29,7 @@ class MemoryField(Protocol):
     def representable(self, number: float) -> float:
         """Return the number nearest to ``number`` that the drive can hold.
 
-        Raises
-        ------
-        ValueError
-            The number is not finite.
+        Raises `ValueError`: the number is not finite.
         """
         ...
 
@@ -43,20 +40,8 @@ AnyField = TypeVar("AnyField", bound=MemoryField)
 def nearest_integer(name: str, number: float, bounds: tuple[int, int], type_bounds: tuple[int, int]) -> int:
     """Round a number and limit it to bounds; a position wraps within the bounds of its type, as a counter does.
 
-    Parameters
-    ----------
-    name : str
-        Name of the signal.
-    number : float
-    bounds : tuple of int
-        Least and greatest number that the drive accepts.
-    type_bounds : tuple of int
-        Least and greatest number of the type.
-
-    Raises
-    ------
-    ValueError
-        The number is not finite.
+    ``bounds``: least and greatest number that the drive accepts; ``type_bounds``: of the type. Raises `ValueError`: the
+    number is not finite.
     """
     kept = saturated(number, *bounds)
     if name in _WRAPPING:
@@ -68,10 +53,7 @@ def nearest_integer(name: str, number: float, bounds: tuple[int, int], type_boun
 def representable_numbers(fields: Iterable[MemoryField], values: Mapping[str, float]) -> list[float]:
     """Return the numbers nearest to the values of some signals that the drive can hold, in the order of the signals.
 
-    Raises
-    ------
-    ValueError
-        A value is not finite; the message names its signal.
+    Raises `ValueError`: a value is not finite; the message names its signal.
     """
     numbers = []
     for field in fields:
@@ -85,24 +67,12 @@ def representable_numbers(fields: Iterable[MemoryField], values: Mapping[str, fl
 def merge(
     fields: Iterable[AnyField], *, max_gap: int = 0, max_size: int | None = None, alignment: int = 1
 ) -> list[tuple[int, int, tuple[AnyField, ...]]]:
-    """Cover signals with as few blocks as possible.
+    """Cover signals with as few blocks as possible; return first address, size and signals of each.
 
     Extending each block as far as possible, in the order of the addresses, gives the smallest number of blocks.
 
-    Parameters
-    ----------
-    fields : iterable of MemoryField
-    max_gap : int
-        Largest number of consecutive addresses without a signal in a block.
-    max_size : int, optional
-        Largest size of a block.
-    alignment : int
-        Blocks begin and end at multiples of this number.
-
-    Returns
-    -------
-    list of (int, int, tuple of MemoryField)
-        First address, size and signals of each block.
+    ``max_gap``: most addresses in a row without a signal in a block; ``alignment``: blocks begin and end at its
+    multiples.
     """
     blocks: list[tuple[int, int, tuple[AnyField, ...]]] = []
     for field in sorted(fields, key=lambda each: (each.address, each.end)):

@@ -31,25 +31,14 @@ class _CycleBatches:
 
 @dataclass(slots=True)
 class SerialBus:
-    """Line with the drives on it.
-
-    Attributes
-    ----------
-    scheduler : BusScheduler
-    protocol : LineProtocol
-    axes : list of SerialAxis
-    listening, plan : Plan
-        Requests of a cycle that only reads, and of one that also writes the commands; the same in a dry run.
-    rate : str
-        Time that a cycle takes on the wire, as text.
-    """
+    """Line with the drives on it."""
 
     scheduler: BusScheduler
     protocol: LineProtocol
     axes: list[SerialAxis]
-    listening: Plan
-    plan: Plan
-    rate: str = ""
+    listening: Plan  # requests of a cycle that only reads
+    plan: Plan  # requests of a cycle that also writes the commands; the same as `listening` in a dry run
+    rate: str = ""  # time of a cycle on the wire, as text
     _is_commanded: bool = False  # the last cycle had commands
     _commands: dict[str, frozenset[Exchange]] = field(default_factory=dict)  # that carry those of an axis
     _background_index: int = 0
@@ -87,14 +76,8 @@ class SerialBus:
         If a drive owes replies, the line may have time for a single request to it: a step to a stop that could not be
         sent goes first.
 
-        Parameters
-        ----------
-        deadline_ns : int or None
-            Time by which the replies have to be complete; a reply that would come later is not requested.
-        is_commanding : bool
-            True: use the plan of a cycle that writes the commands; False: of one that only reads.
-        is_read : bool
-            True if the bytes that have arrived were read shortly before.
+        ``deadline_ns``: a reply that would be complete later is not requested. ``is_commanding``: the cycle writes the
+        commands. ``is_read``: the bytes that have arrived were read shortly before.
         """
         scheduler = self.scheduler
         batch = (self._commanding if is_commanding else self._listening).poll
@@ -112,27 +95,17 @@ class SerialBus:
 
     def send_commands(
         self,
+        # values to write for the requested state, by axis; axes that need none are left out
         steps: Mapping[str, Mapping[str, float]],
-        end_ns: int | None,
+        end_ns: int | None,  # when the next cycle begins; a background read that would not end by then is left out
         *,
-        is_commanding: bool,
-        stopping: Collection[str],
+        is_commanding: bool,  # if false, there are no steps
+        stopping: Collection[str],  # axes whose step leads to a stop
     ) -> None:
         """Send the push, and in every second cycle a step of one axis (its effect has to be read in between).
 
         If no step is due, one background read follows the commands, so that none of them waits for it. Its reply has
         arrived when the next cycle begins.
-
-        Parameters
-        ----------
-        steps : mapping
-            Values to write for the requested state, by axis; axes that need none are left out.
-        end_ns : int or None
-            Beginning of the next cycle; a background read that would not end by then is left out.
-        is_commanding : bool
-            See `request_feedback`; if false, there are no steps.
-        stopping : collection of str
-            Axes whose step leads to a stop.
         """
         scheduler = self.scheduler
         if scheduler.sent:
@@ -221,10 +194,7 @@ class SerialBus:
     def discard_input(self, time_s: float) -> None:
         """Drop the bytes that arrive within ``time_s``: replies to requests of an earlier master.
 
-        Raises
-        ------
-        BusError
-            The line is gone.
+        Raises `BusError`: the line is gone.
         """
         line, end = self.scheduler.line, time.monotonic() + time_s
         while (left := end - time.monotonic()) > 0.0:
@@ -237,12 +207,7 @@ class SerialBus:
     def transact(self, axis: str, *exchanges: Exchange, attempts: int = _ATTEMPTS) -> None:
         """Perform exchanges before or after the cyclic phase, with several attempts.
 
-        Raises
-        ------
-        DriveError
-            No usable reply came in any attempt.
-        BusError
-            The line is gone.
+        Raises `DriveError`: no usable reply came in any attempt; `BusError`: the line is gone.
         """
         scheduler, is_done, began_ns = self.scheduler, False, time.monotonic_ns()
 

@@ -43,18 +43,7 @@ _INTERPOLATION_CYCLES = {"csp": 1.0, "csv": 0.5, "cst": 0.0}  # delay of set-poi
 
 
 class Commissioning:
-    """Opens the lines of some axes and prepares their drives.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    axes : mapping of str to AxisConfig
-    protocol : ProtocolFactory
-    dry_run : bool
-        True if nothing may be written.
-    is_real : bool
-        True in real time, in which the time of a poll can be measured.
-    """
+    """Opens the lines of some axes and prepares their drives."""
 
     def __init__(
         self,
@@ -62,8 +51,8 @@ class Commissioning:
         axes: "Mapping[str, AxisConfig]",
         protocol: ProtocolFactory,
         *,
-        dry_run: bool,
-        is_real: bool,
+        dry_run: bool,  # nothing may be written
+        is_real: bool,  # in real time, in which the time of a poll can be measured
     ) -> None:
         self._configs = dict(axes)
         self._options = {name: options_of(axis) for name, axis in axes.items()}
@@ -76,10 +65,7 @@ class Commissioning:
     def make_bus(self, descriptions: Mapping[str, Description]) -> SerialBus:
         """Make the bus of a line from the descriptions of its drives; it is not open yet.
 
-        Raises
-        ------
-        UsageError
-            A drive or the line cannot do what the configuration asks for.
+        Raises `UsageError`: a drive or the line cannot do what the configuration asks for.
         """
         options = {name: self._options[name] for name in descriptions}
         images = {name: Image() for name in descriptions}
@@ -134,12 +120,8 @@ class Commissioning:
     def _reply_limit_s(self, axis: str, least_s: float) -> float:
         """Return the time for which a drive that did not answer is not asked again, s; a reply may take ``least_s``.
 
-        The time has to be so short that a single lost reply is no fault, and longer than any delay of a reply.
-
-        Raises
-        ------
-        OptionError
-            The configuration gives a time that is shorter than a reply may take.
+        The time has to be so short that a single lost reply is no fault, and longer than any delay of a reply. Raises
+        `OptionError`: the configuration gives a time that is shorter than a reply may take.
         """
         options = self._options[axis].line
         if options.reply_limit_s is None:
@@ -194,10 +176,7 @@ class Commissioning:
     def prepare(self, bus: SerialBus, descriptions: Mapping[str, Description]) -> list[AxisFacts]:
         """Read the state of all drives on an open line, and write their configuration; none is enabled.
 
-        Raises
-        ------
-        DriveError
-            A drive does not answer, refuses, is powered already, or does not match its description.
+        Raises `DriveError`: a drive does not answer, refuses, is powered already, or does not match its description.
         """
         if not bus.protocol.numbers_replies:
             bus.discard_input(REPLY_LIMIT_S)
@@ -247,10 +226,7 @@ class Commissioning:
     def drive_findings(self, axis: str, description: Description) -> Iterator[Finding]:
         """Report the sources of a drive's description and its watchdog; nothing is sent.
 
-        Raises
-        ------
-        UsageError
-            The time of its watchdog does not fit the period.
+        Raises `UsageError`: the time of its watchdog does not fit the period.
         """
         yield _sources(axis, description)
         if description.watchdog is not None or not self._options[axis].is_watchdog_required:

@@ -295,23 +295,9 @@ def ready(directory: Path) -> dict[str, Path]:
 def load_description(given: str, beside: Path | None, directory: Path, kind: type[Kind]) -> Kind:
     """Read a description: a file, or one of those in ``directory`` by its name.
 
-    Parameters
-    ----------
-    given : str
-        Path of a file, ending in .yaml, or a name.
-    beside : Path, optional
-        Path of the configuration; a relative path of the description starts from its directory.
-    directory : Path
-        Directory of the descriptions that come with the driver.
-    kind : type
-        Class of the protocol's descriptions.
-
-    Raises
-    ------
-    ConfigurationError
-        The file has mistakes; the error lists each with its line.
-    UsageError
-        There is no description of that name; the message lists the known ones.
+    ``given``: path of a file, ending in .yaml, or a name. ``beside``: path of the configuration; a relative path starts
+    from its directory. Raises `ConfigurationError`: the file has mistakes; it lists each with its line; `UsageError`:
+    no description has that name; it lists the known ones.
     """
     if given.endswith((".yaml", ".yml")):
         return read_section(Path(given) if beside is None else beside.parent / given, kind)

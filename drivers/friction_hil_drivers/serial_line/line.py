@@ -34,13 +34,7 @@ class LineGoneError(Exception):
 
 
 class Line:
-    """Serial port or TCP connection.
-
-    Parameters
-    ----------
-    options : LineOptions
-        Port and its settings.
-    """
+    """Serial port or TCP connection."""
 
     def __init__(self, options: LineOptions) -> None:
         self.options = options
@@ -61,10 +55,7 @@ class Line:
     def open(self) -> None:
         """Open the line; a TCP connection may take two seconds.
 
-        Raises
-        ------
-        BusError
-            The port does not exist or is in use, or no server accepts the connection.
+        Raises `BusError`: the port does not exist or is in use, or no server accepts the connection.
         """
         if self.options.is_tcp:
             address = tcp_address(self.options.port)
@@ -129,15 +120,8 @@ class Line:
     def read(self, *, is_ready: bool = True) -> bytes:
         """Return the bytes that have arrived; empty if none have.
 
-        Parameters
-        ----------
-        is_ready : bool
-            True if the system reports bytes: if there are none then, the adapter is gone.
-
-        Raises
-        ------
-        LineGoneError
-            The line is gone.
+        ``is_ready``: the system reports bytes; if there are none then, the adapter is gone. Raises `LineGoneError`: the
+        line is gone.
         """
         try:
             data = os.read(self.descriptor, _READ_SIZE)
@@ -155,10 +139,7 @@ class Line:
     def write(self, data: bytes) -> None:
         """Send ``data``.
 
-        Raises
-        ------
-        LineGoneError
-            The line is gone, or accepts no more bytes because the peer does not read them.
+        Raises `LineGoneError`: the line is gone, or accepts no more bytes because the peer does not read them.
         """
         try:
             if os.write(self.descriptor, data) == len(data):

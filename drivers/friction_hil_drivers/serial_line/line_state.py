@@ -116,28 +116,7 @@ ANONYMOUS_PERMISSIONS: Final[dict[Reception, Permission]] = {
 
 
 class LineState:
-    """Present state of one line; only `apply` changes it.
-
-    Parameters
-    ----------
-    names_drives : bool
-        True if each reply shows which drive it is from.
-
-    Attributes
-    ----------
-    reception : Reception
-    timeliness : Timeliness
-    permission : Permission
-        Permission in the state of the reception.
-    transitions, permissions : dict
-        Tables that are in force on this line.
-    is_normal : bool
-        True if replies are in step with the requests, and every drive answers in time.
-    is_discarding : bool
-        True if received bytes are dropped until the line is quiet.
-    is_noisy : bool
-        True if the line did not become quiet: commands without a reply do not wait for that.
-    """
+    """Present state of one line; only `apply` changes it. ``names_drives``: each reply shows which drive it is from."""
 
     def __init__(self, *, names_drives: bool) -> None:
         self.transitions = TRANSITIONS if names_drives else TRANSITIONS | ANONYMOUS_TRANSITIONS
@@ -159,5 +138,7 @@ class LineState:
     def _update(self) -> None:
         self.permission = self.permissions[self.reception]
         self.is_normal = self.reception is Reception.IN_SYNC and self.timeliness is Timeliness.ON_TIME
+        # received bytes are dropped until the line is quiet
         self.is_discarding = self.reception >= Reception.DISCARDING
+        # the line did not become quiet: commands without a reply do not wait for that
         self.is_noisy = self.reception in (Reception.NOISY, Reception.DISCARDING_NOISY)

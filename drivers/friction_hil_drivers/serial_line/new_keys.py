@@ -18,30 +18,15 @@ _NO_WATCHDOG = "the description has no watchdog: false accepts a drive that does
 def new_keys(
     wanted: Wanted,
     *,
-    address_key: str,
-    is_address_needed: bool,
-    directory: Path,
+    address_key: str,  # of the drive's address on its line
+    is_address_needed: bool,  # False if a line with a single drive needs no address
+    directory: Path,  # of the descriptions that come with the driver; `kind` is their class
     kind: type[Description],
-    simulated: Mapping[str, Any],
+    simulated: Mapping[str, Any],  # for a simulated drive: `description`, units, `baud` and `period_s`
 ) -> DriverKeys:
     """Return the keys that a newcomer needs; see `friction_hil.drive.Driver`.
 
-    Parameters
-    ----------
-    wanted : Wanted
-    address_key : str
-        Key of the drive's address on its line.
-    is_address_needed : bool
-        False if a line with a single drive needs no address.
-    directory, kind
-        Descriptions that come with the driver, and their class.
-    simulated : mapping
-        What is chosen for a simulated drive: ``description``, units, ``baud`` and ``period_s``.
-
-    Raises
-    ------
-    UsageError
-        There is no such description.
+    Raises `UsageError`: there is no such description.
     """
     chosen = simulated if wanted.is_simulated else {}
     port = wanted.bus or (f"/tmp/friction_hil_{wanted.name}" if wanted.is_simulated else FILL_IN)

@@ -21,13 +21,7 @@ TCP = "tcp://"
 
 
 def tcp_address(port: str) -> tuple[str, int]:
-    """Return host and port number of ``tcp://HOST:PORT``.
-
-    Raises
-    ------
-    ValueError
-        The text does not have this form.
-    """
+    """Return host and port number of ``tcp://HOST:PORT``. Raises `ValueError`: the text has another form."""
     host, _, number = port.removeprefix(TCP).rpartition(":")
     if not (port.startswith(TCP) and host and number.isascii() and number.isdigit() and 0 < int(number) < 0x10000):
         raise ValueError(f"is no {TCP}HOST:PORT, e.g. {TCP}192.168.0.5:502")

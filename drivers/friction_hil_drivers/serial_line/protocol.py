@@ -15,48 +15,25 @@ _SHOWN_BYTES = 24
 
 
 class ReplyError(Exception):
-    """Received bytes are no valid reply: a wrong checksum, an exception, a reply of another drive.
-
-    Parameters
-    ----------
-    message : str
-        Description of the received bytes, for the user.
-    is_complete : bool
-        True if the drive sends nothing more (an exception code, an error text). Otherwise more bytes may come, and the
-        line has to become quiet before the next request.
-    is_unsolicited : bool
-        True if the error may belong to an earlier request that has no reply.
-    """
+    """Received bytes are no valid reply: a wrong checksum, an exception, a reply of another drive."""
 
     def __init__(self, message: str, *, is_complete: bool = False, is_unsolicited: bool = False) -> None:
         super().__init__(message)
+        # the drive sends nothing more (an exception code, an error text); otherwise more bytes may come, and the line
+        # has to become quiet before the next request
         self.is_complete = is_complete
-        self.is_unsolicited = is_unsolicited
+        self.is_unsolicited = is_unsolicited  # the error may belong to an earlier request that has no reply
 
 
 @dataclass(slots=True)
 class Image:
-    """Process image of one drive: the values of its signals in the drive's own numbers, by name.
+    """Process image of one drive: the values of its signals in the drive's own numbers, by name."""
 
-    Attributes
-    ----------
-    values : dict of str to float
-        Values that were read last, or that are to be written.
-    fresh : set of str
-        Signals read since the set was last emptied.
-    """
-
-    values: dict[str, float] = field(default_factory=dict)
-    fresh: set[str] = field(default_factory=set)
+    values: dict[str, float] = field(default_factory=dict)  # read last, or to be written
+    fresh: set[str] = field(default_factory=set)  # signals read since the set was last emptied
 
     def put(self, names: Sequence[str], numbers: Sequence[float]) -> None:
-        """Store numbers that were read together.
-
-        Raises
-        ------
-        ReplyError
-            A number is not finite; none was stored.
-        """
+        """Store numbers that were read together. Raises `ReplyError`: a number is not finite; none was stored."""
         if not all(map(math.isfinite, numbers)):
             listed = ", ".join(f"{n} is {x}" for n, x in zip(names, numbers, strict=True) if not math.isfinite(x))
             raise ReplyError(listed, is_complete=True)
@@ -83,22 +60,13 @@ class Exchange(Protocol):
         ...
 
     def encode(self) -> bytes:
-        """Return the request with the values of the images.
-
-        Raises
-        ------
-        ValueError
-            A value is not finite.
-        """
+        """Return the request with the values of the images. Raises `ValueError`: a value is not finite."""
         ...
 
     def take(self, received: bytearray) -> bool:
         """Remove the reply from ``received`` and store it in the images; return True if it is complete.
 
-        Raises
-        ------
-        ReplyError
-            The bytes are no reply to this request.
+        Raises `ReplyError`: the bytes are no reply to this request.
         """
         ...
 
@@ -133,10 +101,7 @@ Part = TypeVar("Part")
 def only(parts: Sequence[Part], verb: str, names: Sequence[str]) -> Part:
     """Return the only block that holds some signals.
 
-    Raises
-    ------
-    ValueError
-        The signals lie in several blocks, or in none: no single request can ``verb`` them.
+    Raises `ValueError`: the signals lie in several blocks, or in none: no single request can ``verb`` them.
     """
     if len(parts) != 1:
         listed = "; ".join(map(str, parts))

@@ -13,13 +13,7 @@ def contradiction(
 ) -> str:
     """Return which of the signals ``names`` the drive does not hold as written, "" if it holds them all.
 
-    Parameters
-    ----------
-    description : Description
-    written, read : mapping of str to float
-        The drive's own numbers, by signal.
-    names : iterable of str
-        Signals that are compared; they are in both mappings.
+    ``written`` and ``read`` are the drive's own numbers; both have all ``names``.
     """
     differing = [name for name in names if not _is_kept(description, name, written[name], read[name])]
     return "; ".join(f"{name} = {written[name]:g} was written, {read[name]:g} is read back" for name in differing)

@@ -18,47 +18,18 @@ _MAX_DISCARD_NS = 20_000_000  # a line that is not quiet by then counts as noisy
 
 
 class ReplyReceiver:
-    """Takes replies from the bytes that were received, and keeps the state of the line.
-
-    Parameters
-    ----------
-    images : sequence of Image
-        Process images of all axes on the line.
-    silence_ns : int
-        Silence that has to pass between frames.
-    reply_limit_ns : int
-        Time after which an outstanding reply cannot come any more; 0 if replies are numbered.
-    anonymous_reply_ns : int
-        Longest time that a reply takes if replies do not show which drive they are from; 0 on other lines.
-    now_ns : callable
-        Monotonic time, ns.
-    show : callable
-        Returns received bytes as text, for messages.
-
-    Attributes
-    ----------
-    state : LineState
-    outstanding : deque of Exchange
-        Requests that were sent and not answered yet, in the order in which they will be answered.
-    refusals : Refusals
-        Commands that drives on the line refused.
-    last_error : str
-        Last error on the line, as text.
-    last_answer : str
-        Last error that was a drive's answer, e.g. an exception of Modbus, as ``last_error`` had it.
-    notices : list of str
-        Commands that drives refused, as text.
-    """
+    """Takes replies from the bytes that were received, and keeps the state of the line."""
 
     def __init__(
         self,
-        images: Sequence[Image],
+        images: Sequence[Image],  # of all axes on the line
         *,
-        silence_ns: int,
-        reply_limit_ns: int,
+        silence_ns: int,  # between frames
+        reply_limit_ns: int,  # after which an outstanding reply cannot come any more; 0 if replies are numbered
+        # longest time of a reply if replies do not show which drive they are from; 0 on other lines
         anonymous_reply_ns: int,
-        now_ns: Callable[[], int],
-        show: Callable[[bytearray], str],
+        now_ns: Callable[[], int],  # monotonic
+        show: Callable[[bytearray], str],  # received bytes as text, for messages
     ) -> None:
         self._show = show
         self._images = tuple(images)
@@ -69,14 +40,16 @@ class ReplyReceiver:
         self._stale_ns = max(self._min_discard_ns, anonymous_reply_ns)
         self._discard_end_ns = 0
         self.state = LineState(names_drives=not anonymous_reply_ns)
+        # sent and not answered yet, in the order in which they will be answered
         self.outstanding: deque[Exchange] = deque()
         self._callbacks: dict[Exchange, Callable[[], None]] = {}  # of queued and outstanding exchanges
         self._late = LateReplies()
         self._received = bytearray()
         self._unread_chars = 0  # sent since the last reply: the drive may not have read them yet
         self._sent_ns = self._received_ns = self._quiet_until_ns = 0
+        # as text; the second: the last one that was a drive's answer, e.g. an exception of Modbus
         self.last_error = self.last_answer = ""
-        self.notices: list[str] = []
+        self.notices: list[str] = []  # commands that drives refused
         self.refusals = Refusals(is_of_one_drive=len(self._images) == 1)
 
     @property

@@ -13,22 +13,13 @@ _MOST_LATE = 20.0  # times the limit: bytes that come still later belong to some
 
 
 class LateReplies:
-    """Record of replies that did not come in time, and of the drives that were asked.
-
-    Attributes
-    ----------
-    expected : list of (Exchange, int)
-        Exchanges whose reply may still come, in the order of their requests, each with its last moment (monotonic, ns).
-    silent : frozenset of str
-        Drives that did not answer the last request to them.
-    limit_ns : int
-        Time from a request until its reply is not expected any more, ns.
-    """
+    """Record of replies that did not come in time, and of the drives that were asked."""
 
     def __init__(self) -> None:
+        # whose reply may still come, in the order of their requests, each with its last moment (monotonic, ns)
         self.expected: list[tuple[Exchange, int]] = []
-        self.silent: frozenset[str] = frozenset()
-        self.limit_ns = 0
+        self.silent: frozenset[str] = frozenset()  # drives that did not answer the last request to them
+        self.limit_ns = 0  # from a request until its reply is not expected any more
         self._expired: tuple[Exchange, int] | None = None  # the last one, and when that was
 
     def expect(self, exchanges: Iterable[Exchange], until_ns: int) -> None:
@@ -91,28 +82,14 @@ class LateReplies:
 
 
 class Refusals:
-    """Counter of commands that drives refuse, by an error instead of the reply or by an unsolicited error.
-
-    Parameters
-    ----------
-    is_of_one_drive : bool
-        True if only one drive is on the line.
-
-    Attributes
-    ----------
-    count : int
-        Number of successive refused commands.
-    unconfirmed : deque of Exchange
-        Commands without a reply, the most recent last: an unsolicited error belongs to the last of them.
-    is_refused : bool
-        True if the drive has refused one of these since its last reply.
-    """
+    """Counter of commands that drives refuse, by an error instead of the reply or by an unsolicited error."""
 
     def __init__(self, *, is_of_one_drive: bool) -> None:
-        self._is_of_one_drive = is_of_one_drive
-        self.count = 0
+        self._is_of_one_drive = is_of_one_drive  # on the line
+        self.count = 0  # of successive refused commands
+        # commands without a reply, the most recent last: an unsolicited error belongs to the last of them
         self.unconfirmed: deque[Exchange] = deque(maxlen=_MAX_UNCONFIRMED)
-        self.is_refused = False
+        self.is_refused = False  # the drive has refused one of these since its last reply
         self._signals: set[str] = set()  # written by the refused commands; another command's success does not count
 
     def note(self, exchange: Exchange) -> None:

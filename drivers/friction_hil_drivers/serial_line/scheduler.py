@@ -37,49 +37,21 @@ _SEND, _WAIT, _TOO_LATE = Verdict
 
 
 class BusScheduler(ReplyReceiver):
-    """Sends requests on one line, and takes the replies to them; see also `ReplyReceiver`.
-
-    Parameters
-    ----------
-    line : Line
-    images : sequence of Image
-        Process images of all axes on the line.
-    silence_chars : float
-        Silence that has to pass between frames, in characters.
-    reply_limit_s : float
-        Time after which an outstanding reply cannot come any more, s; 0 if replies are numbered, so that a late one
-        is recognised.
-    now_ns : callable
-        Monotonic time, ns.
-    ahead_chars : int
-        Characters of requests that may be sent before the first of them is answered; 0: one request at a time.
-    anonymous_reply_s : float
-        Longest time that an undelayed reply takes, s, on a line on which replies do not show which of several drives
-        they are from; 0 on other lines.
-    show : callable
-        Returns received bytes as text, for messages.
-
-    Attributes
-    ----------
-    queue : deque of Exchange
-        Requests that are still to be sent.
-    sent : set of Exchange
-        Requests that were written to the line since the set was last emptied.
-    deadline_ns : int or None
-        Time by which replies to queued requests have to be complete; a request whose reply would be later is not sent.
-    """
+    """Sends requests on one line, and takes the replies to them; see also `ReplyReceiver`."""
 
     def __init__(
         self,
         line: Line,
-        images: Sequence[Image],
-        silence_chars: float,
+        images: Sequence[Image],  # of all axes on the line
+        silence_chars: float,  # between frames
+        # after which an outstanding reply cannot come any more; 0 if replies are numbered: a late one is recognised
         reply_limit_s: float,
-        now_ns: Callable[[], int] = time.monotonic_ns,
+        now_ns: Callable[[], int] = time.monotonic_ns,  # monotonic
         *,
-        ahead_chars: int = 0,
+        ahead_chars: int = 0,  # of requests that may be sent before the first is answered; 0: one request at a time
+        # longest time of an undelayed reply if replies do not show which drive they are from; 0 on other lines
         anonymous_reply_s: float = 0.0,
-        show: Callable[[bytearray], str] = shown,
+        show: Callable[[bytearray], str] = shown,  # received bytes as text, for messages
     ) -> None:
         character_ns = character_s(line.options) * 1e9
         super().__init__(
@@ -93,12 +65,12 @@ class BusScheduler(ReplyReceiver):
         self.line = line
         self._character_ns = round(character_ns)
         self._ahead_chars = ahead_chars
-        self.queue: deque[Exchange] = deque()
-        self.sent: set[Exchange] = set()
+        self.queue: deque[Exchange] = deque()  # still to be sent
+        self.sent: set[Exchange] = set()  # written to the line since the set was last emptied
         self._singles: dict[Exchange, Batch] = {}
         self.busy_until_ns = 0
         self._next_reopen_ns = 0
-        self.deadline_ns: int | None = None
+        self.deadline_ns: int | None = None  # a queued request whose reply would be complete later is not sent
 
     @property
     def keeps_silence(self) -> bool:
@@ -135,13 +107,8 @@ class BusScheduler(ReplyReceiver):
     def send_batch(self, batch: Batch, deadline_ns: int | None) -> bool:
         """Send the requests of an undisturbed cycle together; return False, with nothing done, if that is impossible.
 
-        `enqueue` and `advance` then send the same bytes in several steps.
-
-        Parameters
-        ----------
-        batch : Batch
-        deadline_ns : int or None
-            Time by which all replies have to be complete.
+        `enqueue` and `advance` then send the same bytes in several steps. All replies have to be complete by
+        ``deadline_ns``.
         """
         if self.queue or self._received or self.line.descriptor < 0:
             return False
@@ -165,10 +132,7 @@ class BusScheduler(ReplyReceiver):
     def poll(self, *, is_ready: bool = False) -> None:
         """Read the bytes that have arrived, handle replies, and send requests that may be sent.
 
-        Parameters
-        ----------
-        is_ready : bool
-            True if the operating system reports that bytes have arrived.
+        ``is_ready``: the operating system reports that bytes have arrived.
         """
         try:
             if self.line.descriptor >= 0 and (data := self.line.read(is_ready=is_ready)):
@@ -228,16 +192,8 @@ class BusScheduler(ReplyReceiver):
     def _verdict(self, batch: Batch, now_ns: int, deadline_ns: int | None, chars: int = 0) -> Verdict:
         """Decide if requests may be sent; all requests on the line obey this rule.
 
-        Parameters
-        ----------
-        batch : Batch
-            A single request, or the requests of an undisturbed cycle.
-        now_ns : int
-            Monotonic time.
-        deadline_ns : int or None
-            Time by which all replies have to be complete.
-        chars : int
-            Characters of other requests that precede it in the same write.
+        ``batch``: a single request, or those of an undisturbed cycle; all replies have to be complete by
+        ``deadline_ns``. ``chars``: of other requests that precede it in the same write.
         """
         outstanding = self.outstanding
         if not (batch.are_joint if self.state.is_normal else self._is_permitted(batch, is_joined=bool(chars))):

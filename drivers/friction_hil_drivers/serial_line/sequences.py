@@ -47,23 +47,12 @@ def _rule(description: Description, values: Mapping[str, float]) -> Rule | None:
 
 
 class Sequencer:
-    """Takes one drive from state to state.
-
-    Parameters
-    ----------
-    description : Description
-    before : sequence of Step
-        Steps that are written each time before the drive is enabled: its mode and its watchdog, which a restart of the
-        drive or the reset of a fault may have changed.
-
-    Attributes
-    ----------
-    problem : str
-        Message about the step that the drive does not follow; empty if there is none.
-    """
+    """Takes one drive from state to state."""
 
     def __init__(self, description: Description, before: Sequence[Step] = ()) -> None:
         self._description = description
+        # written each time before the drive is enabled: its mode and its watchdog, which a restart of the drive or the
+        # reset of a fault may have changed
         self._before = tuple(before)
         self._request = Request.LISTEN
         self._steps: tuple[Step, ...] = ()
@@ -73,7 +62,7 @@ class Sequencer:
         self._since_s = 0.0
         self._word = 0  # cia402: the controlword that the drive accepted last
         self._next_word = 0  # cia402: the one to write; it may have to wait on the line
-        self.problem = ""
+        self.problem = ""  # about the step that the drive does not follow; empty if there is none
 
     @property
     def is_enabling(self) -> bool:
@@ -83,10 +72,8 @@ class Sequencer:
     def acknowledge(self, differing: str = "") -> None:
         """Note that the drive accepted the values of `next_write`.
 
-        Parameters
-        ----------
-        differing : str
-            What the drive reports instead of these values, "" if nothing: the step is written again then.
+        ``differing``: what the drive reports instead of these values, "" if nothing; if it does, the step is written
+        again.
         """
         self._differing = differing
         self._is_written, self._word = not differing, self._next_word
@@ -94,14 +81,8 @@ class Sequencer:
     def next_write(self, request: Request, state: DriveState, time_s: float) -> Mapping[str, float]:
         """Return the values to write in this cycle, by signal; none if nothing is left to do.
 
-        Parameters
-        ----------
-        request : Request
-            Requested state; never `Request.LISTEN`.
-        state : DriveState
-            State that was reported last.
-        time_s : float
-            Time of the cycle, for the time-outs of steps, s.
+        ``request`` is never `Request.LISTEN`; ``state``: as reported last; ``time_s``: of the cycle, for the time-outs
+        of steps.
         """
         self._next_word = self._word
         if request is not self._request:
@@ -143,10 +124,7 @@ class Sequencer:
 def watchdog_steps(description: Description, time_s: float) -> tuple[Step, ...]:
     """Return the steps that enable the drive's watchdog; none if its description has no watchdog.
 
-    Raises
-    ------
-    ValueError
-        The time is too short or too long for the drive.
+    Raises `ValueError`: the time is too short or too long for the drive.
     """
     watchdog = description.watchdog
     if watchdog is None:

@@ -15,13 +15,7 @@ _ATTEMPTS = 5  # a bad line disturbs one, a drive that refuses a step refuses it
 
 
 def read_state(bus: SerialBus, axis: SerialAxis) -> None:
-    """Read the signals that show the state of a drive.
-
-    Raises
-    ------
-    DriveError
-        The drive does not answer.
-    """
+    """Read the signals that show the state of a drive. Raises `DriveError`: the drive does not answer."""
     for name in axis.state_signals:
         bus.transact(axis.name, bus.read_exchange(axis.name, name))
 
@@ -29,10 +23,7 @@ def read_state(bus: SerialBus, axis: SerialAxis) -> None:
 def write_step(bus: SerialBus, axis: SerialAxis, description: Description, step: Step) -> None:
     """Write one step, wait for the state that it leads to, and read back what the drive's watchdog depends on.
 
-    Raises
-    ------
-    DriveError
-        The drive refuses the step, does not reach the state, or holds another value than was written.
+    Raises `DriveError`: the drive refuses the step, does not reach the state, or holds another value than was written.
     """
     exchange = bus.write_exchange(axis.name, step.write)
     disturbance = ""
@@ -52,10 +43,7 @@ def write_step(bus: SerialBus, axis: SerialAxis, description: Description, step:
 def arm_watchdog(bus: SerialBus, axis: SerialAxis, description: Description, steps: Sequence[Step]) -> str:
     """Write the steps that set a drive's watchdog; return what is known of it then, in words.
 
-    Raises
-    ------
-    DriveError
-        The drive refuses a step, or holds another value than was written.
+    Raises `DriveError`: the drive refuses a step, or holds another value than was written.
     """
     watchdog = description.watchdog
     assert watchdog is not None
@@ -79,10 +67,7 @@ def arm_watchdog(bus: SerialBus, axis: SerialAxis, description: Description, ste
 def _write(bus: SerialBus, axis: SerialAxis, exchange: Exchange) -> str:
     """Write once; return what came that is no reply, "" if nothing did.
 
-    Raises
-    ------
-    DriveError
-        The drive refuses, or does not answer.
+    Raises `DriveError`: the drive refuses, or does not answer.
     """
     scheduler = bus.scheduler
     refusals, scheduler.last_error = scheduler.refusals.count, ""

@@ -148,23 +148,12 @@ def _make_bus(
 
 
 class ServicedDrive:
-    """One drive on an open line.
-
-    Parameters
-    ----------
-    bus : SerialBus
-    name : str
-        Name of the axis.
-    address : str
-        Where the drive is, for messages.
-    description : Description
-    image : Image
-    """
+    """One drive on an open line."""
 
     def __init__(self, bus: SerialBus, name: str, address: str, description: Description, image: Image) -> None:
         self._bus = bus
         self._name = name
-        self._address = address
+        self._address = address  # where the drive is, for messages
         self._description = description
         self._values = image.values
         self._before = DriveState.UNKNOWN

@@ -9,21 +9,11 @@ _TURN = 2.0 * math.pi
 
 @dataclass(frozen=True, slots=True)
 class AxisUnits:
-    """Units of an axis, from its configuration; NaN where they are not given.
+    """Units of an axis, from its configuration; NaN where they are not given."""
 
-    Attributes
-    ----------
-    counts_per_unit : float
-        Position counts per rad (m).
-    rated_torque : float
-        Torque at 100 %, N m (N).
-    torque_constant : float
-        N m (N) per ampere.
-    """
-
-    counts_per_unit: float = math.nan
-    rated_torque: float = math.nan
-    torque_constant: float = math.nan
+    counts_per_unit: float = math.nan  # of position, per rad (m)
+    rated_torque: float = math.nan  # at 100 %, N m (N)
+    torque_constant: float = math.nan  # N m (N) per ampere
 
 
 # SI value of one of each unit, for an axis; NaN if the configuration does not give the factor.
@@ -66,13 +56,7 @@ LINEAR = ("m", "m/s", "mm", "mm/s", "N")
 
 
 def saturated(value: float, low: float, high: float) -> float:
-    """Return the value within the bounds that is nearest to ``value``.
-
-    Raises
-    ------
-    ValueError
-        The value is not finite.
-    """
+    """Return the value within the bounds that is nearest to ``value``. Raises `ValueError`: the value is not finite."""
     if not math.isfinite(value):
         raise ValueError(f"{value} cannot be sent to a drive")
     return min(max(value, low), high)

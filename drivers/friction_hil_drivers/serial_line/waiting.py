@@ -30,29 +30,16 @@ class _Setting(ctypes.Structure):
 class PeriodicTimer:
     """Timer of the operating system (timerfd of Linux) that expires once a period, shortly before a given time.
 
-    Parameters
-    ----------
-    period_ns : int
-
-    Attributes
-    ----------
-    descriptor : int
-        Readable when the timer has expired since `clear`.
-    expiry_ns : int
-        One of its expiries, of the monotonic clock, ns; 0: it does not run.
-
-    Raises
-    ------
-    OSError
-        The operating system has no such timer.
+    Raises `OSError`: the operating system has no such timer.
     """
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
-        self.expiry_ns = 0
+        self.expiry_ns = 0  # one of its expiries, of the monotonic clock; 0: it does not run
         self._libc = ctypes.CDLL(None, use_errno=True)
         if not hasattr(self._libc, "timerfd_create"):
             raise OSError("no timerfd")
+        # readable when the timer has expired since `clear`
         self.descriptor: int = self._libc.timerfd_create(time.CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
         if self.descriptor < 0:
             raise OSError(ctypes.get_errno(), "timerfd_create")
@@ -60,12 +47,7 @@ class PeriodicTimer:
     def expire_before(self, moment_ns: int, now_ns: int) -> bool:
         """Return True if the timer expires shortly before ``moment_ns``; else set it to do so from the next period on.
 
-        Parameters
-        ----------
-        moment_ns : int
-            Time of the monotonic clock, the same in each period, ns.
-        now_ns : int
-            Present time of the monotonic clock, ns.
+        ``moment_ns``: the same in each period; both times are of the monotonic clock.
         """
         if moment_ns - now_ns > self._period_ns:  # not in this period
             return False
@@ -93,13 +75,7 @@ class PeriodicTimer:
 
 
 class LineSelector:
-    """Waits for bytes on some lines.
-
-    Parameters
-    ----------
-    period_ns : int, optional
-        Period of the times until which it usually waits, ns.
-    """
+    """Waits for bytes on some lines. ``period_ns``: of the times until which it usually waits."""
 
     def __init__(self, period_ns: int | None = None) -> None:
         self.timer: PeriodicTimer | None = None
@@ -110,21 +86,9 @@ class LineSelector:
         self._polled: list[int] = []
 
     def wait(self, descriptors: Sequence[int], until_ns: int, now_ns: int, *, is_periodic: bool) -> Collection[int]:
-        """Wait for bytes, a closed connection, or ``until_ns``; the wait may also end earlier.
+        """Wait for bytes, a closed connection, or ``until_ns``, or less long; return the descriptors that can be read.
 
-        Parameters
-        ----------
-        descriptors : sequence of int
-            Open file descriptors.
-        until_ns, now_ns : int
-            End of the wait and present time, of the monotonic clock, ns.
-        is_periodic : bool
-            True if ``until_ns`` is the same time in each period.
-
-        Returns
-        -------
-        collection of int
-            The descriptors that can be read.
+        Times are of the monotonic clock. ``is_periodic``: ``until_ns`` is the same time in each period.
         """
         wait_ns = until_ns - now_ns
         wait_ms = wait_ns // 1_000_000
@@ -163,27 +127,12 @@ class LineSelector:
 
 def run_schedulers(
     schedulers: Sequence[BusScheduler],
-    until_ns: int,
+    until_ns: int,  # monotonic; if the selector has a period, it should be the same time in each period
     selector: LineSelector,
     *,
-    until_answered: bool = True,
+    until_answered: bool = True,  # False: only until everything has been sent
 ) -> bool:
-    """Run schedulers until everything has been sent and answered, or until ``until_ns``.
-
-    Parameters
-    ----------
-    schedulers : sequence of BusScheduler
-    until_ns : int
-        Monotonic time, ns. If the selector has a period, it should be the same time in each period.
-    selector : LineSelector
-    until_answered : bool
-        True to wait for the replies too; False to wait only until everything has been sent.
-
-    Returns
-    -------
-    bool
-        True if everything has been sent (and answered).
-    """
+    """Run schedulers until all has been sent and answered, or until ``until_ns``; return False for the latter."""
     while True:
         lines: list[int] = []
         for scheduler in schedulers:

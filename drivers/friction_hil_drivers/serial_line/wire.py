@@ -17,18 +17,9 @@ def character_s(line: LineOptions) -> float:
 def wire_s(exchanges: Iterable[Exchange], line: LineOptions, silence_chars: float, ahead_chars: int = 0) -> float:
     """Compute the least time from the beginning of some exchanges to that of the next one after them, s.
 
-    One exchange takes request, silence, turn-around, reply and silence. A request that is sent ahead overlaps with the
-    replies to those before it. Commands without a reply have to come first: they are sent at the end of a cycle.
-
-    Parameters
-    ----------
-    exchanges : iterable of Exchange
-        Exchanges in the order in which they are made.
-    line : LineOptions
-    silence_chars : float
-        Silence after each frame, in characters.
-    ahead_chars : int
-        Characters of requests that may be sent before the first of them is answered; 0: one request at a time.
+    One exchange takes request, silence, turn-around, reply and silence. A request that is sent ahead, with at most
+    ``ahead_chars`` before the first of them is answered (0: one request at a time), overlaps with the replies to those
+    before it. Commands without a reply have to come first: they are sent at the end of a cycle.
     """
     character = character_s(line)
     silence_s = silence_chars * character
@@ -56,21 +47,8 @@ def check_rate(
 ) -> str:
     """Compare the time of a cycle on the wire with the period; return the result as text.
 
-    Parameters
-    ----------
-    plan : Plan
-        Exchanges of a cycle, which consists of the push, the longest background read, and the poll.
-    step : Exchange, optional
-        Longest step of a sequence, which replaces a background read.
-    line : LineOptions
-    silence_chars : float
-    ahead_chars : int
-    period_s : float
-
-    Raises
-    ------
-    UsageError
-        A cycle is longer than the period; the message has the arithmetic.
+    A cycle consists of the push, the longest background read, which ``step``, the longest of a sequence, may replace,
+    and the poll. Raises `UsageError`: it is longer than the period; the message has the arithmetic.
     """
 
     def time_s(*exchanges: Exchange) -> float:
@@ -103,61 +81,29 @@ def check_rate(
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Requests that are sent together, with the properties that the rule for sending needs.
-
-    Attributes
-    ----------
-    exchanges : tuple of Exchange
-    answered, refusable : tuple of Exchange
-        Requests with a reply, and requests without one that the drive may refuse by an error.
-    chars : int
-        Size of all requests, characters.
-    ahead_chars : int
-        Characters that are sent before the first request is answered; 0 if nothing follows a request with a reply.
-    wire_ns : int
-        Time that all requests and replies take on the wire, ns.
-    are_joint : bool
-        True if the requests may be sent in one write.
-    known_before : frozenset of Exchange
-        Exchanges that may be outstanding when the requests are sent.
-    is_single : bool
-        True for a single request, False for the requests of an undisturbed cycle.
-    """
+    """Requests that are sent together, with the properties that the rule for sending needs."""
 
     exchanges: tuple[Exchange, ...]
-    answered: tuple[Exchange, ...]
-    refusable: tuple[Exchange, ...]
-    chars: int
-    ahead_chars: int
-    wire_ns: int
-    are_joint: bool
-    known_before: frozenset[Exchange]
-    is_single: bool
+    answered: tuple[Exchange, ...]  # with a reply
+    refusable: tuple[Exchange, ...]  # without a reply, but the drive may refuse them by an error
+    chars: int  # of all requests
+    ahead_chars: int  # sent before the first request is answered; 0 if nothing follows a request with a reply
+    wire_ns: int  # that all requests and replies take on the wire
+    are_joint: bool  # they may be sent in one write
+    known_before: frozenset[Exchange]  # may be outstanding when the requests are sent
+    is_single: bool  # False for the requests of an undisturbed cycle
 
     @classmethod
     def of(
         cls,
         exchanges: Sequence[Exchange],
-        wire_ns: int,
-        before: Iterable[Exchange] = (),
+        wire_ns: int,  # that the exchanges take on the wire
+        before: Iterable[Exchange] = (),  # often outstanding when the requests are sent
         *,
-        keeps_silence: bool,
+        keeps_silence: bool,  # has to pass between frames on the line
         is_single: bool = False,
     ) -> Self:
-        """Make a batch.
-
-        Parameters
-        ----------
-        exchanges : sequence of Exchange
-        wire_ns : int
-            Time that the exchanges take on the wire, ns.
-        before : iterable of Exchange
-            Exchanges that are often outstanding when the requests are sent.
-        keeps_silence : bool
-            True if silence has to pass between frames on the line.
-        is_single : bool
-            See `Batch`.
-        """
+        """Make a batch; ``is_single``: see `Batch`."""
         answered: list[Exchange] = []
         size = ahead_chars = 0
         are_joint = len(exchanges) < 2 or not keeps_silence

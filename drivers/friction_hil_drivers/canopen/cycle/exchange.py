@@ -114,14 +114,9 @@ class CyclicExchange(Listener):
             axis.start(now, is_real=self._clock.is_real)
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
-        """Send SYNC and collect the feedback of every drive until it is complete, or too late for this cycle.
+        """Send SYNC and collect all feedback until it is complete, or too late; ``end_ns``: time of the next SYNC.
 
-        Parameters
-        ----------
-        feedback : sequence of Feedback
-            Overwritten, one for each axis.
-        end_ns : int
-            Time of the next SYNC.
+        ``feedback`` is overwritten, one for each axis.
         """
         frame = self._bus.receive(0.0)
         if frame is not None:

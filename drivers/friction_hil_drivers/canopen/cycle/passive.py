@@ -47,10 +47,7 @@ def _listen(
 def _rhythm_notes(heard: HeardPdos, name: str, node: int, tpdos: Sequence["MappedPdo"], period_s: float) -> list[str]:
     """Return what is unusual in the rhythm of SYNC and of the TPDOs of an axis.
 
-    Raises
-    ------
-    DriveError
-        Two nodes send a TPDO.
+    Raises `DriveError`: two nodes send a TPDO.
     """
     notes = []
     if problem := heard.wrong_period(period_s):
@@ -165,10 +162,7 @@ def passive_exchange(
 ) -> PassiveExchange:
     """Return the exchange of a dry run beside another master, and add notes on what it sends to the axes.
 
-    Raises
-    ------
-    DriveError
-        A TPDO does not come, or two nodes send it.
+    Raises `DriveError`: a TPDO does not come, or two nodes send it.
     """
     wanted = {pdo.cob_id: axis for axis in axes for pdo in axis.drive.tpdos}
     heard = _listen(bus, others, wanted, clock, sync_id)

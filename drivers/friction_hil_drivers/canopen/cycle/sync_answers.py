@@ -9,31 +9,18 @@ _MOST_MISSING = 1000
 
 
 class SyncAnswers:
-    """Count of SYNCs and of the TPDOs that answer them, of one node.
-
-    Parameters
-    ----------
-    count : int
-        Number of TPDOs that answer each SYNC.
-
-    Attributes
-    ----------
-    is_late : bool
-        TPDOs answer an earlier SYNC than the last one; a probe has shown it.
-    open : int
-        SYNCs that were not answered, summed over the TPDOs; 0: the last TPDOs answer the last SYNC.
-    """
+    """Count of SYNCs and of the TPDOs that answer them, of one node."""
 
     __slots__ = ("_answered", "_count", "_is_probe", "_syncs", "_taken", "is_late", "open")
 
     def __init__(self, count: int) -> None:
-        self._count = count
+        self._count = count  # TPDOs that answer each SYNC
         self._syncs = 0
         self._taken = [0] * count  # answers of each TPDO; those that are lost for good are among them
         self._answered = 0  # TPDOs that came in this cycle: bit n for TPDO n
         self._is_probe = False
-        self.open = 0
-        self.is_late = False
+        self.open = 0  # SYNCs not answered, summed over the TPDOs; 0: the last TPDOs answer the last SYNC
+        self.is_late = False  # TPDOs answer an earlier SYNC than the last one; a probe has shown it
 
     @property
     def is_settled(self) -> bool:

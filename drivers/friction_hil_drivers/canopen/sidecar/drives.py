@@ -64,10 +64,8 @@ class SidecarDrives(BusDrives):
     def connect(self) -> Sequence[AxisFacts]:
         """Listen to SYNC and to the PDOs that the configuration names; nothing is sent.
 
-        Raises
-        ------
-        BusError, DriveError
-            The bus does not open, there is no usable SYNC, or a PDO is not as the configuration says.
+        Raises `BusError`: the bus does not open; `DriveError`: there is no usable SYNC, or a PDO is not as the
+        configuration says.
         """
         bus, bitrate = self._open_bus(), self._bus_config.bitrate
         self._axes = [self._make_axis(name, axis) for name, axis in self._configs.items()]
@@ -104,10 +102,7 @@ class SidecarDrives(BusDrives):
     def close(self) -> list[DriveState]:
         """Send a last torque offset of zero and leave the bus.
 
-        Returns
-        -------
-        list of DriveState
-            Empty: the drives are another controller's, and were not stopped.
+        Returns no states: the drives are another controller's, and were not stopped.
         """
         if self._bus is not None:
             try:
@@ -169,10 +164,7 @@ class SidecarDrives(BusDrives):
     def _acquire(self, count: int) -> HeardPdos:
         """Lock to SYNC; return what was heard meanwhile.
 
-        Raises
-        ------
-        DriveError
-            SYNC does not come, or not as it should.
+        Raises `DriveError`: SYNC does not come, or not as it should.
         """
         sync_id, name = self._bus_config.sync_cob_id, bus_name(self._bus_config)
         problem = ""
@@ -202,10 +194,8 @@ class SidecarDrives(BusDrives):
     def _compare(self, axis: SidecarAxis, heard: HeardPdos) -> list[str]:
         """Compare what was heard with the configuration; return notes.
 
-        Raises
-        ------
-        DriveError
-            A PDO has another length or another rhythm, two nodes send one, or somebody sends what the daemon sends.
+        Raises `DriveError`: a PDO has another length or another rhythm, two nodes send one, or somebody sends what the
+        daemon sends.
         """
         name, sizes = axis.facts.name, heard.sizes
         for own in self._own_identifiers(name, axis):

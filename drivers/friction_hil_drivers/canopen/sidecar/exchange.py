@@ -75,12 +75,7 @@ class SidecarExchange(Listener):
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
         """Wait for SYNC and collect what follows it, until it is complete or too late for this cycle.
 
-        Parameters
-        ----------
-        feedback : sequence of Feedback
-            Overwritten, one for each axis.
-        end_ns : int
-            Time at which the next cycle begins.
+        ``feedback`` is overwritten, one for each axis. ``end_ns``: when the next cycle begins.
         """
         if self._clock.is_real:
             has_sync = self._await_sync(end_ns)

@@ -90,10 +90,7 @@ class SidecarOptions(BaseModel):
 def mapped(pdo: SidecarPdo) -> MappedPdo:
     """Return a PDO with those of its entries that the daemon uses; the layout passes over the others.
 
-    Raises
-    ------
-    ValueError
-        The width of an entry is not known, or not possible.
+    Raises `ValueError`: the width of an entry is not known, or not possible.
     """
     entries: list[Object] = []
     layout = "<"

@@ -46,7 +46,8 @@ def switch_off(
     bus: "FrameBus",
     axes: Sequence[tuple[str, int, int]],
     meanwhile: Callable[[], float] | None,
-    frames: "LastFrames | None",
+    frames: "LastFrames | None",  # that the drives wait for meanwhile
+    # as the TPDOs have just shown; counts where a node is still there, and only its SDO server is too slow
     told: Mapping[str, DriveState],
 ) -> tuple[dict[str, DriveState], BusError | None]:
     """Disable every drive, and stop the exchange of PDOs.
@@ -54,22 +55,8 @@ def switch_off(
     A drive that does not answer, or keeps its power, goes on watching: it trips when the daemon is silent. In
     Pre-operational it would react as to a lost connection, so it is disabled first.
 
-    Parameters
-    ----------
-    bus, axes, meanwhile
-        See `disable`.
-    frames : LastFrames or None
-        What the drives wait for meanwhile.
-    told : mapping of str to DriveState
-        States that the TPDOs have shown just now. They count where a node is still there, and only its SDO server does
-        not tell the state within its time.
-
-    Returns
-    -------
-    states : dict of str to DriveState
-        State of each axis as read back, UNKNOWN where it was not.
-    failure : BusError or None
-        Why a node could not be sent to Pre-operational: the other drives come first.
+    Returns the state of each axis as read back, UNKNOWN where it was not, and why a node could not be sent to
+    Pre-operational, if one could not: the other drives come first.
     """
     # the last RPDO would take effect at the next SYNC, which is not sent any more; this does at once
     while bus.receive(0.0) is not None:
@@ -126,20 +113,13 @@ def send_nmt(bus: "FrameBus", command: cia301.NmtCommand, node: int) -> None:
 
 def disable(
     bus: "FrameBus",
-    axes: Iterable[tuple[str, int, int]],
-    meanwhile: Callable[[], float] | None = None,
+    axes: Iterable[tuple[str, int, int]],  # name, node, number of the axis in its node
+    meanwhile: Callable[[], float] | None = None,  # see `Conversation`, as for `heard`
     heard: Callable[["Frame"], None] | None = None,
 ) -> dict[str, DriveState]:
     """Write controlword 0 to drives and return what they report then, UNKNOWN where one does not answer.
 
     All nodes are asked at the same time, so that one that is gone does not hold up the others.
-
-    Parameters
-    ----------
-    bus : FrameBus
-    axes : iterable of (name, node, number of the axis in its node)
-    meanwhile, heard : callable, optional
-        See `Conversation`.
     """
     names: dict[int, dict[int, str]] = {}
     for name, node, number in axes:
@@ -164,11 +144,7 @@ def restore(client: "SdoClient", state: DriveState | None = None) -> list[str]:
     A drive that has power, or whose state is not known, is left as it is: its watchdogs among others must not be
     switched off.
 
-    Parameters
-    ----------
-    client : SdoClient
-    state : DriveState, optional
-        What was read back of the node just now; without it, the drive's state is read.
+    ``state``: as just read back; without it, the drive's state is read.
     """
     journal = client.journal
     if not journal or not journal.what_is_left():

@@ -36,36 +36,18 @@ class SimulatedDrive:
     """Signals, states and watchdog of a drive, and the servo that it drives.
 
     Numbers of positions do not wrap: the protocol's responder wraps the numbers that it sends to the width of the
-    signal, and unwraps received ones to the number nearest to the present position.
-
-    Parameters
-    ----------
-    name : str
-        Name of the axis, for messages.
-    description : Description
-        Description of the drive.
-    servo : Servo
-        Simulated servo; its set-point period is the master's.
-    mode : Mode
-        Mode of operation. A torque command is the total torque in CST and an offset otherwise.
-    units : AxisUnits
-        Units of the axis; NaN for counts and rated torque means those of the servo.
-    sync_steps : int or None
-        Integration steps by which each `sample` advances the servo; None: `advance_to` advances it.
-
-    Raises
-    ------
-    UsageError
-        A signal has a unit for which the configuration gives no factor, or no number of the drive shows a state.
+    signal, and unwraps received ones to the number nearest to the present position. Raises `UsageError`: a signal has a
+    unit for which the configuration gives no factor, or no number of the drive shows a state.
     """
 
     def __init__(
         self,
         name: str,
         description: Description,
-        servo: "Servo",
-        mode: Mode,
-        units: AxisUnits,
+        servo: "Servo",  # its set-point period is the master's
+        mode: Mode,  # a torque command is the total torque in CST and an offset otherwise
+        units: AxisUnits,  # NaN for counts and rated torque means those of the servo
+        # integration steps by which each `sample` advances the servo; None: `advance_to` advances it
         sync_steps: int | None = None,
     ) -> None:
         self.description = description
@@ -125,10 +107,7 @@ class SimulatedDrive:
     def advance_to(self, now_ns: int) -> None:
         """Advance to the time ``now_ns`` after the start; with pace sync, do nothing.
 
-        Raises
-        ------
-        DriveError
-            The simulated servo diverged.
+        Raises `DriveError`: the simulated servo diverged.
         """
         if self._sync_steps is None:
             self._advance(now_ns * self._per_second // 1_000_000_000 - self._steps)
@@ -170,12 +149,8 @@ class SimulatedDrive:
         """Write a signal: a command, a number of a sequence or the time of the watchdog.
 
         A number written while the drive has no supply is lost. Commands take effect while the drive is enabled, once
-        all commands of its mode have come; until then it holds its position, or gives no torque.
-
-        Raises
-        ------
-        RefusedError
-            The signal cannot be written, or not with this number.
+        all commands of its mode have come; until then it holds its position, or gives no torque. Raises `RefusedError`:
+        the signal cannot be written, or not with this number.
         """
         if name not in self._takes:
             raise RefusedError(f"{name} cannot be written")

@@ -31,15 +31,8 @@ class ResponderFactory(Protocol):
 class SimulatedSerialDrives(SimulatedDriver):
     """Simulated drives of one protocol, on the lines of their axes. A protocol sets the class attributes.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        Configuration of the run, of which the period is used.
-    axes : mapping of str to AxisConfig
-        Axes to simulate, each with its ``simulation``.
-    pace : {"real", "sync"}
-        real: time is that of the monotonic clock, and characters take time on the line. sync: each request that reads
-        the position advances the time by one period of the configuration.
+    ``pace`` real: time is that of the monotonic clock, and characters take time on the line; sync: each request that
+    reads the position advances the time by one period of the configuration.
     """
 
     Options = SerialSimulation
@@ -64,20 +57,11 @@ class SimulatedSerialDrives(SimulatedDriver):
         return private_configuration(configuration, folder)
 
     def open(self) -> str:
-        """Compile the simulation and open the ports.
+        """Compile the simulation and open the ports; return axes, addresses and ports, as text.
 
-        Returns
-        -------
-        str
-            Axes, addresses and ports, as text.
-
-        Raises
-        ------
-        BusError
-            A port does not open.
-        ConfigurationError, UsageError
-            A description has mistakes or does not fit the axis, the period is not a whole number of integration steps,
-            or axes on one line differ in its faults.
+        Raises `BusError`: a port does not open; `ConfigurationError` or `UsageError`: a description has mistakes or
+        does not fit the axis, the period is not a whole number of integration steps, or axes on one line differ in its
+        faults.
         """
         groups: dict[str, list[str]] = {}
         for name in self._axes:
@@ -89,13 +73,7 @@ class SimulatedSerialDrives(SimulatedDriver):
             raise
 
     def run(self, is_stopping: Callable[[], bool]) -> None:
-        """Serve the lines until ``is_stopping()`` is true.
-
-        Raises
-        ------
-        DriveError
-            A simulated servo diverged.
-        """
+        """Serve the lines until ``is_stopping()`` is true. Raises `DriveError`: a simulated servo diverged."""
         if not self.lines:
             raise BusError("no port is open: call open() first")
         if not self._is_real:

@@ -11,28 +11,14 @@ _MOST_NOISE = 4  # stray bytes
 
 @dataclass(frozen=True, slots=True)
 class Spoiled:
-    """Faults of one reply.
+    """Faults of one reply."""
 
-    Attributes
-    ----------
-    pieces : tuple of bytes
-        Parts of the reply, in order; none if the reply is lost.
-    is_late : bool
-        True if the reply comes late.
-    """
-
-    pieces: tuple[bytes, ...]
+    pieces: tuple[bytes, ...]  # of the reply, in order; none if it is lost
     is_late: bool = False
 
 
 class Faults:
-    """Draws the faults of each reply.
-
-    Parameters
-    ----------
-    options : LineFaults
-        Probabilities of the faults.
-    """
+    """Draws the faults of each reply."""
 
     def __init__(self, options: LineFaults) -> None:
         self._options = options

@@ -47,10 +47,7 @@ class Port(Protocol):
 def open_port(line: LineOptions) -> Port:
     """Open the port to which masters connect at ``line.port``.
 
-    Raises
-    ------
-    BusError
-        The path or address is in use, or the system refuses it.
+    Raises `BusError`: the path or address is in use, or the system refuses it.
     """
     return TcpPort(line.port) if line.is_tcp else PtyPort(Path(line.port))
 
@@ -58,15 +55,8 @@ def open_port(line: LineOptions) -> Port:
 class PtyPort:
     """A pseudo-terminal, at a stable path by a symbolic link.
 
-    Parameters
-    ----------
-    path : Path
-        Path of the link. Only a link that an earlier simulation left behind, or one without a target, is replaced.
-
-    Raises
-    ------
-    BusError
-        The path is in use, or the link cannot be made.
+    Only a link that an earlier simulation left behind, or one without a target, is replaced. Raises `BusError`: the
+    path is in use, or the link cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
@@ -137,15 +127,7 @@ class PtyPort:
 class TcpPort:
     """A listening socket that serves one master at a time; others are refused until it has gone.
 
-    Parameters
-    ----------
-    address : str
-        ``tcp://HOST:PORT``.
-
-    Raises
-    ------
-    BusError
-        The address is in use, or does not belong to this machine.
+    ``address``: ``tcp://HOST:PORT``. Raises `BusError`: it is in use, or does not belong to this machine.
     """
 
     def __init__(self, address: str) -> None:

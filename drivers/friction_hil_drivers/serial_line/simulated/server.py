@@ -42,36 +42,19 @@ class SimulatedLine:
 
     Each direction has a time of its own, which is right for a master that does not send during a reply. With pace sync
     nothing takes time.
-
-    Parameters
-    ----------
-    port : Port
-        Port of the master.
-    responder : Responder
-        Answers the requests for all drives of the line.
-    drives : sequence of SimulatedDrive
-        Drives of the line. They are advanced to the end of a request before the responder answers it.
-    options : LineOptions
-        Options of the line. On a TCP connection only the drives' turn-around takes time.
-    faults : LineFaults
-        Simulated faults.
-    silence_chars : float
-        Silence between a request and its reply, in characters; an incomplete request is dropped after it. 0: requests
-        end without a silence.
-    is_real : bool
-        True with pace real, False with pace sync.
     """
 
     def __init__(
         self,
-        port: Port,
-        responder: Responder,
-        drives: Sequence[SimulatedDrive],
-        options: LineOptions,
+        port: Port,  # of the master
+        responder: Responder,  # for all drives of the line
+        drives: Sequence[SimulatedDrive],  # they are advanced to the end of a request before the responder answers it
+        options: LineOptions,  # on a TCP connection only the drives' turn-around takes time
         faults: LineFaults,
         *,
+        # between a request and its reply; an incomplete request is dropped after it; 0: requests end without one
         silence_chars: float,
-        is_real: bool,
+        is_real: bool,  # False with pace sync
     ) -> None:
         self.port = port
         self.expected_ns: int | None = None  # expected beginning of the next cycle
@@ -203,29 +186,16 @@ def _divided(data: bytes, end: bytes) -> list[bytes]:
 
 
 def serve(
-    lines: Sequence[SimulatedLine],
-    is_stopping: Callable[[], bool],
+    lines: Sequence[SimulatedLine],  # all of this thread
+    is_stopping: Callable[[], bool],  # called often
     *,
-    period_ns: int,
+    period_ns: int,  # of the master
+    # of busy waiting before each event, and around the expected beginning of the next cycle, so that the reply does not
+    # wait for this process to wake up
     spin_ns: int,
     now_ns: Callable[[], int] = time.monotonic_ns,
 ) -> None:
-    """Serve lines in step with a clock until ``is_stopping()`` is true.
-
-    Parameters
-    ----------
-    lines : sequence of SimulatedLine
-        All lines of this thread.
-    is_stopping : callable
-        Called often; returns True to end.
-    period_ns : int
-        Period of the master, ns.
-    spin_ns : int
-        Time of busy waiting before each event, and around the expected beginning of the next cycle, so that the reply
-        does not wait for this process to wake up, ns.
-    now_ns : callable
-        Clock, ns.
-    """
+    """Serve lines in step with a clock until ``is_stopping()`` is true."""
     start_ns = now_ns()
     now = advanced = 0
     while not is_stopping():

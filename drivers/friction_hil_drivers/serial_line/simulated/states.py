@@ -29,14 +29,7 @@ class StateMachine(Protocol):
     def wanted(self, name: str, values: Mapping[str, float], state: DriveState) -> DriveState:
         """Return the state that follows ``state`` when the signal ``name`` was written.
 
-        Parameters
-        ----------
-        name : str
-            Signal that was written.
-        values : mapping of str to float
-            Last written numbers of all signals, including this one.
-        state : DriveState
-            Present state.
+        ``values``: numbers of all signals as written last, including this one.
         """
         ...
 
@@ -56,10 +49,7 @@ class StateMachine(Protocol):
 def state_machine(description: Description) -> StateMachine:
     """Return the state machine of a description.
 
-    Raises
-    ------
-    UsageError
-        A sequence waits for a state that no numbers of the drive show.
+    Raises `UsageError`: a sequence waits for a state that no numbers of the drive show.
     """
     return Cia402States(description) if description.state_machine == "cia402" else DescribedStates(description)
 
@@ -221,14 +211,7 @@ def telling_numbers(
 ) -> dict[str, float] | None:
     """Return numbers of the rules' signals for which the first rule that fits gives ``state``; None if none do.
 
-    Parameters
-    ----------
-    rules : sequence of Rule
-        Rules of a description.
-    state : DriveState
-        State to show.
-    preferred : mapping of str to iterable of int
-        Numbers to prefer, by signal.
+    ``preferred``: numbers to prefer, by signal.
     """
     signals = {rule.signal for rule in rules}
     for index, rule in enumerate(rules):
