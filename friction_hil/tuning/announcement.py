@@ -35,17 +35,8 @@ def experiment_text(
 ) -> str:
     """Describe the experiment of an axis.
 
-    Parameters
-    ----------
-    run : Configuration
-        From `friction_hil.tuning.motions.experiment_run`.
-    name : str
-    bounds : ExperimentBounds
-        Its travel and velocity.
-    duration_s : float
-        Duration of all runs, s.
-    parts_s : sequence of float
-        Lengths of its parts, s.
+    ``run``: from `friction_hil.tuning.motions.experiment_run`. ``bounds``: travel and velocity of the experiment.
+    ``duration_s``: of all runs. ``parts_s``: lengths of its parts, s.
     """
     axis = run.axes[name]
     unit = _unit(axis)
@@ -88,24 +79,12 @@ def _presliding(run: Configuration, bounds: ExperimentBounds, unit: str) -> str:
 
 
 def trial_text(
-    run: Configuration,
-    bounds: Mapping[str, ExperimentBounds],
-    labels: Sequence[Mapping[str, str]],
-    duration_s: float,
+    run: Configuration,  # from `friction_hil.tuning.motions.trial_run`
+    bounds: Mapping[str, ExperimentBounds],  # of these axes
+    labels: Sequence[Mapping[str, str]],  # label of the model by axis, for each run with compensation
+    duration_s: float,  # of each run
 ) -> str:
-    """Describe the runs of a trial: the motions of each axis, and what compensates it in each run.
-
-    Parameters
-    ----------
-    run : Configuration
-        From `friction_hil.tuning.motions.trial_run`.
-    bounds : dict of ExperimentBounds
-        Of these axes.
-    labels : sequence of dict of str
-        Label of the model by axis, for each run with compensation.
-    duration_s : float
-        Duration of each run, s.
-    """
+    """Describe the runs of a trial: the motions of each axis, and what compensates it in each run."""
     speeds = allowed_speeds(run, bounds)
     lines = [line for name in bounds for line in _motions(name, run, speeds[name])]
     turns = ", ".join(["without compensation", *(f"compensated by {_models(each)}" for each in labels)])

@@ -28,18 +28,10 @@ CandidateFit = tuple[Identification, Fit]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExperimentPart:
-    """A part of an experiment, complete in itself.
+    """A part of an experiment, complete in itself."""
 
-    Attributes
-    ----------
-    recording : Recording
-        Of a run of `friction_hil.tuning.motions.experiment_run`, with a torque.
-    duration_s : float
-        Length that was given to it, s.
-    """
-
-    recording: Recording
-    duration_s: float
+    recording: Recording  # of a run of `friction_hil.tuning.motions.experiment_run`, with a torque
+    duration_s: float  # length that was given to it
 
 
 _LUGRE = "lugre"
@@ -58,32 +50,17 @@ _MOST_TURNING = 0.02  # of the travel
 
 
 def identified(
-    parts: Sequence[ExperimentPart],
-    configuration: Configuration,
-    families: Sequence[str],
+    parts: Sequence[ExperimentPart],  # all parts of the experiment of an axis
+    configuration: Configuration,  # from which these runs were made
+    families: Sequence[str],  # to fit; empty: all
     *,
-    on_fit: Callable[[FitStep], None],
+    on_fit: Callable[[FitStep], None],  # called before each fit
+    # called with a sentence on what cannot be identified, or what an internal error has cost
     on_problem: Callable[[str], None],
 ) -> list[Identification]:
     """Identify dynamic models from all of an experiment, and static ones from where the axis slides.
 
-    Parameters
-    ----------
-    parts : sequence of ExperimentPart
-        All parts of the experiment of an axis.
-    configuration : Configuration
-        From which these runs were made.
-    families : sequence of str
-        Families to fit; empty for all.
-    on_fit : callable
-        Called with a `FitStep` before each fit.
-    on_problem : callable
-        Called with a sentence on what cannot be identified, or what an internal error has cost.
-
-    Raises
-    ------
-    RecordingError
-        Nothing can be identified.
+    Raises `RecordingError`: nothing can be identified.
     """
     found: list[Identification] = []
     problem: RecordingError | None = None
@@ -113,10 +90,7 @@ def _identified(
 ) -> Identification:
     """Identify; an error of the program costs the families of these settings, not the experiment.
 
-    Raises
-    ------
-    RecordingError
-        Nothing can be identified.
+    Raises `RecordingError`: nothing can be identified.
     """
     try:
         return identify(recordings, settings, progress=on_fit)

@@ -43,24 +43,12 @@ class TriedModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisTuning:
-    """Result of tuning one axis.
+    """Result of tuning one axis."""
 
-    Attributes
-    ----------
-    candidates : tuple of TriedModel
-        Models that were tried.
-    file : Path
-        Model file of the best of them.
-    is_in_place : bool
-        True if the file is the one that the configuration names.
-    gains : tuple of GainTrial
-        Gains that were tried with the best model, the configured one first.
-    """
-
-    candidates: tuple[TriedModel, ...]
-    file: Path
-    is_in_place: bool
-    gains: tuple[GainTrial, ...] = ()
+    candidates: tuple[TriedModel, ...]  # models that were tried
+    file: Path  # model file of the best of them
+    is_in_place: bool  # the file is the one that the configuration names
+    gains: tuple[GainTrial, ...] = ()  # that were tried with the best model, the configured one first
 
     @property
     def recommended(self) -> GainTrial:
@@ -131,13 +119,8 @@ def keep_best(
 ) -> AxisTuning:
     """Write the best model to ``file``, and to the file that the configuration names if it helped.
 
-    An existing file that the configuration names is left as it is. So is a missing one if the drives are simulated:
-    the real axis has another friction.
-
-    Raises
-    ------
-    FrictionHilError
-        A file cannot be written.
+    An existing file that the configuration names is left as it is. So is a missing one if the drives are simulated: the
+    real axis has another friction. Raises `FrictionHilError`: a file cannot be written.
     """
     best = best_of(candidates)
     model = {**best.model, "fit": {**best.model["fit"], "trial": best.trial.figures}}
@@ -151,13 +134,7 @@ def keep_best(
 
 
 def write_model(path: Path, model: dict[str, Any]) -> None:
-    """Write a model file after checking that it can be read again.
-
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be written.
-    """
+    """Write a model file after checking that it can be read again; a `FrictionHilError`: it cannot be written."""
     ModelFile.model_validate(model)
     try:
         path.write_text(dump(model), encoding="utf-8")
@@ -168,10 +145,7 @@ def write_model(path: Path, model: dict[str, Any]) -> None:
 def refuse_unwritable_model(name: str, axis: AxisConfig) -> None:
     """Refuse a model file that cannot be created where the configuration names it, before any axis moves for it.
 
-    Raises
-    ------
-    OptionError
-        The folder is missing or not writable.
+    Raises `OptionError`: the folder is missing or not writable.
     """
     wanted = axis.model.source_path
     if wanted is None or wanted.exists():

@@ -12,21 +12,12 @@ _TOO_FAST = 2.0  # times the highest speed of the experiment
 
 
 def with_torque(recording: Recording, mode: str) -> Recording:
-    """Return a recording whose column ``torque`` can be used for identification.
+    """Return the recording of an experiment with a column ``torque`` that can be used for identification.
 
-    For a drive that does not report its torque, that is the commanded torque at the time at which it acted.
+    For a drive that does not report its torque, that is the commanded torque at the time at which it acted. ``mode``:
+    ``csp``, ``csv`` or ``cst``.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of an experiment.
-    mode : str
-        ``csp``, ``csv`` or ``cst``.
-
-    Raises
-    ------
-    TuningError
-        The drive does not report its torque, and the command is not the whole torque either.
+    Raises `TuningError`: the drive does not report its torque, and the command is not the whole torque either.
     """
     [facts] = (each for each in recording.metadata["facts"] if each["name"] == recording.axis)
     if facts["torque_delay_s"] is not None:
@@ -49,19 +40,9 @@ def refuse_limit_cycle(recording: Recording, velocity: float, unit: str) -> str:
     its set-point, once or a few times in each stroke. An axis in a limit cycle reverses at such a speed more often than
     its set-point does.
 
-    Parameters
-    ----------
-    recording : Recording
-        The slow sweeps of an experiment: in fast ones any loop may lag by half a period.
-    velocity : float
-        Highest speed of the experiment, rad/s or m/s.
-    unit : str
-        rad or m.
-
-    Raises
-    ------
-    TuningError
-        The control loop oscillates.
+    ``recording``: the slow sweeps of an experiment: in fast ones any loop may lag by half a period. ``velocity``:
+    highest speed of the experiment, rad/s or m/s. ``unit``: rad or m. Raises `TuningError`: the control loop
+    oscillates.
     """
     is_running = recording["state"] == LoopState.RUNNING
     position, demand = recording["position"][is_running], recording["velocity_demand"][is_running]

@@ -27,20 +27,11 @@ _NEAR = 1.0 - 1e-9  # of the limit
 
 @dataclass(frozen=True, slots=True)
 class Clipping:
-    """How often the torque limit clipped the compensation.
+    """How often the torque limit clipped the compensation."""
 
-    Attributes
-    ----------
-    share : float
-        Of the rows.
-    limit : float
-        ``limits.torque``, N m or N.
-    enough : float or None
-        Limit that would not have clipped it; None where the loop's controller, not the compensation, reached the limit.
-    """
-
-    share: float
-    limit: float
+    share: float  # of the rows
+    limit: float  # ``limits.torque``, N m or N
+    # limit that would not have clipped it; None where the loop's controller, not the compensation, reached the limit
     enough: float | None
 
 
@@ -76,15 +67,8 @@ class Gains:
     The first higher gain is 1 less twice the standard deviation of the torque, as in learning; the next one is 1, which
     a drive bears if nothing is wrong but the parameters. Each is tried only if the one before was better.
 
-    Parameters
-    ----------
-    given : Compensation
-    trial : Trial
-        With the configured gain.
-    unknown : Unknown or None
-        What is unknown of the friction.
-    clipping : Clipping or None
-        In that trial.
+    ``trial`` is with the configured gain, and ``clipping`` is in that trial. ``unknown``: what is unknown of the
+    friction.
     """
 
     def __init__(self, given: Compensation, trial: Trial, unknown: Unknown | None, clipping: Clipping | None) -> None:
@@ -120,16 +104,8 @@ class Gains:
 def find_clipping(recording: Recording, axis: AxisConfig, period_s: float) -> Clipping | None:
     """Return how often ``limits.torque`` clipped the compensation of a run, and which limit would not have.
 
-    The compensator runs again over the recorded inputs, without a limit.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of the run.
-    axis : AxisConfig
-        Of that run.
-    period_s : float
-        Period of the loop, s.
+    The compensator runs again over the recorded inputs, without a limit. ``axis`` is of that run; ``period_s``: of the
+    loop.
     """
     limit = axis.limits.torque
     running = recording["state"] == LoopState.RUNNING

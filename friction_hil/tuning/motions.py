@@ -37,13 +37,7 @@ class TuningError(FrictionHilError):
 
 
 def refuse_shared_beam(name: str, configuration: Configuration) -> None:
-    """Refuse an axis that cannot move while the others stand still.
-
-    Raises
-    ------
-    OptionError
-        It is an axis of a gantry.
-    """
+    """Refuse an axis that cannot move while the others stand still; an `OptionError`: it is an axis of a gantry."""
     shared = configuration.simulation
     if shared is None or not isinstance(shared.mechanism, Gantry) or name not in shared.mechanism.axes:
         return
@@ -60,10 +54,8 @@ def refuse_shared_beam(name: str, configuration: Configuration) -> None:
 def experiment_of(name: str, axis: AxisConfig) -> ExperimentBounds:
     """Return how far and how fast an axis may move in its experiment.
 
-    Raises
-    ------
-    OptionError
-        The configuration does not define it, has no set-point for the axis, or disables the compensation.
+    Raises `OptionError`: the configuration does not define it, has no set-point for the axis, or disables the
+    compensation.
     """
     if axis.trajectory.kind == "none":
         raise OptionError(
@@ -105,10 +97,7 @@ def experiment_run(configuration: Configuration, name: str, part_s: float | None
 def shaken_run(configuration: Configuration, name: str) -> tuple[Configuration, float]:
     """Return the run in which one axis is shaken while it slides and the others are held, uncompensated; duration, s.
 
-    Raises
-    ------
-    UsageError
-        The bounds of the experiment leave no room for it.
+    Raises `UsageError`: the bounds of the experiment leave no room for it.
     """
     bounds = experiment_of(name, configuration.axes[name])
     given = {key: getattr(bounds, key) for key in ("velocity", "travel", "acceleration", "ramp_s")}
@@ -128,18 +117,10 @@ def part_bounds(configuration: Configuration, name: str, part_s: float | None = 
 
 
 def sliding_part(recording: Recording, configuration: Configuration, part_s: float | None = None) -> Recording:
-    """Return the slow sweeps of the experiment of an axis, for models without presliding.
+    """Return the slow sweeps from the recording of an `experiment_run`, for models without presliding.
 
     In the fast sweeps the torque depends on the position, like that of a spring: no map of the velocity describes it.
-
-    Parameters
-    ----------
-    recording : Recording
-        Recording of the run of `experiment_run`.
-    configuration : Configuration
-        Configuration from which that run was made.
-    part_s : float, optional
-        As given to `experiment_run`.
+    ``configuration``: from which that run was made; ``part_s``: as given to `experiment_run`.
     """
     name = recording.axis
     run, _ = experiment_run(configuration, name)
@@ -156,29 +137,16 @@ def sliding_part(recording: Recording, configuration: Configuration, part_s: flo
 
 def trial_run(
     configuration: Configuration,
-    models: Mapping[str, ModelFile],
-    resolutions: Mapping[str, float],
-    gains: Mapping[str, float] | None = None,
+    models: Mapping[str, ModelFile],  # to try, by axis
+    resolutions: Mapping[str, float],  # one count of the encoder by axis, rad or m
+    gains: Mapping[str, float] | None = None,  # by axis; None: the configured ones
 ) -> tuple[Configuration, float]:
     """Return the run in which axes make the motions of a trial, compensated by these models; its duration, s.
 
     The axes begin each motion together (`friction_hil.tuning.trial_motions`). One without a periodic trajectory makes a
     small sine as its own motion; one without a model to try is held.
 
-    Parameters
-    ----------
-    configuration : Configuration
-    models : dict of ModelFile
-        Model to try, by axis.
-    resolutions : dict of float
-        One count of the encoder by axis, rad or m.
-    gains : dict of float, optional
-        Gain by axis; by default the configured one.
-
-    Raises
-    ------
-    TuningError
-        A model lacks the inertia, and the compensation is configured to use it.
+    Raises `TuningError`: a model lacks the inertia, and the compensation is configured to use it.
     """
     motions, accelerations, ramps = {}, {}, [ramp_s(())]
     for name, model in models.items():

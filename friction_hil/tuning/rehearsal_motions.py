@@ -36,10 +36,7 @@ def simulated_motions(machine: SimulatedMachine) -> dict[str, tuple[Motion, ...]
     Axes of a mechanism make motions of the same name together, and only those that all of them have. Both sides of a
     gantry make those of the side with the coarser encoder, except for their own, or they would twist its beam.
 
-    Raises
-    ------
-    OptionError
-        An axis has neither a periodic trajectory nor an experiment.
+    Raises `OptionError`: an axis has neither a periodic trajectory nor an experiment.
     """
     each = [_motions_of(axis) for axis in machine.axes]
     if isinstance(machine.mechanism, Gantry):

@@ -44,23 +44,14 @@ _TOLD_APART = 1.3  # ratio of scores: smaller ones say nothing
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RehearsedFit:
-    """A fit and what it does in simulation.
-
-    Attributes
-    ----------
-    identification : Identification
-    fit : Fit
-    reductions : dict of (float, float)
-        Predicted factors by which RMS and peak of the following error fall, by motion; geometric means over the
-        plausible axes.
-    swings : tuple of str
-        Motions in which it swings, or makes the following error larger, on some plausible axis.
-    """
+    """A fit and what it does in simulation."""
 
     identification: Identification
     fit: Fit
+    # predicted factors by which RMS and peak of the following error fall, by motion; geometric means over the plausible
+    # axes
     reductions: dict[str, tuple[float, float]]
-    swings: tuple[str, ...]
+    swings: tuple[str, ...]  # motions in which it swings, or makes the following error larger, on some plausible axis
 
     @property
     def label(self) -> str:
@@ -84,19 +75,10 @@ def rehearse(
 ) -> tuple[RehearsedFit, ...]:
     """Return the fits of an axis with what they do in simulation: those that do not swing first, best first.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of the experiment, with a torque.
-    configuration : Configuration
-        From which that run was made.
-    found : sequence of Identification
-        Of that recording.
+    ``recording``: of the experiment, with a torque. ``configuration``: from which that run was made. ``found``: of that
+    recording.
 
-    Raises
-    ------
-    RecordingError
-        The loops of the drive, or any friction that can be simulated, are not known.
+    Raises `RecordingError`: the loops of the drive, or any friction that can be simulated, are not known.
     """
     axis = configuration.axes[recording.axis]
     facts = facts_of(recording.metadata, recording)

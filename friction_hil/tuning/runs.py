@@ -19,23 +19,15 @@ from friction_hil.tuning.settings import Dialog, TuneSettings
 
 
 class TuningRuns:
-    """Runs of the daemon into one folder.
-
-    Attributes
-    ----------
-    recordings : list of Path
-        Recordings so far.
-    warnings : list of str
-        Warnings of the daemon, each once; not those of limit cycles, which are results of a trial.
-    leftovers : list of str
-        What drives were left with after some run, in the words of their driver, each once.
-    """
+    """Runs of the daemon into one folder."""
 
     def __init__(self, settings: TuneSettings, dialog: Dialog) -> None:
         self._settings, self._dialog = settings, dialog
         self._reported: set[str] = set()
-        self.recordings: list[Path] = []
+        self.recordings: list[Path] = []  # so far
+        # of the daemon, each once; not those of limit cycles, which are results of a trial
         self.warnings: list[str] = []
+        # what drives were left with after some run, in the words of their driver, each once
         self.leftovers: list[str] = []
 
     def run(self, configuration: Configuration, duration_s: float, file: str, speeds: Mapping[str, float]) -> Path:
@@ -43,12 +35,8 @@ class TuningRuns:
 
         ``speeds`` are those that the axes may reach, by axis: one that is clearly faster ends the run.
 
-        Raises
-        ------
-        TuningError
-            The run met a fault, or rows of its recording were lost.
-        KeyboardInterrupt
-            The user stopped the run; the axes are at rest.
+        Raises `TuningError`: the run met a fault, or rows of its recording were lost; `KeyboardInterrupt`: the user
+        stopped the run, and the axes are at rest.
         """
         path = self._settings.folder / file
         session = SessionSettings(

@@ -62,28 +62,17 @@ def part_durations(duration_s: float) -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """What is unknown of the friction along the axis's own motion. Shares of the friction level.
+    """What is unknown of the friction along the axis's own motion. Shares of the friction level."""
 
-    Attributes
-    ----------
-    motion : str
-        That counts: ``own``, or ``slow sweeps`` of the experiment where the axis has no periodic motion.
-    deviation : float
-        Standard deviation of the torque by the errors of the parameters, root mean square along the motion.
-    change : float
-        By how much the torque that the last part shows differs from that of the parts before, root mean square; NaN
-        after the first part.
-    negligible : float
-        Share that does not matter: it adds 1 % to the following error that is left anyway.
-    parameters : dict of float
-        Share of each uncertain parameter in the variance, largest first. Those of parameters that make up for each
-        other add up to more than 1.
-    """
-
-    motion: str
+    motion: str  # that counts: ``own``, or ``slow sweeps`` of the experiment where the axis has no periodic motion
+    # standard deviation of the torque by the errors of the parameters, root mean square along the motion
     deviation: float
+    # by how much the torque that the last part shows differs from that of the parts before, root mean square; NaN after
+    # the first part
     change: float
-    negligible: float
+    negligible: float  # share that does not matter: it adds 1 % to the following error that is left anyway
+    # Share of each uncertain parameter in the variance, largest first. Those of parameters that make up for each other
+    # add up to more than 1.
     parameters: dict[str, float]
 
     @property
@@ -111,24 +100,12 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentResult:
-    """How long the experiment of an axis took, and why it ended.
+    """How long the experiment of an axis took, and why it ended."""
 
-    Attributes
-    ----------
-    parts_s : tuple of float
-        Lengths of the parts that were made, s.
-    longest_s : float
-        Configured duration, s.
-    unknown : Unknown or None
-        After the last part; None if there is no estimate.
-    problem : str
-        Why there is none.
-    """
-
-    parts_s: tuple[float, ...]
-    longest_s: float
-    unknown: Unknown | None
-    problem: str = ""
+    parts_s: tuple[float, ...]  # lengths of the parts that were made
+    longest_s: float  # configured duration
+    unknown: Unknown | None  # after the last part; None if there is no estimate
+    problem: str = ""  # why there is none
 
     @property
     def duration_s(self) -> float:
@@ -200,10 +177,7 @@ class Observer:
     def take(self, part: ExperimentPart) -> Unknown:
         """Return what is unknown after a further part.
 
-        Raises
-        ------
-        FrictionHilError
-            There is no estimate, e.g. because the axis hardly moves.
+        Raises `FrictionHilError`: there is no estimate, e.g. because the axis hardly moves.
         """
         recording = part.recording
         [facts] = (each for each in recording.metadata["facts"] if each["name"] == recording.axis)

@@ -13,32 +13,16 @@ from friction_hil.errors import UsageError, choices
 
 @dataclass(frozen=True, slots=True)
 class TuneSettings:
-    """Axes to tune, models to try, and the folder for the results.
+    """Axes to tune, models to try, and the folder for the results."""
 
-    Attributes
-    ----------
-    folder : Path
-        Folder for recordings, model files and reports; new or empty.
-    names : tuple of str
-        Axes to tune; empty for all.
-    families : tuple of str
-        Families of friction models to fit; empty for all.
-    is_fault_reset_wanted, is_paced_by_sync, is_status_shown : bool
-        As of `friction_hil.daemon.session.SessionSettings`.
-    is_shaken : bool
-        True if each axis is shaken too, to find resonances and what is behind the motor.
-    is_simulated : bool
-        True if the drives are simulated: their friction is not written to the file that the configuration names.
-    """
-
-    folder: Path
-    names: tuple[str, ...] = ()
-    families: tuple[str, ...] = ()
-    is_fault_reset_wanted: bool = False
+    folder: Path  # for recordings, model files and reports; new or empty
+    names: tuple[str, ...] = ()  # axes to tune; empty: all
+    families: tuple[str, ...] = ()  # of friction models to fit; empty: all
+    is_fault_reset_wanted: bool = False  # this and the next two: as of `friction_hil.daemon.session.SessionSettings`
     is_paced_by_sync: bool = False
     is_status_shown: bool = False
-    is_shaken: bool = False
-    is_simulated: bool = False
+    is_shaken: bool = False  # each axis is shaken too, to find resonances and what is behind the motor
+    is_simulated: bool = False  # the drives are: their friction is not written to the file that the configuration names
 
 
 class ShowStep(Protocol):
@@ -70,13 +54,7 @@ class Dialog(Protocol):
 
 
 def chosen_axes(configuration: Configuration, wanted: Sequence[str]) -> tuple[str, ...]:
-    """Return the axes to tune: those wanted, or all.
-
-    Raises
-    ------
-    UsageError
-        There is no such axis.
-    """
+    """Return the axes to tune: those wanted, or all; a `UsageError`: there is no such axis."""
     for name in wanted:
         if name not in configuration.axes:
             raise UsageError(f"no axis is called {name!r}; {choices(name, configuration.axes)}")
@@ -84,13 +62,7 @@ def chosen_axes(configuration: Configuration, wanted: Sequence[str]) -> tuple[st
 
 
 def claim(folder: Path) -> None:
-    """Create the folder of the results.
-
-    Raises
-    ------
-    UsageError
-        It is not empty, or not writable.
-    """
+    """Create the folder of the results; a `UsageError`: it is not empty, or not writable."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         is_empty = not any(folder.iterdir())

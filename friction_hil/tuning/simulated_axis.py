@@ -22,10 +22,7 @@ _PEAK_RATIO = 3.0  # torque of the drive over the largest that was recorded
 def drive_loops(recording: Recording, axis: AxisConfig, resolution: float) -> DriveLoops | None:
     """Return the identified loops of the drive, or None in CST, where the loops are those of the daemon.
 
-    Raises
-    ------
-    RecordingError
-        The torque of the drive does not follow the usual loops.
+    Raises `RecordingError`: the torque of the drive does not follow the usual loops.
     """
     if axis.mode == "cst":
         return None
@@ -35,29 +32,15 @@ def drive_loops(recording: Recording, axis: AxisConfig, resolution: float) -> Dr
 
 def simulated_axis(
     model: ModelFile,
+    # Identified, kg m^2 or kg; that of the model file may be a former one. If it is zero, the recording does not show
+    # it, and that of the drive's feed-forward is taken.
     inertia: float,
-    loops: DriveLoops | None,
-    recording: Recording,
-    period_s: float,
-    resolution: float,
+    loops: DriveLoops | None,  # from `drive_loops`
+    recording: Recording,  # of the experiment; its largest torque sets what the drive can give
+    period_s: float,  # of the loop: a whole number of integration steps
+    resolution: float,  # step of the position, SI
 ) -> ServoConfig | None:
-    """Return a servo with the friction of a model; None if no simulation has such a friction.
-
-    Parameters
-    ----------
-    model : ModelFile
-    inertia : float
-        Identified inertia, kg m^2 or kg; that of the model file may be a former one. If it is zero, the recording does
-        not show it, and that of the drive's feed-forward is taken.
-    loops : DriveLoops or None
-        From `drive_loops`.
-    recording : Recording
-        Experiment; its largest torque sets what the drive can give.
-    period_s : float
-        Period of the loop: a whole number of integration steps.
-    resolution : float
-        Step of the position, SI.
-    """
+    """Return a servo with the friction of a model; None if no simulation has such a friction."""
     mechanics = model.mechanics
     if not inertia > 0.0 and loops is not None:
         inertia = loops.inertia

@@ -23,27 +23,13 @@ _SLOWEST_LOOP_HZ = 100.0  # bandwidth of a current loop: what is slower is rathe
 
 @dataclass(frozen=True, slots=True)
 class TorqueLag:
-    """Torque lag of an axis.
+    """Torque lag of an axis."""
 
-    Attributes
-    ----------
-    value_s : float
-        Lag in the model file.
-    former_s : float
-        Lag of the former model, with which the trial ran; 0: none is stated.
-    estimate : LagEstimate or None
-        From the recordings of the trial; None if they allow none.
-    is_determined : bool
-        True if the trial shows the lag.
-    reason : str
-        Why the former one is kept; empty if it is not.
-    """
-
-    value_s: float
-    former_s: float
-    estimate: LagEstimate | None
-    is_determined: bool
-    reason: str
+    value_s: float  # lag in the model file
+    former_s: float  # lag of the former model, with which the trial ran; 0: none is stated
+    estimate: LagEstimate | None  # from the recordings of the trial; None if they allow none
+    is_determined: bool  # the trial shows the lag
+    reason: str  # why the former one is kept; empty if it is not
 
     @property
     def is_replaced(self) -> bool:
@@ -82,22 +68,12 @@ def find_torque_lag(
 ) -> TorqueLag:
     """Identify the torque lag of an axis, and decide whether it replaces that of the former model.
 
-    Parameters
-    ----------
-    without : Recording
-        Run of the trial without compensation.
-    compensated : sequence of Recording
-        Runs with the candidates.
-    axis : AxisConfig
-        With the former model.
-    timing : TorqueTiming or None
-        Age of the reported torque, if it was looked for.
-
-    Notes
-    -----
     A sample shows the sum of delay and lag. The delay until the command is in force is ``delay_s`` of the model, or
     what the driver states; the rest is the lag. A filter of the reported torque counts as lag too, unless the age of
     the torque is known. Therefore a stated lag is replaced only if the age is known and the lag found differs clearly.
+
+    ``without``: run of the trial without compensation; ``compensated``: runs with the candidates. ``axis``: with the
+    former model. ``timing``: age of the reported torque, if it was looked for.
     """
     former_s = axis.model.mechanics.torque_lag_s
     try:

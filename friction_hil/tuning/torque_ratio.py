@@ -26,21 +26,11 @@ _OTHER_FEEDBACK = {"none": "feedback", "feedback": "none", "command": "both", "b
 
 @dataclass(frozen=True, slots=True)
 class TorqueRatio:
-    """Reported over commanded torque of an axis.
+    """Reported over commanded torque of an axis."""
 
-    Attributes
-    ----------
-    former : float
-        Ratio with which the models of the trial are scaled; 1 where none is known.
-    estimate : RatioEstimate or None
-        From the recordings of the trial; None if they allow none.
-    reason : str
-        Why the trial does not determine the ratio; empty if it does.
-    """
-
-    former: float
-    estimate: RatioEstimate | None
-    reason: str
+    former: float  # ratio with which the models of the trial are scaled; 1 where none is known
+    estimate: RatioEstimate | None  # from the recordings of the trial; None if they allow none
+    reason: str  # why the trial does not determine the ratio; empty if it does
 
     @property
     def is_determined(self) -> bool:
@@ -87,14 +77,8 @@ class TorqueRatio:
 def find_torque_ratio(without: Recording, compensated: Sequence[Recording], axis: AxisConfig) -> TorqueRatio:
     """Identify the reported over the commanded torque of an axis.
 
-    Parameters
-    ----------
-    without : Recording
-        Run of the trial without compensation.
-    compensated : sequence of Recording
-        Runs with the candidates.
-    axis : AxisConfig
-        With the former model.
+    ``without``: run of the trial without compensation; ``compensated``: runs with the candidates. ``axis``: with the
+    former model.
     """
     former = axis.model.mechanics.torque_ratio
     delay_s = facts_of(compensated[0].metadata, compensated[0]).torque_delay_s
@@ -112,10 +96,7 @@ def find_torque_ratio(without: Recording, compensated: Sequence[Recording], axis
 def refuse_turned_torque(recording: Recording, axis: AxisConfig) -> None:
     """Refuse an experiment whose torque is reported with the wrong sign: no friction can be identified from it.
 
-    Raises
-    ------
-    TuningError
-        It names the key that turns it.
+    Raises `TuningError`: it names the key that turns it.
     """
     if not (text := turned_torque(recording)):
         return

@@ -24,30 +24,15 @@ _RMS_COUNTS = 0.3  # of the encoder: the RMS of its own rounding
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionTrial:
-    """Result of one motion of one axis.
+    """Result of one motion of one axis."""
 
-    Attributes
-    ----------
-    name : str
-        ``own``, ``slow``, ``small``, ``tiny``, ``rests`` or ``fast``; see `friction_hil.tuning.trial_motions`.
-    uncompensated, compensated : Figures
-        Following error without and with compensation, rad or m, over the same demand.
-    is_swinging : bool
-        True if the compensation made the axis oscillate in this motion, so that the daemon lowered the gain.
-    resolution : float
-        One count of the encoder, rad or m.
-    time_s : (m,) array
-        Time from the begin of what counts.
-    errors : ((m,) array, (m,) array)
-        Following error at these times without and with compensation, rad or m; NaN where the computer was late.
-    """
-
-    name: str
-    uncompensated: Figures
-    compensated: Figures
-    is_swinging: bool
-    resolution: float
-    time_s: Array
+    name: str  # ``own``, ``slow``, ``small``, ``tiny``, ``rests`` or ``fast``; see `friction_hil.tuning.trial_motions`
+    uncompensated: Figures  # following error without compensation, rad or m
+    compensated: Figures  # the same with it, over the same demand
+    is_swinging: bool  # the compensation made the axis oscillate in this motion, so that the daemon lowered the gain
+    resolution: float  # one count of the encoder, rad or m
+    time_s: Array  # (m,), from the begin of what counts
+    # (m,), following error at these times without and with compensation, rad or m; NaN where the computer was late
     errors: tuple[Array, Array]
 
     @property
@@ -72,15 +57,9 @@ class MotionTrial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """Result of one axis in the runs that try a model.
+    """Result of one axis in the runs that try a model."""
 
-    Attributes
-    ----------
-    motions : tuple of MotionTrial
-        The axis's own motion, then the others.
-    """
-
-    motions: tuple[MotionTrial, ...]
+    motions: tuple[MotionTrial, ...]  # the axis's own motion, then the others
 
     @property
     def own(self) -> MotionTrial:
@@ -155,21 +134,9 @@ class Trial:
 def judge(without: Recording, compensated: Recording, axis: AxisConfig, cycle_s: float, fade_s: float) -> Trial:
     """Compare the following error of each motion of a run without compensation with that of the same run with it.
 
-    Parameters
-    ----------
-    without, compensated : Recording
-        Recordings of the run of `friction_hil.tuning.motions.trial_run`, uncompensated and as it is.
-    axis : AxisConfig
-        Configuration of the axis in that run.
-    cycle_s : float
-        Period of the loop, s.
-    fade_s : float
-        Time in which the compensation of all axes has faded in, s.
-
-    Raises
-    ------
-    RecordingError
-        A run was too short, or too many of its cycles were missed.
+    The recordings are of the run of `friction_hil.tuning.motions.trial_run`, uncompensated and as it is, and ``axis``
+    is as in that run. ``cycle_s``: period of the loop. ``fade_s``: in which the compensation of all axes has faded in.
+    Raises `RecordingError`: a run was too short, or too many of its cycles were missed.
     """
     sequence = axis.trajectory
     if not isinstance(sequence, MotionSequence):

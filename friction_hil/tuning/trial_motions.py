@@ -30,17 +30,9 @@ _FASTER = 1.1  # times the own speed: else the own motion is the fastest
 def trial_motions(own: PeriodicMotion, bounds: ExperimentBounds, resolution: float) -> dict[str, PeriodicMotion]:
     """Return the motions of the trial of one axis by name, its own first.
 
-    They stay within the stroke, the speed and the acceleration of the own motion or of the experiment, whichever
-    allows more. A stroke that the encoder does not show is left out, and so is the fastest motion if it is the own one.
-
-    Parameters
-    ----------
-    own : circle, sine, triangle or strokes
-        Motion that the axis is for.
-    bounds : ExperimentBounds
-        Of the experiment.
-    resolution : float
-        One count of the encoder, rad or m.
+    They stay within the stroke, the speed and the acceleration of the own motion or of the experiment, whichever allows
+    more. A stroke that the encoder does not show is left out, and so is the fastest motion if it is the own one.
+    ``own``: motion that the axis is for. ``resolution``: one count of the encoder, rad or m.
     """
     speed, amplitude, shown = peak_speed(own), amplitude_of(own), LEAST_COUNTS * resolution
     most = math.inf if bounds.acceleration is None else max(_ACCELERATION * bounds.acceleration, _acceleration(own))
@@ -77,16 +69,9 @@ def sequences(
 
     An axis whose motion takes less time makes more periods of it, then rests; one without a motion of a kind rests.
 
-    Parameters
-    ----------
-    motions : dict of dict
-        From `trial_motions`, by axis.
-    ramp_s : float
-        Time in which all axes start and stop, s.
-    fade_s : float
-        Time in which the compensation fades in, s: the own motion goes on steadily after it.
-    limits : dict of float
-        Highest acceleration of the experiment by axis, SI; infinity for none.
+    ``motions``: from `trial_motions`, by axis. ``ramp_s``: in which all axes start and stop. ``fade_s``: in which the
+    compensation fades in; the own motion goes on steadily after it. ``limits``: highest acceleration of the experiment
+    by axis, SI; infinity for none.
     """
     names = [name for name in MOTIONS if any(name in each for each in motions.values())]
     parts: dict[str, list[SequencePart]] = {axis: [] for axis in motions}

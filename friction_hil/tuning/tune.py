@@ -52,36 +52,18 @@ from friction_hil.tuning.two_steps import label
 
 @dataclass(slots=True, eq=False)
 class Tuning:
-    """Result of tuning a machine.
-
-    Attributes
-    ----------
-    axes : dict of AxisTuning
-    recordings : list of Path
-    warnings : list of str
-        Warnings of the daemon and of the tuning.
-    report : Path, optional
-        Report, if one was written.
-    torque_lags : dict of TorqueLag
-        By axis.
-    torque_ratios : dict of TorqueRatio
-        By axis.
-    experiments : dict of ExperimentResult
-        How long the experiment took and why it ended, by axis.
-    leftovers : list of str
-        What drives were left with after some run.
-    rehearsed : dict of tuple of RehearsedFit
-        Models with what they do in simulation, best first, by axis; empty for an axis that could not be simulated.
-    """
+    """Result of tuning a machine."""
 
     axes: dict[str, AxisTuning] = field(default_factory=dict)
     recordings: list[Path] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    report: Path | None = None
-    torque_lags: dict[str, TorqueLag] = field(default_factory=dict)
-    torque_ratios: dict[str, TorqueRatio] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)  # of the daemon and of the tuning
+    report: Path | None = None  # if one was written
+    torque_lags: dict[str, TorqueLag] = field(default_factory=dict)  # by axis
+    torque_ratios: dict[str, TorqueRatio] = field(default_factory=dict)  # by axis
+    # how long the experiment took and why it ended, by axis
     experiments: dict[str, ExperimentResult] = field(default_factory=dict)
-    leftovers: list[str] = field(default_factory=list)
+    leftovers: list[str] = field(default_factory=list)  # what drives were left with after some run
+    # models with what they do in simulation, best first, by axis; empty for an axis that could not be simulated
     rehearsed: dict[str, tuple[RehearsedFit, ...]] = field(default_factory=dict)
 
 
@@ -102,21 +84,10 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
     6. Choice: the candidate with the smallest following error that does harm in no motion. If it helped and the
        configuration names a model file that does not exist, it is written there; an existing file is left as it is.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        From `friction_hil.config.load`; its model files need not exist.
-    settings : TuneSettings
-    dialog : Dialog
+    ``configuration``: from `friction_hil.config.load`; its model files need not exist.
 
-    Raises
-    ------
-    OptionError, UsageError
-        The configuration lacks a key that tuning needs, or the folder is not empty.
-    TuningError
-        A run met a fault.
-    KeyboardInterrupt
-        The user stopped a run; the axes are at rest.
+    Raises `OptionError` or `UsageError`: the configuration lacks a key that tuning needs, or the folder is not empty;
+    `TuningError`: a run met a fault; `KeyboardInterrupt`: the user stopped a run, and the axes are at rest.
 
     An exception that is raised after motion has a note with the recordings that are kept, and how to go on from them.
     """

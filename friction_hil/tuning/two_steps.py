@@ -36,13 +36,7 @@ def steady_curve(found: Sequence[Identification], family: str) -> Mapping[str, f
 
     They are those of the Stribeck or Coulomb fit that is chosen among those without modifiers other than direction: the
     others spread over their modifiers what this family has no place for. It is empty if there is no such fit.
-
-    Parameters
-    ----------
-    found : sequence of Identification
-        Of the rows in which the axis slides.
-    family : str
-        One of `with_steady_curve`.
+    ``found``: of the rows in which the axis slides. ``family``: one of `with_steady_curve`.
     """
     fits = [
         fit
@@ -81,12 +75,7 @@ def label(identification: Identification, fit: Fit) -> str:
 def steady_weights(fits: Mapping[int, Fit], found: Sequence[Identification]) -> dict[int, float]:
     """Return by how much fits are less likely, 0 to 1, because of what they predict where the axis slides.
 
-    Parameters
-    ----------
-    fits : dict of Fit
-        By index.
-    found : sequence of Identification
-        Of which those without presliding have the rows in which the axis slides.
+    ``fits``: by index. ``found``: those without presliding among them have the rows in which the axis slides.
     """
     static = [each.best for each in found if not is_dynamic(each.best.structure)]
     if not static:
