@@ -15,36 +15,17 @@ _LONGEST_GAP = 10  # periods: beyond, values between two rows of the other file 
 
 
 def add_columns_beside(
-    recording: Recording,
-    sources: Iterable[str],
-    time_source: str,
-    suffixes: Collection[str],
-    read: Callable[[Path], list[Recording]],
+    recording: Recording,  # with the names of its file
+    sources: Iterable[str],  # of columns, such as `torque.csv:tau*0.5`
+    time_source: str,  # of the time stamps in both files; empty if rows are counted
+    suffixes: Collection[str],  # of files that can be read
+    read: Callable[[Path], list[Recording]],  # the axes of a file, with the names of the file
 ) -> None:
     """Add each column of another file that a source refers to, under the name by which it does.
 
     If both files have a column of time stamps, values are interpolated at the times of the recording. Otherwise the
-    files are joined row by row.
-
-    Parameters
-    ----------
-    recording : Recording
-        With the names of its file.
-    sources : iterable of str
-        Sources of columns, such as ``torque.csv:tau*0.5``.
-    time_source : str
-        Name of the time stamps in both files; empty if rows are counted.
-    suffixes : collection of str
-        Suffixes of files that can be read.
-    read : callable
-        Reads the axes of a file, with the names of the file.
-
-    Raises
-    ------
-    RecordingError
-        A file cannot be read, or the times or the numbers of rows do not match.
-    UsageError
-        There is no such file, or no such column in it.
+    files are joined row by row. Raises `RecordingError`: a file cannot be read, or the times or the numbers of rows do
+    not match; `UsageError`: there is no such file, or no such column in it.
     """
     files: dict[Path, Recording] = {}
     for name in dict.fromkeys(each for source in sources for each in columns_of(source)):

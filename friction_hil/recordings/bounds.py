@@ -48,13 +48,7 @@ class Memory:
         return sum(file.stat().st_size for file in self._files)
 
     def take(self, size: int) -> None:
-        """Count ``size`` bytes.
-
-        Raises
-        ------
-        RecordingError
-            The content of the file takes more than the limit.
-        """
+        """Count ``size`` bytes. Raises `RecordingError`: the content of the file takes more than the limit."""
         if size > self.left:
             raise self.exceeded(self._taken + size)
         self._taken += size
@@ -78,13 +72,7 @@ class Memory:
 
 
 def check_columns(path: Path, names: Sized) -> None:
-    """Refuse a table with more than `MOST_COLUMNS` columns.
-
-    Raises
-    ------
-    RecordingError
-        There are more.
-    """
+    """Raise a `RecordingError` for a table with more than `MOST_COLUMNS` columns."""
     if len(names) > MOST_COLUMNS:
         raise RecordingError(
             f"{path} has {len(names)} columns; at most {MOST_COLUMNS} are read: split it into tables of fewer columns"

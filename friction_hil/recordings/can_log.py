@@ -9,14 +9,8 @@ from friction_hil.recordings.source import Source
 def read(source: Source) -> list[Recording]:
     """Decode the axes of the configuration; see the driver's ``read_bus_log``.
 
-    Raises
-    ------
-    RecordingError
-        The log has no frame of any axis.
-    UsageError
-        There is no configuration, or none of its drivers decodes logs.
-    OSError
-        The file cannot be opened.
+    Raises `RecordingError`: the log has no frame of any axis; `UsageError`: there is no configuration, or none of its
+    drivers decodes logs; `OSError`: the file cannot be opened.
     """
     configuration = source.configuration
     if configuration is None:

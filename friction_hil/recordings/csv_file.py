@@ -47,14 +47,8 @@ def read(source: Source) -> list[Recording]:
 
     Lines above the names, a line of units below them, dates and columns of text are found (`block_layout`). Columns
     without names are ``column1``, ``column2``, ... An empty field is NaN. If no comma separates them, numbers may have
-    a decimal comma. A last line without a line end is read if it has a number in each column.
-
-    Raises
-    ------
-    RecordingError
-        The file is not text, or a field is not a number; the message names the line.
-    OSError
-        It cannot be opened.
+    a decimal comma. A last line without a line end is read if it has a number in each column. Raises `RecordingError`:
+    the file is not text, or a field is not a number; the message names the line; `OSError`: it cannot be opened.
     """
     path, problems = source.path, list[str]()
     data = as_utf_8(path, path.read_bytes(), problems)
@@ -161,10 +155,7 @@ def _forget_gaps(values: Array, time: Array, own: Array) -> None:
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     """Write the columns with enough digits to read back the same float64.
 
-    Raises
-    ------
-    OSError
-        The file exists, unless ``overwrite``, or cannot be written.
+    Raises `OSError`: the file exists, unless ``overwrite``, or cannot be written.
     """
     with (
         open_new(path, overwrite=overwrite) as opened,

@@ -10,21 +10,14 @@ _LEAST_FRACTION = 0.5  # of the samples that are slower: fewer, and the encoder 
 
 
 def between_counts(position: Array) -> Array:
-    """Return a position (n,) with the time between counts used instead of their rounding.
+    """Return a position (n,), rad or m, with the time between counts used instead of their rounding.
 
     When a coarse encoder changes by one count, the axis is at the edge between the two counts, to within its travel in
     a sample. Between edges the position is interpolated without overshoot, so that a slow motion shows no staircase.
     Where the axis moves by several counts per sample the samples are kept.
 
-    Parameters
-    ----------
-    position : (n,) array
-        Evenly sampled, rad or m.
-
-    Returns
-    -------
-    (n,) array
-        The same array if its values are not quantised, or the encoder is not coarse for this motion.
+    ``position`` is evenly sampled. It is returned as it is if its values are not quantised, or the encoder is not
+    coarse for this motion.
 
     Source of the interpolation: F. N. Fritsch, J. Butland, SIAM Journal on Scientific and Statistical Computing 5(2),
     1984, as `scipy.interpolate.PchipInterpolator`. Of time stamps of edges: R. J. E. Merry, M. J. G. van de Molengraft,

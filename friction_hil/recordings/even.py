@@ -40,25 +40,13 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class EvenGrid:
-    """Columns on an even grid.
-
-    Attributes
-    ----------
-    time_s : (n,) array
-    columns : dict of (n,) arrays
-    segments : tuple of slice
-        Parts between gaps; together all n rows.
-    rate_hz : float
-        Sampling rate in all of them.
-    problems : list of str
-        Messages about defects of the columns and their treatment.
-    """
+    """Columns on an even grid."""
 
     time_s: Array
     columns: dict[str, Array]
-    segments: tuple[slice, ...]
-    rate_hz: float
-    problems: list[str]
+    segments: tuple[slice, ...]  # between gaps; together all n rows
+    rate_hz: float  # of sampling, in all segments
+    problems: list[str]  # defects of the columns and their treatment
 
 
 @dataclass(slots=True)
@@ -77,19 +65,8 @@ def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = 
     periods are missing in one of ``names``. Rows of a segment are used as they are if they are evenly spaced, and are
     interpolated otherwise. A wrapped position is unwrapped.
 
-    Parameters
-    ----------
-    recording : Recording
-        With a finite ``time_s``.
-    names : sequence of str
-        Required columns, each with at least one value.
-    held : sequence of str
-        Columns that change slowly; they are interpolated over their own gaps.
-
-    Raises
-    ------
-    RecordingError
-        No segment has three rows.
+    ``recording`` has a finite ``time_s``, and each of ``names`` at least one value. Columns ``held`` change slowly;
+    they are interpolated over their own gaps. Raises `RecordingError`: no segment has three rows.
     """
     problems: list[str] = []
     columns = {name: without_overflow(recording[name]) for name in (*names, *held)}

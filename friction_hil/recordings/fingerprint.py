@@ -31,10 +31,7 @@ def fingerprint() -> dict[str, str]:
 def differences(a: Mapping[str, str], b: Mapping[str, str]) -> list[str]:
     """Return the differences of two fingerprints, one line each: ``numpy: 2.1.0, here 2.2.0``.
 
-    Parameters
-    ----------
-    a, b : dict
-        Fingerprints of the recording and of this machine.
+    ``a`` is of the recording, ``b`` of this machine.
     """
     names = [*a, *(name for name in b if name not in a)]
     return [

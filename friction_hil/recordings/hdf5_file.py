@@ -46,16 +46,9 @@ def read(source: Source, *, is_transposed: bool = False) -> list[Recording]:
 
     MATLAB writes its matrices transposed: with ``is_transposed``, columns are named as in MATLAB. The name of a column
     is that of its dataset, or its whole path if several datasets have that name. If they differ in length, those of the
-    length of the recording are the columns (`kept_length`).
-
-    Raises
-    ------
-    RecordingError
-        The file was cut off, is not HDF5 or has no vector, or something in it is the content of another file.
-    UsageError
-        h5py is not installed.
-    OSError
-        The file cannot be opened.
+    length of the recording are the columns (`kept_length`). Raises `RecordingError`: the file was cut off, is not HDF5
+    or has no vector, or something in it is the content of another file; `UsageError`: h5py is not installed; `OSError`:
+    the file cannot be opened.
     """
     h5py = _library(source.path)
     with source.path.open("rb") as opened:
@@ -71,14 +64,8 @@ def read(source: Source, *, is_transposed: bool = False) -> list[Recording]:
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     """Write each column as a float64 dataset with checksums, and its unit as attribute ``unit``.
 
-    Raises
-    ------
-    RecordingError
-        The name of a column has a slash, which separates groups.
-    UsageError
-        h5py is not installed.
-    OSError
-        The file exists, unless ``overwrite``, or cannot be written.
+    Raises `RecordingError`: the name of a column has a slash, which separates groups; `UsageError`: h5py is not
+    installed; `OSError`: the file exists, unless ``overwrite``, or cannot be written.
     """
     h5py = _library(path)
     for name in recording.columns:
@@ -148,10 +135,7 @@ def _read(source: Source, h5py: Any, file: Any, *, is_transposed: bool) -> Recor
 def _refuse_other_files(path: Path, h5py: Any, file: Any) -> None:
     """Refuse a file that has the library read others: whoever wrote it chooses which.
 
-    Raises
-    ------
-    RecordingError
-        A link leads to another file, or the values of a dataset are in one.
+    Raises `RecordingError`: a link leads to another file, or the values of a dataset are in one.
     """
 
     found: list[tuple[bytes, bytes]] = []  # the library does not pass on an error that a visitor raises

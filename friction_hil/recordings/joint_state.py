@@ -35,13 +35,7 @@ _MOST_S = (1 << 31) - 1  # what int32 holds: until 2038
 
 
 class JointStates:
-    """Messages of the states of all axes.
-
-    Parameters
-    ----------
-    axes : sequence of str
-        Names of the joints.
-    """
+    """Messages of the states of all axes, whose names are those of the joints."""
 
     def __init__(self, axes: Sequence[str]) -> None:
         body = bytearray(struct.pack("<iI", 0, 0))
@@ -60,14 +54,9 @@ class JointStates:
         self._values = struct.Struct(f"<{len(axes)}d")
 
     def message(self, time_ns: int, values: Sequence[Sequence[float]]) -> bytes:
-        """Return the bytes of a message.
+        """Return the bytes of a message. ``time_ns``: since 1970.
 
-        Parameters
-        ----------
-        time_ns : int
-            Time stamp, ns since 1970.
-        values : (3, axes) sequence
-            Positions, velocities and efforts; NaN where one is not known.
+        ``values``: (3, axes) positions, velocities and efforts; NaN where one is not known.
         """
         seconds, rest = divmod(time_ns, _NS)
         struct.pack_into("<iI", self._body, 0, min(seconds, _MOST_S), rest)

@@ -56,19 +56,11 @@ class _Body:
 
 
 class JointTable:
-    """Rows of the joints that come in messages.
-
-    Parameters
-    ----------
-    path : path
-        File of the messages.
-    memory : Memory
-        Memory that its content may take.
-    """
+    """Rows of the joints that come in messages."""
 
     def __init__(self, path: Path, memory: Memory) -> None:
         self._path = path
-        self._memory = memory
+        self._memory = memory  # that the content may take
         self.rows: dict[tuple[str, str], list[tuple[int, float, float, float]]] = {}
         self._damaged = 0
         self._repeated = 0
@@ -101,10 +93,7 @@ class JointTable:
     def selected(self, select: Callable[[list[str]], list[str]]) -> list[Recording]:
         """Return the axes that ``select`` chooses of all.
 
-        Raises
-        ------
-        RecordingError
-            There is no message that can be read.
+        Raises `RecordingError`: there is no message that can be read.
         """
         recordings = list(self._recordings())
         if not recordings:

@@ -26,14 +26,7 @@ def read(source: Source) -> list[Recording]:
     """Read the longest list of objects in the file; the other top-level entries become the metadata.
 
     A missing field and null are NaN; true and false are 1 and 0. A file that was cut off is read up to its last whole
-    row.
-
-    Raises
-    ------
-    RecordingError
-        The file is not JSON, or has no list of rows.
-    OSError
-        The file cannot be opened.
+    row. Raises `RecordingError`: the file is not JSON, or has no list of rows; `OSError`: the file cannot be opened.
     """
     path, problems = source.path, list[str]()
     content = _parse(source, problems)
@@ -71,12 +64,8 @@ def read(source: Source) -> list[Recording]:
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     """Write a list of rows with enough digits to read back the same float64; NaN is null.
 
-    Raises
-    ------
-    RecordingError
-        A value is infinite, which JSON cannot hold.
-    OSError
-        The file exists, unless ``overwrite``, or cannot be written.
+    Raises `RecordingError`: a value is infinite, which JSON cannot hold; `OSError`: the file exists, unless
+    ``overwrite``, or cannot be written.
     """
     for name, values in recording.columns.items():
         if np.isinf(values).any():

@@ -10,12 +10,8 @@ def parse(text: str) -> Any:
     """Parse JSON text.
 
     Integers of more than 19 digits are floats, infinite if they are too large: the time to convert an integer grows
-    with the square of its length.
-
-    Raises
-    ------
-    ValueError
-        The text is not JSON (``json.JSONDecodeError``), or its lists and objects are nested too deeply.
+    with the square of its length. Raises `ValueError`: the text is not JSON (``json.JSONDecodeError``), or its lists
+    and objects are nested too deeply.
     """
     try:
         return json.loads(text, parse_int=_integer)

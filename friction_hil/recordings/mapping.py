@@ -47,10 +47,7 @@ class Mapped:
     ) -> "Mapped":
         """Return a mapping in which other columns, factors and rate take precedence; a new source has no old factor.
 
-        Raises
-        ------
-        UsageError
-            Both a source of the time stamps and a sampling rate are given.
+        Raises `UsageError`: both a source of the time stamps and a sampling rate are given.
         """
         if rate_hz is not None and TIME in columns:
             raise UsageError(f"--rate and --column {TIME}={columns[TIME]}: the time stamps have one source")
@@ -82,10 +79,7 @@ class Mapped:
 def parse_source(text: str) -> tuple[str, float]:
     """Split ``SOURCE*FACTOR``, e.g. ``vir*35.1507`` or ``encoder*2*pi/4096``; the factor is 1 by default.
 
-    Raises
-    ------
-    UsageError
-        The factor is not finite, or zero.
+    Raises `UsageError`: the factor is not finite, or zero.
     """
     found = _FACTORS.fullmatch(text)
     if found is None or not found["source"].strip():
@@ -96,10 +90,7 @@ def parse_source(text: str) -> tuple[str, float]:
 def mapping_beside(path: Path) -> Mapped:
     """Read the mapping file of a recording; empty if there is none.
 
-    Raises
-    ------
-    ConfigurationError
-        The file has mistakes; each is reported with its line.
+    Raises `ConfigurationError`: the file has mistakes; each is reported with its line.
     """
     own, for_all = path.parent / f"{path.name}.columns.yaml", path.parent / _FOR_ALL  # `.` and `/` have no name
     if own.is_file():

@@ -16,14 +16,8 @@ def read(source: Source) -> list[Recording]:
     """Read the real vectors and matrices of a MATLAB 4 to 7.3 file; scalars and everything else are ignored.
 
     If the vectors differ in length, those of the most frequent length are the columns, and ``problems`` names the
-    others. Of a file that was cut off, the variables before the cut are read.
-
-    Raises
-    ------
-    RecordingError
-        The file is not a MATLAB file, or has no vector.
-    OSError
-        The file cannot be opened.
+    others. Of a file that was cut off, the variables before the cut are read. Raises `RecordingError`: the file is not
+    a MATLAB file, or has no vector; `OSError`: the file cannot be opened.
     """
     problems: list[str] = []
     data = source.path.read_bytes()
@@ -46,12 +40,8 @@ def read(source: Source) -> list[Recording]:
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     """Write the columns as MATLAB 5 column vectors.
 
-    Raises
-    ------
-    RecordingError
-        MATLAB does not allow the name of a column as a variable.
-    OSError
-        The file exists, unless ``overwrite``, or cannot be written.
+    Raises `RecordingError`: MATLAB does not allow the name of a column as a variable; `OSError`: the file exists,
+    unless ``overwrite``, or cannot be written.
     """
     from scipy.io import savemat  # imported here: scipy.io takes long to import
 

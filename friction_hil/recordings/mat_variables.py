@@ -38,21 +38,8 @@ class _Element:
 def vectors(data: bytes, memory: Memory, problems: list[str]) -> Iterator[tuple[str, Array]]:
     """Yield name and values of each real vector of more than one value, and of each column of a real matrix.
 
-    Parameters
-    ----------
-    data : bytes
-        Content of the file.
-    memory : Memory
-        Memory that it may take.
-    problems : list of str
-        Damage is appended: a damaged variable costs only itself, a cut what follows it.
-
-    Raises
-    ------
-    RecordingError
-        The content takes too much memory.
-    ValueError
-        The file is not a MATLAB file.
+    Damage is appended to ``problems``: a damaged variable costs only itself, a cut what follows it. Raises
+    `RecordingError`: the content takes more than ``memory``; `ValueError`: ``data`` is not a MATLAB file.
     """
     order = _ORDERS.get(data[HEADER - 2 : HEADER])
     if order is None:

@@ -19,17 +19,8 @@ Index = tuple[Any, ...]
 def column_indices(name: str, shape: Sequence[int]) -> dict[str, Index]:
     """Return the columns in an array by their names, each with the index that selects it.
 
-    Parameters
-    ----------
-    name : str
-        Name of the array.
-    shape : sequence of int
-        Its shape; (n,), (n, 1) and (1, n) are one column of the name of the array.
-
-    Returns
-    -------
-    dict
-        Empty for an array that is no column and no matrix of columns, or is too wide.
+    The shapes (n,), (n, 1) and (1, n) are one column of the name of the array. An array that is no column and no matrix
+    of columns, or is too wide, has none.
     """
     count = math.prod(shape)
     if not len(shape) or count < 2:

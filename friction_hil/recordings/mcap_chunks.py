@@ -50,13 +50,7 @@ Run = NDArray[Any]
 
 
 class ChannelRows:
-    """Rows of one channel, stored by columns.
-
-    Attributes
-    ----------
-    others : int
-        Number of messages of another width than the channel's schema states.
-    """
+    """Rows of one channel, stored by columns."""
 
     def __init__(self, width: int, wanted: Sequence[int], memory: Memory) -> None:
         self._width = width
@@ -64,7 +58,7 @@ class ChannelRows:
         self._wanted = None if len(wanted) == width else list(wanted)  # None: all of them
         self._values = np.empty((len(wanted), 0))
         self._count = 0
-        self.others = 0
+        self.others = 0  # messages of another width than the channel's schema states
 
     def append(self, run: Run, fraction: float) -> None:
         """Append (n, width) rows, after which ``fraction`` of the file has been read.
@@ -107,23 +101,7 @@ Choose = Callable[[Channel, "Schema | None"], ChannelRows | None]
 
 
 class McapContent:
-    """Content of a file, as far as it could be read.
-
-    Attributes
-    ----------
-    schemas, channels : dict
-        By number.
-    metadata : dict
-        Records of friction_hil, decoded from JSON; others unchanged.
-    rows : dict of ChannelRows
-        By channel, for those for which ``choose`` returned some.
-    runs : dict of list of arrays
-        By channel, for the others: (n, words) float64 blocks, the CDR bodies of n messages, in file order.
-    odd : dict of list of bytes
-        By channel: messages whose body does not consist of 8-byte words, in file order.
-    problems : list of str
-        Messages about damaged parts and lost rows.
-    """
+    """Content of a file, as far as it could be read."""
 
     def __init__(self, path: Path, choose: Choose, memory: Memory) -> None:
         self.path = path
@@ -133,13 +111,15 @@ class McapContent:
         self._refused: set[int] = set()  # channels whose messages are no rows
         self._damaged_records = 0
         self._fraction = 0.0  # of the file that has been read
-        self.rows: dict[int, ChannelRows] = {}
-        self.schemas: dict[int, Schema] = {}
+        self.rows: dict[int, ChannelRows] = {}  # by channel, for those for which `choose` returned some
+        self.schemas: dict[int, Schema] = {}  # by number, as the channels
         self.channels: dict[int, Channel] = {}
-        self.metadata: dict[str, Any] = {}
+        self.metadata: dict[str, Any] = {}  # records of friction_hil, decoded from JSON; others unchanged
+        # by channel, for the others: (n, words) float64 blocks, the CDR bodies of n messages, in file order
         self.runs: dict[int, list[Run]] = {}
+        # by channel: messages whose body does not consist of 8-byte words, in file order
         self.odd: dict[int, list[bytes]] = {}
-        self.problems: list[str] = []
+        self.problems: list[str] = []  # damaged parts and lost rows
         self._chunks = 0
         self._is_data_complete = False
         self._first_log_time: int | None = None

@@ -80,13 +80,7 @@ def event_message(cycle: float, name: str, text: str) -> bytes:
 
 
 def read_event(message: bytes) -> tuple[float, str, str]:
-    """Return cycle, name and text of an event message.
-
-    Raises
-    ------
-    ValueError
-        The bytes are not an event.
-    """
+    """Return cycle, name and text of an event message. Raises `ValueError`: the bytes are not an event."""
     body = message[len(CDR_LITTLE_ENDIAN) :]
     if len(body) < 8 or not message.startswith(CDR_LITTLE_ENDIAN):
         raise ValueError("not a little-endian CDR message")

@@ -22,14 +22,8 @@ def read(source: Source) -> list[Recording]:
     """Read axes of an MCAP file.
 
     A file that was cut off is read up to its last whole chunk, and damaged chunks are left out; ``problems`` names the
-    rows that are lost.
-
-    Raises
-    ------
-    RecordingError
-        The file is not MCAP, or no channel has rows that can be read.
-    OSError
-        The file cannot be opened.
+    rows that are lost. Raises `RecordingError`: the file is not MCAP, or no channel has rows that can be read;
+    `OSError`: the file cannot be opened.
     """
 
     known: dict[int, list[str] | None] = {}  # fields by schema, which many channels may share

@@ -33,65 +33,26 @@ class McapWriter:
     """Writer of the cycles of one or several axes; flushed rows survive a crash of this process.
 
     Metadata is written before the first row. At the start of each chunk and after each gap in ``cycle``, the state of
-    every axis is written, so that a replay can start there.
-
-    Parameters
-    ----------
-    path : path
-        File to write. An existing one is an error unless ``overwrite``.
-    axes : sequence of str
-        Names of the axes.
-    columns : sequence of str
-        Columns of every axis, among them ``time_s``.
-    state_width : int
-        Number of state values that follow the columns of an axis in a row.
-    started_unix_ns : int
-        Wall-clock time at ``time_s`` = 0, ns since 1970.
-    metadata : dict
-        Content that JSON can hold, by name; each entry becomes a metadata record.
-    about : dict
-        Further entries of the metadata record about the file itself.
-    overwrite : bool
-        True to replace an existing file.
-    is_durable : bool
-        True to force each chunk to the disk: flushed rows survive a power cut, too.
-    has_joint_states : bool
-        True to write each row also as a message sensor_msgs/msg/JointState of all axes, for tools of ROS 2.
-    on_flush : callable
-        Called after ``rows_kept`` and ``events_kept`` have changed.
-
-    Attributes
-    ----------
-    rows_kept, events_kept : int
-        Rows and events that have been handed to the operating system, or are on the disk if ``is_durable``; the others
-        are in the open chunk.
-    size : int
-        Bytes of the file up to the end of the last chunk.
-    path : Path
-
-    Raises
-    ------
-    RecordingError
-        ROS 2 does not allow the name of a column as a field; or joint states are asked for, and a column for them is
-        missing, or an axis has the name of their topic.
-    OSError
-        The file exists, or cannot be opened or written.
+    every axis is written, so that a replay can start there. Raises `RecordingError`: ROS 2 does not allow the name of a
+    column as a field; or joint states are asked for, and a column for them is missing, or an axis has the name of their
+    topic; `OSError`: the file exists, or cannot be opened or written.
     """
 
     def __init__(
         self,
-        path: Path,
+        path: Path,  # an existing file is an error unless `overwrite`
         axes: Sequence[str],
-        columns: Sequence[str],
+        columns: Sequence[str],  # of every axis, among them `time_s`
         *,
-        state_width: int = 0,
-        started_unix_ns: int = 0,
-        metadata: Mapping[str, Any] | None = None,
-        about: Mapping[str, Any] | None = None,
+        state_width: int = 0,  # state values that follow the columns of an axis in a row
+        started_unix_ns: int = 0,  # wall-clock time at `time_s` = 0, since 1970
+        metadata: Mapping[str, Any] | None = None,  # what JSON can hold, by name; each entry becomes a metadata record
+        about: Mapping[str, Any] | None = None,  # further entries of the metadata record about the file itself
         overwrite: bool = False,
-        is_durable: bool = False,
+        is_durable: bool = False,  # each chunk is forced to the disk: flushed rows survive a power cut, too
+        # each row is also a message sensor_msgs/msg/JointState of all axes, for tools of ROS 2
         has_joint_states: bool = False,
-        on_flush: Callable[[], None] = lambda: None,
+        on_flush: Callable[[], None] = lambda: None,  # called after `rows_kept` and `events_kept` have changed
     ) -> None:
         _check_names(path, columns)
         self._joint_states: JointStates | None = None
@@ -101,6 +62,7 @@ class McapWriter:
             found = [[i * width + columns.index(name) for i in range(len(axes))] for name in joint_state.COLUMNS]
             self._joint_columns = np.array(found)
             self._joint_states = JointStates(axes)
+        # handed to the operating system, or on the disk if `is_durable`; the others are in the open chunk
         self.rows_kept = self.events_kept = 0
         self._width = len(columns)
         self._axis_width = len(columns) + state_width
@@ -117,7 +79,7 @@ class McapWriter:
         )
         self._last_log_time = started_unix_ns
         self.path = path
-        self.size = 0
+        self.size = 0  # bytes up to the end of the last chunk
         self._file: io.BufferedWriter = path.open("wb" if overwrite else "xb")
         # only files have a disk to be forced to; a link to /dev/null has none
         self._is_durable = is_durable and stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)
@@ -170,16 +132,8 @@ class McapWriter:
     def write(self, rows: Array, has_state: NDArray[np.bool_] | None = None) -> None:
         """Append rows (n, axes * (columns + state)): for each axis its columns, then its state.
 
-        Parameters
-        ----------
-        rows : (n, width) array
-        has_state : (n,) array of bool, optional
-            Rows whose state is known and written; without it all are known, and written where a replay needs them.
-
-        Raises
-        ------
-        OSError
-            The file cannot be written.
+        ``has_state``, (n,): rows whose state is known and written; without it all are known, and written where a replay
+        needs them. Raises `OSError`: the file cannot be written.
         """
         data = np.ascontiguousarray(rows, dtype="<f8").tobytes()
         row_bytes = rows.shape[1] * 8
@@ -218,13 +172,7 @@ class McapWriter:
         self._last_log_time = log_time
 
     def write_event(self, cycle: float, name: str, text: str) -> None:
-        """Append an event to the chunk of the rows written before it.
-
-        Raises
-        ------
-        OSError
-            The file cannot be written.
-        """
+        """Append an event to the chunk of the rows written before it. Raises `OSError`: the file cannot be written."""
         message = layout.event_message(cycle, name, text)
         self._mcap.add_message(self._event_channel, self._last_log_time, message, self._last_log_time)
         self._events += 1
@@ -284,12 +232,8 @@ def force_folder(path: Path) -> None:
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     """Write the columns of one axis; ``time_s`` = 0 is 1970, or later if time stamps are negative.
 
-    Raises
-    ------
-    RecordingError
-        ROS 2 does not allow the name of a column as a field.
-    OSError
-        The file exists, unless ``overwrite``, or cannot be written.
+    Raises `RecordingError`: ROS 2 does not allow the name of a column as a field; `OSError`: the file exists, unless
+    ``overwrite``, or cannot be written.
     """
     columns = list(recording.columns)
     time = recording[TIME]

@@ -27,16 +27,8 @@ def read(source: Source) -> list[Recording]:
     """Read every channel with one number per sample; the time of the groups is ``time_s``.
 
     Groups with the same time stamps form one table. Otherwise the rows of all groups are sorted by time, and a channel
-    is NaN where it has no sample.
-
-    Raises
-    ------
-    RecordingError
-        The file was cut off, is not MDF, or has no channel.
-    UsageError
-        asammdf is not installed.
-    OSError
-        The file cannot be opened.
+    is NaN where it has no sample. Raises `RecordingError`: the file was cut off, is not MDF, or has no channel;
+    `UsageError`: asammdf is not installed; `OSError`: the file cannot be opened.
     """
     library = _library(source.path)
     size = source.path.stat().st_size
@@ -72,12 +64,8 @@ def _collect_quietly() -> None:
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     """Write one channel group whose time is ``time_s``.
 
-    Raises
-    ------
-    UsageError
-        asammdf is not installed.
-    OSError
-        The file exists, unless ``overwrite``, or cannot be written.
+    Raises `UsageError`: asammdf is not installed; `OSError`: the file exists, unless ``overwrite``, or cannot be
+    written.
     """
     library = _library(path)
     time = recording[TIME]

@@ -23,14 +23,8 @@ _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.r
 def read(source: Source) -> list[Recording]:
     """Read the numeric vectors and matrices; arrays of objects are not read, because they could execute code.
 
-    The one array of an NPY file has the name of the file.
-
-    Raises
-    ------
-    RecordingError
-        The file was cut off, is not NPZ or has no vector.
-    OSError
-        The file cannot be opened.
+    The one array of an NPY file has the name of the file. Raises `RecordingError`: the file was cut off, is not NPZ or
+    has no vector; `OSError`: the file cannot be opened.
     """
     recording = Recording(str(source.path), source.name, {})
     if source.path.suffix.lower() == ".npy":
@@ -72,12 +66,8 @@ def read(source: Source) -> list[Recording]:
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     """Write each column as an array of its name, uncompressed.
 
-    Raises
-    ------
-    RecordingError
-        An archive cannot hold the name of a column.
-    OSError
-        The file exists, unless ``overwrite``, or cannot be written.
+    Raises `RecordingError`: an archive cannot hold the name of a column; `OSError`: the file exists, unless
+    ``overwrite``, or cannot be written.
     """
     for name in recording.columns:
         if "\0" in name or "\\" in name or name.endswith("/"):

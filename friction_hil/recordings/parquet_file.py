@@ -18,14 +18,8 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 def read(source: Source) -> list[Recording]:
     """Read the numeric columns; missing values are NaN, times are seconds since the first.
 
-    Raises
-    ------
-    RecordingError
-        The file was cut off or is not Parquet.
-    UsageError
-        pyarrow is not installed.
-    OSError
-        The file cannot be opened.
+    Raises `RecordingError`: the file was cut off or is not Parquet; `UsageError`: pyarrow is not installed; `OSError`:
+    the file cannot be opened.
     """
     arrow, parquet = _library(source.path)
     recording = Recording(str(source.path), source.name, {})
@@ -59,12 +53,8 @@ def read(source: Source) -> list[Recording]:
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     """Write the columns as float64, with their units, and a checksum for each page.
 
-    Raises
-    ------
-    UsageError
-        pyarrow is not installed.
-    OSError
-        The file exists, unless ``overwrite``, or cannot be written.
+    Raises `UsageError`: pyarrow is not installed; `OSError`: the file exists, unless ``overwrite``, or cannot be
+    written.
     """
     arrow, parquet = _library(path)
     fields = []

@@ -97,10 +97,7 @@ def _place(path: Path) -> tuple[tuple[Path, str, int], int] | None:
 def first_files(folder: Path) -> list[Path]:
     """Return the first file of each recording in a folder, by name; without those of faults.
 
-    Raises
-    ------
-    UsageError
-        There is none.
+    Raises `UsageError`: there is none.
     """
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() == SUFFIX and path.is_file())
     found = [Path(each) for each in without_later_parts(str(path) for path in files if not is_of_fault(path))]
@@ -113,10 +110,7 @@ def first_files(folder: Path) -> list[Path]:
 def only_recording(path: Path) -> Path:
     """Return ``path``, or the first file of the only recording in it if it is a folder.
 
-    Raises
-    ------
-    UsageError
-        The folder has no recording, or several.
+    Raises `UsageError`: the folder has no recording, or several.
     """
     if not path.is_dir():
         return path
@@ -144,16 +138,8 @@ def read_as_one(files: Sequence[Path], read: Callable[[Path], list[Recording]]) 
     Rows that two files have, because the process that wrote the first one was killed, are taken once. Files without
     rows, because it was killed at once, are left out and reported.
 
-    Parameters
-    ----------
-    files : sequence of Path
-    read : callable
-        Reads one file.
-
-    Raises
-    ------
-    RecordingError
-        No file can be read, or they do not have the same axes and columns.
+    ``read`` reads one file. Raises `RecordingError`: no file can be read, or they do not have the same axes and
+    columns.
     """
     parts, problems = [], []
     for path in files:

@@ -56,21 +56,9 @@ class Product:
         return next((term.column for term in self.terms if term.column not in there), "")
 
     def values(self, there: Mapping[str, Array]) -> Array:
-        """Compute the product; NaN where one of the columns is NaN.
+        """Compute the product (n,) of columns (n,) of the file; NaN where one of the columns is NaN.
 
-        Parameters
-        ----------
-        there : dict of (n,) arrays
-            Columns of the file.
-
-        Returns
-        -------
-        (n,) array
-
-        Raises
-        ------
-        UsageError
-            A column has a value that no such register can have, or the product overflows.
+        Raises `UsageError`: a column has a value that no such register can have, or the product overflows.
         """
         values = [_reinterpreted(there[term.column], term) for term in self.terms]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -81,26 +69,12 @@ class Product:
 
 
 def product_of(source: str, there: Collection[str]) -> Product:
-    """Parse a source: ``load``, ``load:int16``, ``load:int16*input_volts/885``.
+    """Parse a source of columns, which need not exist: ``load``, ``load:int16``, ``load:int16*input_volts/885``.
 
     Columns and numbers are separated by ``*``; only numbers may follow ``/``. Names may contain any character: an
     existing column takes precedence over every other meaning, the longest name first.
 
-    Parameters
-    ----------
-    source : str
-    there : collection of str
-        Names of the columns of the file.
-
-    Returns
-    -------
-    Product
-        Its columns need not exist.
-
-    Raises
-    ------
-    UsageError
-        A ``*`` lacks an operand, or a factor is zero or not finite.
+    ``there``: columns of the file. Raises `UsageError`: a ``*`` lacks an operand, or a factor is zero or not finite.
     """
     if source in there:
         return Product((Term(source),))
@@ -149,10 +123,7 @@ def absent(column: str, there: Collection[str]) -> str:
 def factor_of(factors: str, text: str) -> float:
     """Compute the value of ``*2*pi/4096``; 1 if the text is empty.
 
-    Raises
-    ------
-    UsageError
-        The factor or a number in it is zero or not finite; the message begins with the whole ``text``.
+    Raises `UsageError`: the factor or a number in it is zero or not finite; the message begins with the whole ``text``.
     """
     factor = 1.0
     for operator, sign, number in _FACTOR.findall(factors):

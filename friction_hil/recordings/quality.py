@@ -33,47 +33,23 @@ _MOTION_RATIO = 0.2  # of a jump: the largest step between other samples
 
 @dataclass(frozen=True, slots=True)
 class Wrap:
-    """Overflow of the counter of a position.
+    """Overflow of the counter of a position."""
 
-    Attributes
-    ----------
-    range : float
-        Size of a jump, in the unit of the position.
-    name : str
-        Name in messages: ``2 pi``, ``2^16 steps``.
-    rows : array of int
-        First row after each jump.
-    """
-
-    range: float
-    name: str
-    rows: RowIndices
+    range: float  # size of a jump, in the unit of the position
+    name: str  # in messages: `2 pi`, `2^16 steps`
+    rows: RowIndices  # the first one after each jump
 
 
 @dataclass(frozen=True, slots=True)
 class TimeFacts:
-    """Regularity of time stamps.
+    """Regularity of time stamps."""
 
-    Attributes
-    ----------
-    period_s : float
-        Median of the positive intervals, s; NaN if there are none.
-    jitter_s : float
-        Largest deviation of an interval from the period, without gaps, s.
-    gaps : array of int
-        Rows that follow an interval of more than `GAP_PERIODS` periods.
-    longest_gap_s : float
-        s; 0 if there is none.
-    backward, standing : array of int
-        Rows whose stamp is earlier than, or the same as, that of the previous row.
-    """
-
-    period_s: float
-    jitter_s: float
-    gaps: RowIndices
-    longest_gap_s: float
-    backward: RowIndices
-    standing: RowIndices
+    period_s: float  # median of the positive intervals; NaN if there are none
+    jitter_s: float  # largest deviation of an interval from the period, without gaps
+    gaps: RowIndices  # rows that follow an interval of more than `GAP_PERIODS` periods
+    longest_gap_s: float  # 0 if there is none
+    backward: RowIndices  # rows whose stamp is earlier than that of the previous row
+    standing: RowIndices  # rows whose stamp is that of the previous row
 
 
 def all_finite(values: Array) -> bool:
@@ -144,12 +120,8 @@ def spread(time: Array) -> Array:
 def find_jumps(position: Array, ignored: RowIndices | None = None) -> RowIndices:
     """Find jumps of a position that are no motion: over half its span, and much larger than its other steps.
 
-    Parameters
-    ----------
-    position : (n,) array
-        Finite, in order of time.
-    ignored : array of int, optional
-        Rows that follow a gap in time, before which any motion is possible.
+    ``position`` is finite, in order of time. ``ignored``: rows that follow a gap in time, before which any motion is
+    possible.
     """
     sizes = np.abs(np.diff(position))
     if ignored is not None and ignored.size:
@@ -166,17 +138,8 @@ def find_jumps(position: Array, ignored: RowIndices | None = None) -> RowIndices
 def find_wrap(position: Array, jumps: RowIndices) -> Wrap | None:
     """Find the range of a counter that explains jumps: 2 pi, 360, or a power of two times the resolution.
 
-    Parameters
-    ----------
-    position : (n,) array
-        Finite, in order of time.
-    jumps : array of int
-        Result of `find_jumps`.
-
-    Returns
-    -------
-    Wrap or None
-        None if there are no jumps, or no such range explains all of them.
+    ``position`` is finite, in order of time; ``jumps``: of `find_jumps`. None if there are no jumps, or no such range
+    explains all of them.
     """
     if not jumps.size:
         return None

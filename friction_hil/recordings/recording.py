@@ -140,13 +140,8 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
     """Rename columns to friction_hil's names, ``{'time_s': 't'}``, then multiply them by ``scale``, by new names.
 
     A column that already has the name is replaced. Several names may refer to one column. The factors of a product
-    (`product_of`) remain as columns; the product has no unit.
-
-    Raises
-    ------
-    UsageError
-        A column to be mapped or scaled does not exist or cannot be multiplied, or a factor is not finite, zero or too
-        large.
+    (`product_of`) remain as columns; the product has no unit. Raises `UsageError`: a column to be mapped or scaled does
+    not exist or cannot be multiplied, or a factor is not finite, zero or too large.
     """
     _map_columns(recording, columns)
     recording.sources = {
@@ -237,10 +232,7 @@ def _scale_column(recording: Recording, name: str, factor: float) -> None:
 def count_time(recording: Recording, rate_hz: float) -> None:
     """Set the time stamps to those of an even sampling rate, Hz; report it if the file has others.
 
-    Raises
-    ------
-    UsageError
-        The rate is no number above zero.
+    Raises `UsageError`: the rate is no number above zero.
     """
     if not 0.0 < rate_hz < np.inf:
         raise UsageError(f"{recording.path}: a sampling rate is a number of Hz above 0, not {rate_hz:g}")
@@ -255,19 +247,8 @@ def count_time(recording: Recording, rate_hz: float) -> None:
 def count_where(recording: Recording, where: str, there: Mapping[str, Array]) -> None:
     """Set ``torque`` to NaN in the rows in which the column ``where`` is zero or NaN, and report it.
 
-    Parameters
-    ----------
-    recording : Recording
-    where : str
-    there : dict of (n,) arrays
-        Columns of the recording and of the file.
-
-    Raises
-    ------
-    RecordingError
-        No row is left.
-    UsageError
-        One of the columns does not exist.
+    ``there``: columns of the recording and of the file. Raises `RecordingError`: no row is left; `UsageError`: one of
+    the columns does not exist.
     """
     if where not in there:
         raise UsageError(f"{recording.path}: --where {where}: {choices(where, {*there, *recording.others})}")
@@ -288,10 +269,7 @@ def count_where(recording: Recording, where: str, there: Mapping[str, Array]) ->
 def check(recording: Recording) -> None:
     """Refuse a recording that cannot be used, and add what is unusual to ``problems``.
 
-    Raises
-    ------
-    RecordingError
-        There are no rows, no time stamps, or a time stamp is not finite.
+    Raises `RecordingError`: there are no rows, no time stamps, or a time stamp is not finite.
     """
     if not len(recording):
         raise RecordingError(f"{recording.path}: there are no rows{_because(recording.problems)}")

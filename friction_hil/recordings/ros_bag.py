@@ -23,12 +23,8 @@ _LARGEST_CHUNK = 1 << 30
 def read(source: Source) -> list[Recording]:
     """Read the joints of a bag, each as an axis; one that was cut off up to its last whole record.
 
-    Raises
-    ------
-    RecordingError
-        The file is no bag of version 2.0, or holds no joint states.
-    OSError
-        It cannot be opened.
+    Raises `RecordingError`: the file is no bag of version 2.0, or holds no joint states; `OSError`: it cannot be
+    opened.
     """
     table = JointTable(source.path, source.memory)
     kinds: dict[str, str] = {}

@@ -19,12 +19,7 @@ _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"topic_id", "timestam
 def read(source: Source) -> list[Recording]:
     """Read the joints of a database, each as an axis.
 
-    Raises
-    ------
-    RecordingError
-        The file is damaged, or holds no joint states.
-    OSError
-        It cannot be opened.
+    Raises `RecordingError`: the file is damaged, or holds no joint states; `OSError`: it cannot be opened.
     """
     source.path.open("rb").close()  # raises the usual error where the file cannot be opened
     address = f"file:{quote(str(source.path.resolve()))}?mode=ro&immutable=1"

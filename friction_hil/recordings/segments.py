@@ -29,42 +29,21 @@ LEAST_KNOWN_FRACTION = 0.9  # of the rows: a slow input with fewer values is not
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """Evenly sampled part of a recording without a gap; arrays (n,), SI.
-
-    Attributes
-    ----------
-    path, axis : str
-        File and axis of the recording.
-    time_s : array
-    position : array
-        Low-passed if ``lowpass_hz`` is set.
-    velocity, acceleration : array
-        Recorded velocity, or the derivative of ``position``; and its derivative. Central differences.
-    torque : array
-        Measured torque, not filtered.
-    load_torque, temperature, demand : array or None
-        Slow inputs and position demand, not filtered; None where they are not known.
-    rate_hz : float
-        Sampling rate.
-    lowpass_hz : float or None
-        Cut-off of the zero-phase low-pass; None where the recorded velocity is used as it is.
-    encoder : array
-        Measured position, not filtered.
-    """
+    """Evenly sampled part of a recording without a gap; arrays (n,), SI."""
 
     path: str
     axis: str
     time_s: Array
-    position: Array
-    velocity: Array
-    acceleration: Array
-    torque: Array
-    load_torque: Array | None
+    position: Array  # low-passed if `lowpass_hz` is set
+    velocity: Array  # as recorded, or the central differences of `position`
+    acceleration: Array  # central differences of `velocity`
+    torque: Array  # measured, not filtered
+    load_torque: Array | None  # slow inputs and position demand are not filtered; None where they are not known
     temperature: Array | None
     demand: Array | None
-    rate_hz: float
-    lowpass_hz: float | None
-    encoder: Array
+    rate_hz: float  # of sampling
+    lowpass_hz: float | None  # cut-off of the zero-phase low-pass; None where the recorded velocity is used as it is
+    encoder: Array  # measured position, not filtered
 
     @property
     def dt(self) -> float:
@@ -89,21 +68,12 @@ class Segment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvenSignals:
-    """A recording on an even grid, and the low-pass that its velocity needs.
-
-    Attributes
-    ----------
-    recording : Recording
-    grid : EvenGrid
-    lowpass_hz : float or None
-        Cut-off of the zero-phase low-pass; None if the recorded velocity is used as it is.
-    problems : tuple of str
-        Messages about defects of the columns and their treatment, without the messages of the recording itself.
-    """
+    """A recording on an even grid, and the low-pass that its velocity needs."""
 
     recording: Recording
     grid: EvenGrid
-    lowpass_hz: float | None
+    lowpass_hz: float | None  # cut-off of the zero-phase low-pass; None if the recorded velocity is used as it is
+    # defects of the columns and their treatment, without the messages of the recording itself
     problems: tuple[str, ...]
 
     @property
@@ -144,10 +114,7 @@ class EvenSignals:
 def with_position(recording: Recording) -> Recording:
     """Return the recording; without a position, one that is integrated from the velocity, from an unknown start.
 
-    Raises
-    ------
-    RecordingError
-        There is neither a position nor a velocity.
+    Raises `RecordingError`: there is neither a position nor a velocity.
     """
     if "position" in recording or "velocity" not in recording:
         recording.require("position")
@@ -180,35 +147,19 @@ def default_decimation(rows: int) -> int:
 
 
 def even_signals(
-    recording: Recording,
-    held: Sequence[str] = (),
+    recording: Recording,  # with `position` and `torque`
+    held: Sequence[str] = (),  # columns that change slowly, to be interpolated over gaps of their own
     *,
+    # cut-off of a 4th-order Butterworth low-pass, forward and backward; without it, `DEFAULT_LOWPASS_RATIO` of the
+    # sampling rate where the velocity has to be derived
     lowpass_hz: float | None = None,
-    is_torque_delay_removed: bool = False,
+    is_torque_delay_removed: bool = False,  # by moving the torque back as the driver stated in the recording
 ) -> EvenSignals:
     """Bring a recording to an even grid and decide where its velocity comes from.
 
     The recorded velocity is used unless it is absent, so coarse that it mostly stands still, or a low-pass is asked
-    for. It is then derived from the low-passed position.
-
-    Parameters
-    ----------
-    recording : Recording
-        With ``position`` and ``torque``.
-    held : sequence of str
-        Columns of the recording that change slowly, to be interpolated over gaps of their own.
-    lowpass_hz : float, optional
-        Cut-off of a 4th-order Butterworth low-pass, forward and backward, Hz. Without it, `DEFAULT_LOWPASS_RATIO`
-        of the sampling rate where the velocity has to be derived.
-    is_torque_delay_removed : bool
-        True to move the torque back by the delay that the driver stated in the recording.
-
-    Raises
-    ------
-    RecordingError
-        A column is missing, no part has three rows, or the drive does not report its torque.
-    UsageError
-        The low-pass does not fit the sampling rate.
+    for. It is then derived from the low-passed position. Raises `RecordingError`: a column is missing, no part has
+    three rows, or the drive does not report its torque; `UsageError`: the low-pass does not fit the sampling rate.
     """
     recording = with_position(recording)
     recording.require("torque")
@@ -249,10 +200,7 @@ def _why_velocity_is_derived(recording: Recording) -> str:
 def stated_torque_delay_s(recording: Recording) -> float | None:
     """Return by how much the torque is older than the position in the same row, s; None if no driver stated it.
 
-    Raises
-    ------
-    RecordingError
-        The drive does not report its torque.
+    Raises `RecordingError`: the drive does not report its torque.
     """
     facts = recording.metadata.get("facts")
     known = [each for each in facts if isinstance(each, dict)] if isinstance(facts, list) else []

@@ -24,32 +24,16 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Request to read axes and columns of a file.
-
-    Attributes
-    ----------
-    path : path
-    axis : str or None
-        Axis to read; the name of the axis in a file whose only axis has none.
-    wanted : frozenset of str or None
-        Columns to read, by the file's names, if they exist; None: all.
-    select : function
-        From the names of all axes in the file to those to read.
-    configuration : Configuration or None
-        Configuration of the machine, for formats that require it.
-    shared : Memory, optional
-        Memory that files which are read as one share.
-    memory : Memory
-        Memory that the content of the file may take.
-    """
+    """Request to read axes and columns of a file."""
 
     path: Path
-    axis: str | None = None
-    wanted: frozenset[str] | None = None
+    axis: str | None = None  # to read; the name of the axis in a file whose only axis has none
+    wanted: frozenset[str] | None = None  # columns to read, by the file's names, if they exist; None: all
+    # from the names of all axes in the file to those to read
     select: Callable[[list[str]], list[str]] = field(default=lambda names: names)
-    configuration: "Configuration | None" = None
-    shared: InitVar[Memory | None] = None
-    memory: Memory = field(init=False, compare=False, repr=False)
+    configuration: "Configuration | None" = None  # of the machine, for formats that require it
+    shared: InitVar[Memory | None] = None  # by files which are read as one
+    memory: Memory = field(init=False, compare=False, repr=False)  # that the content of the file may take
 
     def __post_init__(self, shared: Memory | None) -> None:
         object.__setattr__(self, "memory", shared or Memory(self.path))
@@ -70,10 +54,7 @@ class Source:
     def split(self, names: Iterable[str]) -> tuple[list[str], tuple[str, ...]]:
         """Split names into columns to read and others.
 
-        Raises
-        ------
-        RecordingError
-            There are more columns than a table may have.
+        Raises `RecordingError`: there are more columns than a table may have.
         """
         names = list(names)
         check_columns(self.path, names)
@@ -84,14 +65,8 @@ class Source:
 def new_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     """Yield the name of a file to write beside ``path``; it becomes ``path`` only if all of it has been written.
 
-    What is no regular file, such as ``/dev/null`` or a pipe, is written to as it is.
-
-    Raises
-    ------
-    FileExistsError
-        ``path`` exists, unless ``overwrite``.
-    OSError
-        The file cannot be written.
+    What is no regular file, such as ``/dev/null`` or a pipe, is written to as it is. Raises `FileExistsError`: ``path``
+    exists, unless ``overwrite``; `OSError`: the file cannot be written.
     """
     if path.exists():
         if not overwrite:

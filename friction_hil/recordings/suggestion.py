@@ -34,21 +34,11 @@ _EPOCHS = ((1e17, "1e-9", "ns"), (1e14, "1e-6", "us"), (1e11, "0.001", "ms"))  #
 
 @dataclass(slots=True)
 class Suggestion:
-    """Sources of columns as ``--column`` takes them, and what has to be known besides.
+    """Sources of columns as ``--column`` takes them, and what has to be known besides."""
 
-    Attributes
-    ----------
-    columns : dict of str
-        Only those that are not there under friction_hil's name.
-    rate_hz : float or None
-        Sampling rate that the file states, if it has no time stamps.
-    notes : list of str
-        What ``FACTOR`` in a source is, and columns that are still missing.
-    """
-
-    columns: dict[str, str] = field(default_factory=dict)
-    rate_hz: float | None = None
-    notes: list[str] = field(default_factory=list)
+    columns: dict[str, str] = field(default_factory=dict)  # only those that are not there under friction_hil's name
+    rate_hz: float | None = None  # that the file states, if it has no time stamps
+    notes: list[str] = field(default_factory=list)  # what `FACTOR` in a source is, and columns that are still missing
 
     @property
     def options(self) -> list[str]:

@@ -15,10 +15,7 @@ _CONTROL = bytes(set(range(32)) - set(b"\0\t\n\f\r"))
 def as_utf_8(path: Path, data: bytes, problems: list[str]) -> bytes:
     """Return the text as UTF-8 without a mark; say in ``problems`` if that took a guess.
 
-    Raises
-    ------
-    RecordingError
-        The bytes are no text.
+    Raises `RecordingError`: the bytes are no text.
     """
     mark = _UTF_16.get(data[:2])
     encoding = mark or _utf_16_without_mark(data)

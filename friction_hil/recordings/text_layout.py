@@ -26,41 +26,19 @@ DECIMAL_COMMA = re.compile(r"\s*[-+]?(?:[0-9]+,[0-9]*|,[0-9]+)(?:[eE][-+]?[0-9]+
 
 @dataclass(frozen=True, slots=True)
 class TextLayout:
-    """Layout of a text file.
+    """Layout of a text file."""
 
-    Attributes
-    ----------
-    start : int
-        Offset of the first row, bytes.
-    line : int
-        Number of the line before the first row.
-    names : list of str
-        ``column1``, ``column2``, ... where the file has none.
-    delimiter : str or None
-        What separates the columns; None for blanks.
-    kinds : list of str
-        What each column holds.
-    units, labels, texts : dict of str
-        What the file says about its columns, by name; of columns of text, an example.
-    problems : list of str
-        What was done to the names.
-    has_own_times : bool
-        Columns come in pairs, a time and a value.
-    rate_hz : float or None
-        Sampling rate by the lines above the rows.
-    """
-
-    start: int
-    line: int
-    names: list[str]
-    delimiter: str | None
-    kinds: list[str] = field(default_factory=list)
-    units: dict[str, str] = field(default_factory=dict)
-    labels: dict[str, str] = field(default_factory=dict)
-    texts: dict[str, str] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
-    has_own_times: bool = False
-    rate_hz: float | None = None
+    start: int  # offset of the first row, bytes
+    line: int  # number of the line before the first row
+    names: list[str]  # `column1`, `column2`, ... where the file has none
+    delimiter: str | None  # None for blanks
+    kinds: list[str] = field(default_factory=list)  # what each column holds
+    units: dict[str, str] = field(default_factory=dict)  # what the file says about its columns, by name
+    labels: dict[str, str] = field(default_factory=dict)  # the same
+    texts: dict[str, str] = field(default_factory=dict)  # examples of columns of text, by name
+    problems: list[str] = field(default_factory=list)  # what was done to the names
+    has_own_times: bool = False  # columns come in pairs, a time and a value
+    rate_hz: float | None = None  # of sampling, by the lines above the rows
 
     @property
     def is_plain(self) -> bool:
@@ -72,12 +50,7 @@ def layout_of(path: Path, data: bytes) -> TextLayout:
     """Find the layout of UTF-8 text whose first line has the names, or numbers.
 
     Comment lines begin with ``#`` or ``%``. If the first line holds numbers, the names are those of the comment line
-    before it, if that has as many.
-
-    Raises
-    ------
-    RecordingError
-        The file is empty, or has too many columns.
+    before it, if that has as many. Raises `RecordingError`: the file is empty, or has too many columns.
     """
     offset, number, comment = 0, 0, ""
     while offset < len(data):
@@ -149,13 +122,7 @@ def distinct(names: Sequence[str], problems: list[str]) -> list[str]:
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Return the fields of a line.
-
-    Raises
-    ------
-    csv.Error
-        The line cannot be read.
-    """
+    """Return the fields of a line. Raises `csv.Error`: the line cannot be read."""
     if delimiter is BLANKS:
         return next(csv.reader([" ".join(line.split())], delimiter=" "), [])
     return next(csv.reader([line], delimiter=delimiter), [])

@@ -156,13 +156,8 @@ def unit_problem(name: str, given: str, source: str) -> str:
 def known_unit(units: Mapping[str, str], name: str) -> str:
     """Return the unit of a column to be written; empty if it is not known.
 
-    Parameters
-    ----------
-    units : dict
-        Units by column as the file that was read has them (`Recording.units`). They take precedence over
-        friction_hil's own unit, which counts only where it is the same on rotary and linear axes.
-    name : str
-        Name of the column.
+    ``units``, by column as the file that was read has them (`Recording.units`), take precedence over friction_hil's own
+    unit, which counts only where it is the same on rotary and linear axes.
     """
     own = {unit(name, kind) for kind in _KINDS}
     return units.get(name) or (own.pop() if len(own) == 1 else "")
