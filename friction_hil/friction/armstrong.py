@@ -57,14 +57,8 @@ def _record(s: Array, velocity: float, dt: float, lag: float) -> int:
 def _past(s: Array, newest: int, lag: float) -> tuple[int, float]:
     """Locate the time ``lag`` seconds ago in the ring; the oldest entry is the limit.
 
-    Returns
-    -------
-    tuple
-        Number of entries back from ``newest``, and the fraction of the step from that entry to the one before it.
-
-    Notes
-    -----
-    The times are added up from the newest entry on, so that every sample has the same bits with a constant ``dt``.
+    Returns the number of entries back from ``newest``, and the fraction of the step from that entry to the one before
+    it. The times are added up from the newest entry on, so that every sample has the same bits with a constant ``dt``.
     The loop has a single exit because the compiler generates slow code for more.
     """
     back, left = 0, lag

@@ -11,22 +11,12 @@ from friction_hil.friction.parameters import Parameter
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """Parameters in the layout of the kernel.
+    """Parameters in the layout of the kernel."""
 
-    Attributes
-    ----------
-    values : sequence of float
-        Values in the kernel's order.
-    names : sequence of str or None
-        Name of the parameter of each value, e.g. ``weight[1]``; None for a value that cannot be fitted, such as
-        a count.
-    factors : sequence of float, optional
-        Factor by which each parameter was multiplied; 1 when not given.
-    """
-
-    values: Sequence[float]
+    values: Sequence[float]  # in the kernel's order
+    # name of the parameter of each value, e.g. ``weight[1]``; None: cannot be fitted, such as a count
     names: Sequence[str | None]
-    factors: Sequence[float] | None = None
+    factors: Sequence[float] | None = None  # by which each parameter was multiplied; None: 1
 
 
 def pack_scalars(parameters: Mapping[str, Any]) -> Packed:

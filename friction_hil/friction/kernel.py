@@ -80,43 +80,24 @@ def _choose_learned_torque(kind: Any, p: Any, s: Any, *inputs: Any) -> Any:
 
 @inlined
 def step(
-    kind: Any,
+    kind: Any,  # number or tag of the family; see `dispatch`
     p: Array,
-    s: Array,
+    s: Array,  # state, changed in place
+    # drives the state, sets the direction and is that of the modifiers ``reversal`` and ``speed``, rad/s
     velocity: float,
-    level_velocity: float,
-    dt: float,
-    position: float,
-    load_torque: float,
-    temperature: float,
-    applied_torque: float,
+    level_velocity: float,  # at which level, damping and viscous friction are evaluated, rad/s
+    dt: float,  # time for which ``velocity`` is held, s, above zero
+    position: float,  # for the ripple, rad
+    load_torque: float,  # for the load dependence, N m, positive if it opposes positive motion
+    temperature: float,  # deg C; NaN for the reference temperature
+    applied_torque: float,  # that friction balances while a static map sticks (``velocity`` 0, ``epsilon`` 0), N m
+    # Width over which the jump of a static map at zero velocity is smoothed, rad/s; 0 for the exact map. Dynamic models
+    # have no jump and ignore it.
     epsilon: float,
 ) -> float:
     """Advance the state over one sample and return the friction torque.
 
-    Parameters
-    ----------
-    kind
-        Number or tag of the family; see `dispatch`.
-    p, s
-        Parameters and state; the state is changed in place.
-    velocity, level_velocity
-        Velocity that drives the state, sets the direction and is that of the modifiers ``reversal`` and ``speed``,
-        and velocity at which level, damping and viscous friction are evaluated, rad/s. They are equal except in a
-        compensator, which takes them from different sources.
-    dt
-        Time for which ``velocity`` is held, s, above zero.
-    position
-        Position for the ripple, rad.
-    load_torque
-        Load torque for the load dependence, N m, positive if it opposes positive motion.
-    temperature
-        Temperature for the temperature dependence, deg C; NaN for the reference temperature.
-    applied_torque
-        Torque that friction balances while a static map sticks (``velocity`` 0, ``epsilon`` 0), N m.
-    epsilon
-        Width over which the jump of a static map at zero velocity is smoothed, rad/s; 0 for the exact map.
-        Dynamic models have no jump and ignore it.
+    Velocity and level velocity are equal except in a compensator, which takes them from different sources.
     """
     own_state = part(s, 0)
     if p[0] == 0.0:

@@ -84,17 +84,9 @@ def reversal_torque(c: Array, s: Array, velocity: float, dt: float) -> float:
     """Advance the distance since the last reversal, and compute the torque of the curve ``c`` there, N m.
 
     The torque at a reversal fades out over the distance of the first point, where that of the new direction builds up
-    linearly: the torque is continuous over the path, and never beyond the largest one of the points.
-
-    Parameters
-    ----------
-    c : array
-        Curve over the distance.
-    s : array
-        Direction of motion, distance since the reversal and torque at the reversal; changed in place.
-    velocity : float
-        Held over the time ``dt``.
-    dt : float
+    linearly: the torque is continuous over the path, and never beyond the largest one of the points. ``s`` holds
+    direction of motion, distance since the reversal and torque at the reversal, and is changed in place; ``velocity``
+    is held over the time ``dt``.
     """
     sign = direction(velocity, 0.0)
     distance, held = primal(s[_DISTANCE]), s[_HELD]
@@ -208,19 +200,9 @@ _LEAST_GAP = 1e-6  # between two points of a curve, relative: single precision t
 def check_modifiers(family: Family, given: Mapping[str, Any], modifiers: Mapping[str, Any]) -> dict[str, Any]:
     """Check the modifiers of a model and fill in their defaults.
 
-    Parameters
-    ----------
-    family : Family
-    given : mapping
-        The model's own parameters, as given by the user.
-    modifiers : mapping
-        Modifiers by name, as in a model file.
-
-    Raises
-    ------
-    InvalidParameterError
-        A modifier is invalid; ``parameter`` is the field path, e.g. ``direction.positive.coulomb`` or
-        ``ripple[0].order``.
+    ``given``: the model's own parameters, as given by the user. ``modifiers``: by name, as in a model file. Raises
+    `InvalidParameterError`: a modifier is invalid; ``parameter`` is the field path, e.g. ``direction.positive.coulomb``
+    or ``ripple[0].order``.
     """
     if not isinstance(modifiers, Mapping):
         raise InvalidParameterError(f"modifiers are {modifiers!r}, not a mapping of {', '.join(NAMES)}")
@@ -318,11 +300,7 @@ def _check_direction(family: Family, given: Mapping[str, Any], content: object) 
 def pack_modifiers(modifiers: Mapping[str, Any], angle_per_position: float) -> Packed:
     """Convert checked modifiers to the layout of the kernel.
 
-    Parameters
-    ----------
-    modifiers : mapping
-    angle_per_position : float
-        Angle per unit of order times position, rad: 1 on a rotary axis, 2 pi on a linear one.
+    ``angle_per_position``: per unit of order times position, rad: 1 on a rotary axis, 2 pi on a linear one.
     """
     values: list[float] = []
     names: list[str | None] = []

@@ -277,16 +277,9 @@ def per_knee(p: Array, bend: float) -> float:
 def travelled(distance: float, path: float, per_knee: float) -> tuple[float, float, float, float]:
     """Compute how far a state moves towards its target T in one step.
 
-    Parameters
-    ----------
-    distance, path, per_knee : float
-        T - y, kappa abs(v) dt and 1 / w.
-
-    Returns
-    -------
-    tuple
-        Fraction of the distance that is covered; 1 minus the derivative of the remaining distance over the distance;
-        the distance in knees; the part of that beyond the first knee.
+    ``distance``, ``path`` and ``per_knee`` are T - y, kappa abs(v) dt and 1 / w. Returns the fraction of the distance
+    that is covered; 1 minus the derivative of the remaining distance over the distance; the distance in knees; and the
+    part of that beyond the first knee.
     """
     knees = abs(distance) * per_knee
     beyond = max(knees - 1.0, 0.0)
@@ -303,10 +296,7 @@ _rate_bend, _rate, _per_knee, _travelled, _summed = rate_bend, rate, per_knee, t
 def outputs(p: Array, x: Array, fed_back: Array, aims: Array, h: Array) -> tuple[float, int]:
     """Fill ``aims`` and ``h`` of a gated network as `advance` does.
 
-    Returns
-    -------
-    tuple
-        Output of the direct path, and index of the first weight of the gates.
+    Returns the output of the direct path, and the index of the first weight of the gates.
     """
     begin = _layers(p, x, fed_back, h)
     feedbacks, stride = whole(p[FEEDBACKS]), _output_weights(p)
@@ -327,36 +317,18 @@ _outputs = outputs
 
 @inlined
 def advance(
-    p: Array,
-    x: Array,
-    features: Array,
-    path: float,
-    tempo: float,
-    damped: float,
-    fed_back: Array,
-    after: Array,
-    aims: Array,
-    h: Array,
+    p: Array,  # network
+    x: Array,  # (inputs,), of the layers
+    features: Array,  # (`GATE_FEATURES`,), inputs of the gates; a network without gates ignores them
+    path: float,  # abs(v) dt of the step, rad
+    tempo: float,  # TRAINED_DT / dt of the sample
+    damped: float,  # damping of the earlier steps of the same sample
+    fed_back: Array,  # (feedbacks,), feedback before the step
+    after: Array,  # (feedbacks,), feedback after the step; may be the same array
+    aims: Array,  # (1 + feedbacks,), filled with the limited T of every output, and B
+    h: Array,  # (width + second + SPARE,), filled with the outputs of the layers
 ) -> tuple[float, float]:
-    """Advance the feedback by one step; return the torque over its scale, and the damping it contains.
-
-    Parameters
-    ----------
-    p
-        Network.
-    x, features : (inputs,) and (`GATE_FEATURES`,) array
-        Inputs of the layers and of the gates; a network without gates ignores the latter.
-    path, tempo : float
-        abs(v) dt of the step, rad, and TRAINED_DT / dt of the sample.
-    damped : float
-        Damping of the earlier steps of the same sample.
-    fed_back, after : (feedbacks,) array
-        Feedback before and after the step. May be the same array.
-    aims : (1 + feedbacks,) array
-        Filled with the limited T of every output, and B.
-    h : (width + second + SPARE,) array
-        Filled with the outputs of the layers.
-    """
+    """Advance the feedback by one step; return the torque over its scale, and the damping it contains."""
     feedbacks, bound = whole(p[FEEDBACKS]), p[BOUND]
     if p[STRUCTURE] != GATED:
         total = _limited(_output(p, _layers(p, x, fed_back, h), x, fed_back, h), bound)
@@ -434,26 +406,19 @@ _support, _seen_velocity, _steps_of = support, seen_velocity, steps_of
 
 @inlined
 def step(
-    p: Array,
-    s: Array,
-    velocity: float,
-    level_velocity: float,
-    dt: float,
-    position: float,
-    load_torque: float,
-    temperature: float,
+    p: Array,  # network
+    s: Array,  # state, changed in place
+    velocity: float,  # drives the state and sets the direction, rad/s
+    level_velocity: float,  # sets the speed, rad/s
+    dt: float,  # s
+    position: float,  # rad
+    load_torque: float,  # N m
+    temperature: float,  # deg C
 ) -> float:
     """Advance the state over one sample with ``velocity`` held, and return the friction torque, N m.
 
-    Parameters
-    ----------
-    p, s
-        Network and state; the state is changed in place.
-    velocity, level_velocity
-        Velocity that drives the state and sets the direction, and velocity that sets the speed, rad/s. They are equal
-        except in a compensator; see `friction_hil.friction.kernel`.
-    dt, position, load_torque, temperature
-        s, rad, N m, deg C. Values that are not inputs of the network are ignored. A narx ignores ``dt``.
+    The velocities are equal except in a compensator; see `friction_hil.friction.kernel`. Values that are not inputs of
+    the network are ignored. A narx ignores ``dt``.
     """
     steps = _steps_of(p, dt)
     distance = velocity * dt / steps

@@ -53,13 +53,7 @@ class Parameter:
         return ", ".join(parts) or "any number"
 
     def check(self, model: str, value: object) -> float:
-        """Return ``value`` as a float.
-
-        Raises
-        ------
-        InvalidParameterError
-            It is not a number, not finite, or out of bounds.
-        """
+        """Return ``value`` as a float; an `InvalidParameterError`: it is not a number, not finite, or out of bounds."""
         return self._check(model, self.name, value)
 
     def _check(self, model: str, name: str, value: object) -> float:
@@ -182,10 +176,7 @@ def _as_list(value: object) -> list[object] | None:
 def check_all(model: str, known: Sequence[Parameter], given: Mapping[str, object]) -> dict[str, Any]:
     """Check the ``given`` parameters of a model and fill in the defaults, in the order of ``known``.
 
-    Raises
-    ------
-    InvalidParameterError
-        A parameter is unknown, missing or out of bounds.
+    Raises `InvalidParameterError`: a parameter is unknown, missing or out of bounds.
     """
     by_name = {parameter.name: parameter for parameter in known}
     for name in given:

@@ -16,16 +16,8 @@ def scaled_friction(
     """Return parameters and modifiers of the model whose torque is ``factor`` times that of the given ones.
 
     This is exact for each family: its torque is homogeneous of degree one in the parameters that contain a torque, and
-    the load torque of the modifier ``load`` is multiplied by the same factor.
-
-    Parameters
-    ----------
-    family : str
-        Name of the model; a network has no parameters that could be scaled.
-    parameters, modifiers : mapping
-        As in a model file.
-    factor : float
-        Above zero.
+    the load torque of the modifier ``load`` is multiplied by the same factor. ``family``: not a network, which has no
+    parameters that could be scaled. ``factor``: above zero.
     """
     own = FAMILIES[family].parameters
     changed = {**modifiers}

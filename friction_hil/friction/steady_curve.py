@@ -13,17 +13,8 @@ _STRIBECK_VELOCITIES = 10.0  # range of the velocity, in Stribeck velocities
 def steady_curve(model: FrictionModel, fastest: float, points: int = _POINTS) -> tuple[Array, Array]:
     """Return velocity and steady torque of a model up to ``fastest``, without load; NaN at rest.
 
-    Parameters
-    ----------
-    model : FrictionModel
-    fastest : float
-        Largest speed, rad/s or m/s.
-    points : int
-        Number of points on each side of rest, more of them at low speed.
-
-    Returns
-    -------
-    velocity, torque : (2 points + 1,) arrays
+    Both are (2 points + 1,): ``points`` on each side of rest, more of them at low speed. ``fastest``: largest speed,
+    rad/s or m/s.
     """
     side = np.geomspace(_SLOWEST, 1.0, points) * fastest
     velocity = np.concatenate([-side[::-1], [0.0], side])

@@ -16,31 +16,16 @@ _STEP = 1e-3  # of a standard error, for the derivative: within it the torque is
 
 def steady_uncertainty(
     model: FrictionModel,
-    velocity: ArrayLike,
+    velocity: ArrayLike,  # (n,), rad/s or m/s
+    # of parameters by their names in ``model.free``; those without one count as exact
     standard_errors: Mapping[str, float],
+    # two names and their correlation; other pairs count as independent
     correlations: Iterable[tuple[str, str, float]] = (),
 ) -> Array:
     """Compute the standard deviation of the steady torque at constant velocity, by propagation of the errors.
 
-    Parameters
-    ----------
-    model : FrictionModel
-    velocity : (n,) array
-        Velocity, rad/s or m/s.
-    standard_errors : mapping
-        Standard errors of parameters by their names in ``model.free``; those without one count as exact.
-    correlations : iterable of tuple
-        Two names and their correlation; other pairs count as independent.
-
-    Returns
-    -------
-    (n,) array
-        N m or N, without load, at the reference temperature; 0 at rest.
-
-    Raises
-    ------
-    UsageError
-        A velocity is not finite.
+    Returns (n,), N m or N, without load, at the reference temperature; 0 at rest. Raises `UsageError`: a velocity is
+    not finite.
     """
     v = vector("velocity", velocity)
     require_finite("velocity", v)
