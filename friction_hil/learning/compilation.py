@@ -19,13 +19,7 @@ _WINDOW_S, _SKIPPED_S = 3.0, 1.0
 def compile_learning(belief: Belief, period_s: float, resolution: float) -> None:
     """Compile what estimates, a residual layer and other families need, and keep it for other processes.
 
-    Parameters
-    ----------
-    belief : Belief
-    period_s : float
-        Period of the loop, s.
-    resolution : float
-        Step of the position, rad or m.
+    ``resolution``: step of the position, rad or m.
     """
     time_s = np.arange(round(_WINDOW_S / period_s)) * period_s
     position, nothing = np.sin(math.tau * time_s), np.zeros(time_s.size)

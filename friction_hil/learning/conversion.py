@@ -37,20 +37,9 @@ def converted(model: FrictionModel, name: str, *, speed: float, deflection: floa
     begin of a motion. A Maxwell-slip model has `_ELEMENTS` elements of equal weight, whose torque over the deflection
     is that of a bristle, ``static (1 - exp(-stiffness x / static))``, by pieces of straight lines.
 
-    Parameters
-    ----------
-    model : FrictionModel
-        Without a network, of a family in `ALTERNATIVES`.
-    name : {"lugre", "elasto_plastic", "gms"}
-    speed : float
-        Top speed of the motion, rad/s or m/s.
-    deflection : float
-        Of the bristles at break-away, rad or m, where the model has none.
-
-    Raises
-    ------
-    UsageError
-        A level is zero.
+    ``model``: without a network, of a family in `ALTERNATIVES`. ``name``: lugre, elasto_plastic or gms. ``speed``: top
+    speed of the motion, rad/s or m/s. ``deflection``: of the bristles at break-away, rad or m, where the model has
+    none. Raises `UsageError`: a level is zero.
     """
     elastic = model.level / deflection  # of a map, which has none of its own
     given = _parameters(model.name, model.given, name, speed, elastic)

@@ -29,29 +29,14 @@ class Coordinates:
     A parameter with a sign is ``value exp(x)``, x being its coordinate: it keeps its sign. One with an upper bound,
     such as a share, is a logistic curve of the same slope at x = 0: it stays below. The two components of a ripple are
     ``value + amplitude x``.
-
-    Attributes
-    ----------
-    model : FrictionModel
-        At x = 0.
-    names : tuple of str
-        Names from ``model.free``.
-    values : (m,) array
-        Parameters at x = 0.
-    scales : (m,) array
-        NaN for an exponential or logistic coordinate, else the unit of a linear one.
-    uppers : (m,) array
-        Upper bounds; infinite where there is none.
-    errors : (m,) array
-        Standard deviations before anything was learned.
     """
 
-    model: FrictionModel
-    names: tuple[str, ...]
-    values: Array
-    scales: Array
-    uppers: Array
-    errors: Array
+    model: FrictionModel  # at x = 0
+    names: tuple[str, ...]  # from ``model.free``
+    values: Array  # (m,) parameters at x = 0
+    scales: Array  # (m,) NaN for an exponential or logistic coordinate, else the unit of a linear one
+    uppers: Array  # (m,) upper bounds; infinite where there is none
+    errors: Array  # (m,) standard deviations before anything was learned
 
     def at(self, x: Array) -> Array:
         """Return the parameters (m,) at coordinates (m,)."""
@@ -84,32 +69,14 @@ class Coordinates:
         return np.where(np.isfinite(self.scales), self.scales, bounded)
 
     def model_at(self, x: Array) -> FrictionModel:
-        """Create the model at coordinates (m,).
-
-        Raises
-        ------
-        UsageError
-            The parameters are not consistent.
-        """
+        """Create the model at coordinates (m,); a `UsageError`: the parameters are not consistent."""
         return with_values(self.model, dict(zip(self.names, map(float, self.at(x)), strict=True)))
 
     def simulate(self, x: Array, velocity: Array, dt: float, **inputs: Any) -> tuple[Array, Array]:
         """Return the friction torque (n,) of a motion and its derivatives with respect to the coordinates (n, m).
 
-        Parameters
-        ----------
-        x : (m,) array
-        velocity : (n,) array
-            rad/s or m/s.
-        dt : float
-            Period of sampling, s.
-        **inputs
-            See `friction_hil.friction.FrictionModel.simulate`.
-
-        Raises
-        ------
-        UsageError
-            The parameters are not consistent.
+        ``velocity``: (n,) rad/s or m/s. ``dt``: period of sampling, s. ``inputs``: see `FrictionModel.simulate`. Raises
+        `UsageError`: the parameters are not consistent.
         """
         columns = [{name: float(slope)} for name, slope in zip(self.names, self.slopes(x), strict=True)]
         return self.model_at(x).simulate_with_gradient(velocity, dt, free=columns, **inputs)
@@ -118,13 +85,8 @@ class Coordinates:
 def coordinates_of(model: FrictionModel, standard_errors: Mapping[str, float]) -> Coordinates:
     """Return the coordinates of a model.
 
-    Parameters
-    ----------
-    model : FrictionModel
-        Without a network.
-    standard_errors : mapping
-        Absolute standard errors of the parameters by name, as `identify` writes them into a model file; parameters
-        without one get a relative error of `DEFAULT_ERROR`.
+    ``model``: without a network. ``standard_errors``: absolute ones of the parameters by name, as `identify` writes
+    them into a model file; parameters without one get a relative error of `DEFAULT_ERROR`.
     """
     names, values, scales, uppers, errors = [], [], [], [], []
     for name in model.free:

@@ -53,25 +53,15 @@ class Mechanics:
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """Parameters with their uncertainty.
-
-    Attributes
-    ----------
-    coordinates : Coordinates
-    mechanics : Mechanics
-    x : (m + 3,) array
-        Coordinates of the friction, then relative change of the inertia, further static torque in friction levels and
-        age of the torque in periods.
-    covariance : (m + 3, m + 3) array
-    first : (m + 3,) array
-        Standard deviations before anything was learned.
-    """
+    """Parameters with their uncertainty."""
 
     coordinates: Coordinates
     mechanics: Mechanics
+    # (m + 3,) coordinates of the friction, then relative change of the inertia, further static torque in friction
+    # levels and age of the torque in periods
     x: Array
-    covariance: Array
-    first: Array
+    covariance: Array  # (m + 3, m + 3)
+    first: Array  # (m + 3,) standard deviations before anything was learned
 
     @property
     def model(self) -> FrictionModel:
@@ -107,10 +97,7 @@ class Belief:
         What the record hardly says about a parameter is as likely an error of the model, which another motion would
         suffer from. The shown ones are then those that are most probable with the ``others`` (conditional mean).
 
-        Parameters
-        ----------
-        others : (m + 3,) array
-            Coordinates to keep.
+        ``others``: (m + 3,) coordinates to keep.
         """
         deviations = np.sqrt(np.diag(self.covariance))
         is_shown = deviations < _SHOWN * self.first
@@ -130,11 +117,7 @@ class Belief:
     def older(self, drift: float, seconds: float) -> "Belief":
         """Return the belief after some time in which the friction may have changed.
 
-        Parameters
-        ----------
-        drift : float
-            Standard deviation of the relative change within a minute; it grows with the square root of time.
-        seconds : float
+        ``drift``: standard deviation of the relative change within a minute; it grows with the square root of time.
         """
         drifts = np.full(len(self.x), drift)
         # an inertia does not change, but the error of a model is the same in all records of one motion
@@ -152,15 +135,7 @@ class Belief:
 
 
 def first_belief(model: FrictionModel, mechanics: Mechanics, standard_errors: Mapping[str, float]) -> Belief:
-    """Return what a model file says.
-
-    Parameters
-    ----------
-    model : FrictionModel
-    mechanics : Mechanics
-    standard_errors : mapping
-        See `friction_hil.learning.coordinates.coordinates_of`.
-    """
+    """Return what a model file says; ``standard_errors`` as for `coordinates_of`."""
     coordinates = coordinates_of(model, standard_errors)
     first = np.concatenate([coordinates.errors, [_INERTIA_ERROR, _STATIC_ERROR, _DELAY_PERIODS]])
     return Belief(coordinates, mechanics, np.zeros(first.size), np.diag(first**2), first)
@@ -168,55 +143,28 @@ def first_belief(model: FrictionModel, mechanics: Mechanics, standard_errors: Ma
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Result of `estimate`.
+    """Result of `estimate`."""
 
-    Attributes
-    ----------
-    belief : Belief
-        With the record taken into account.
-    residual : float
-        Weighted root mean square of the residual, N m.
-    surprise : float
-        How far the record contradicts the belief before it: mean square of the parameters' change in its own
-        standard deviations; about 1 or less if it does not.
-    torque_error : float
-        Standard deviation of the friction torque along this motion by the errors of the parameters, N m.
-    """
-
-    belief: Belief
-    residual: float
+    belief: Belief  # with the record taken into account
+    residual: float  # weighted root mean square of the residual, N m
+    # how far the record contradicts the belief before it: mean square of the parameters' change in its own standard
+    # deviations; about 1 or less if it does not
     surprise: float
+    # standard deviation of the friction torque along this motion by the errors of the parameters, N m
     torque_error: float
 
 
 @dataclass(frozen=True, slots=True)
 class LeftOver:
-    """What a belief leaves of the torque of a record; arrays of rows, (k,).
-
-    Attributes
-    ----------
-    belief : Belief
-    window : Window
-        The whole record, whose beginning brings the state of the model to where it was.
-    whole_velocity : (n,) array
-        Of the record.
-    rows : slice
-        Of the record: those that count.
-    torque : array
-        Measured less explained torque, N m.
-    slopes : (k, m + 3) array
-        Derivatives of ``torque`` over the coordinates of the belief.
-    doubt : array
-        Change of the friction within a period, N m: what is not known of when in a period it happened.
-    """
+    """What a belief leaves of the torque of a record of n rows, of which k count."""
 
     belief: Belief
-    window: Window
-    whole_velocity: Array
-    rows: slice
-    torque: Array
-    slopes: Array
-    doubt: Array
+    window: Window  # the whole record, whose beginning brings the state of the model to where it was
+    whole_velocity: Array  # (n,) of the record
+    rows: slice  # of the record: those that count
+    torque: Array  # (k,) measured less explained torque, N m
+    slopes: Array  # (k, m + 3) derivatives of ``torque`` over the coordinates of the belief
+    doubt: Array  # (k,) change of the friction within a period, N m: what is not known of when in a period it happened
 
     @property
     def position(self) -> Array:
@@ -265,12 +213,7 @@ def uncompensated(
     The friction is the measured torque less inertia and static torque; rows weigh as in `estimate`, so that those whose
     torque nothing explains do not hide the difference.
 
-    Parameters
-    ----------
-    window, belief, resolution, skipped_s
-        As in `estimate`.
-    commands : iterable of (FrictionModel, float)
-        Model and gain of each compensation.
+    ``commands``: model and gain of each compensation; the others as for `estimate`.
     """
     problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
     left, _ = problem.residual(belief.x)
@@ -291,12 +234,7 @@ def unexplained(
 ) -> tuple[Array, Array]:
     """Return the torque of a record that coordinates leave, (k,), and what is not known of it, (k,); without slopes.
 
-    Parameters
-    ----------
-    window, belief, resolution, skipped_s
-        See `estimate`.
-    x : (m + 3,) array
-        Coordinates of the belief.
+    ``x``: (m + 3,) coordinates of the belief; the others as for `estimate`.
     """
     problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
     return problem.left(x, problem.friction(x))[problem.rows], problem.doubt(x)
@@ -362,14 +300,8 @@ class _Problem:
 def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float = 0.0) -> Estimate:
     """Refine a belief by a record.
 
-    Parameters
-    ----------
-    window : Window
-    belief : Belief
-    resolution : float
-        Step of the position, rad or m.
-    skipped_s : float
-        Beginning of the record that only brings the model's state to where it was, s.
+    ``resolution``: step of the position, rad or m. ``skipped_s``: beginning of the record that only brings the model's
+    state to where it was, s.
     """
     problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
     prior = linalg.cholesky(np.linalg.inv(belief.covariance))
@@ -421,12 +353,7 @@ def refine(
     Large residuals count less, so that a record that contradicts what is known may hardly change it: where much is
     left, an estimate that begins with doubt takes its place if it leaves much less.
 
-    Parameters
-    ----------
-    window, belief, resolution, skipped_s
-        See `estimate`.
-    usual : float
-        Residual of the last record, N m.
+    ``usual``: residual of the last record, N m.
     """
     found = estimate(window, belief, resolution, skipped_s)
     is_surprise = found.surprise > _SURPRISE

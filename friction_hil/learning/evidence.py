@@ -58,25 +58,15 @@ def empty(count: int) -> Memory:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Weighted rows of a window.
+    """Weighted rows of a window."""
 
-    Attributes
-    ----------
-    weights : (k,) array
-    columns : (k, n + m) array
-        Of the torque of ``n`` features with an amplitude of one, and of what is explained by the coordinates.
-    target, whole : (k,) array
-        What the belief leaves of the torque, and what coordinates of zero would leave.
-    x, first : (m,) array
-        Coordinates, and their standard deviations before anything was learned.
-    """
-
-    weights: Array
+    weights: Array  # (k,)
+    # (k, n + m) of the torque of n features with an amplitude of one, and of what is explained by the coordinates
     columns: Array
-    target: Array
-    whole: Array
-    x: Array
-    first: Array
+    target: Array  # (k,) what the belief leaves of the torque
+    whole: Array  # (k,) what coordinates of zero would leave of it
+    x: Array  # (m,) coordinates
+    first: Array  # (m,) their standard deviations before anything was learned
 
 
 def rows_of(left: LeftOver, weights: Array, features: Sequence[Feature]) -> Rows:

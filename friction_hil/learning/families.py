@@ -50,12 +50,7 @@ class _Other:
 
 @dataclass(slots=True)
 class Families:
-    """What is known of the families that are not in use.
-
-    Attributes
-    ----------
-    figures : FamilyFigures
-    """
+    """What is known of the families that are not in use."""
 
     figures: FamilyFigures
     _others: dict[str, _Other] = field(default_factory=dict)
@@ -77,16 +72,7 @@ class Families:
     def add(self, content: Mapping[str, Any], present: Belief) -> Used:
         """Return a model of another family that was kept in an earlier run, with the gain 1.
 
-        Parameters
-        ----------
-        content : mapping
-            As `friction_hil.friction.model.as_dict` returns it.
-        present : Belief
-
-        Raises
-        ------
-        UsageError
-            There is no such model.
+        ``content``: as `friction_hil.friction.model.as_dict` returns it. Raises `UsageError`: there is no such model.
         """
         axis = present.coordinates.model.axis
         parameters, modifiers = content["parameters"], content.get("modifiers")
@@ -99,12 +85,7 @@ class Families:
     def look(self, window: Window, present: Belief, resolution: float, skipped_s: float) -> None:
         """Compare all families by a window that none of them has learned from; then one of the others learns from it.
 
-        Parameters
-        ----------
-        window, resolution, skipped_s
-            See `friction_hil.learning.estimate.estimate`.
-        present : Belief
-            About the family in use, before the window.
+        ``present``: about the family in use, before the window; the others as for `estimate`.
         """
         seconds = len(window) * window.period_s - skipped_s
         for other in self._others.values():

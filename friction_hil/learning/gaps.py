@@ -17,13 +17,7 @@ _MEASURED = ("position", "torque")  # not known without feedback; all else is
 
 
 class Gaps:
-    """Fills the gaps of one axis's rows.
-
-    Parameters
-    ----------
-    rows_per_tick : int
-    period_s : float
-    """
+    """Fills the gaps of one axis's rows."""
 
     def __init__(self, rows_per_tick: int, period_s: float) -> None:
         self._size, self._period_s = rows_per_tick, period_s
@@ -33,12 +27,8 @@ class Gaps:
     def fill(self, rows: Mapping[str, Array], following: Mapping[str, Array]) -> dict[str, Array] | None:
         """Return all rows of a tick, `friction_hil.learning.window.COLUMNS`; None if too many are missing.
 
-        Parameters
-        ----------
-        rows : mapping of str to (k,) array
-            Rows of one tick that there are: `RECORDED`, and ``is_fresh``.
-        following : mapping of str to (0,) or (1,) array
-            The row after them, if there is one yet.
+        ``rows``: those of one tick that there are, (k,) each: `RECORDED`, and ``is_fresh``. ``following``: the row
+        after them, (0,) or (1,), if there is one yet.
         """
         before, cycle = self._before, rows["cycle"]
         if before is not None and cycle[0] - before["cycle"][0] > self._size:  # a tick was not taken

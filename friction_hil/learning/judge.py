@@ -18,34 +18,17 @@ CHANCE = "no more than chance"
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """What an axis did for a while, and how well.
+    """What an axis did for a while, and how well."""
 
-    Attributes
-    ----------
-    speed, acceleration : float
-        Root mean square of the demanded motion, SI.
-    travel : float
-        Range of the demanded positions.
-    top_speed : float
-    rms, peak : float
-        Of the following error, SI.
-    worst : tuple of float
-        Largest root mean square within each of the spans that harm is judged by.
-    effort : float
-        Root mean square of the compensation, N m.
-    scatter : float
-        Standard error of the mean square of the following error, from second to second.
-    """
-
-    speed: float
-    acceleration: float
-    travel: float
+    speed: float  # root mean square of the demanded motion, SI
+    acceleration: float  # the same
+    travel: float  # range of the demanded positions
     top_speed: float
-    rms: float
-    peak: float
-    worst: tuple[float, ...]
-    effort: float
-    scatter: float
+    rms: float  # of the following error, SI
+    peak: float  # the same
+    worst: tuple[float, ...]  # largest root mean square within each of the spans that harm is judged by
+    effort: float  # root mean square of the compensation, N m
+    scatter: float  # standard error of the mean square of the following error, from second to second
 
     @property
     def is_moving(self) -> bool:
@@ -105,15 +88,8 @@ def no_help(error: Array, before: Work, period_s: float) -> tuple[float, float] 
 def is_harmful(error: Array, before: Work, resolution: float, period_s: float) -> bool:
     """Return True if the latest errors exceed all before.
 
-    Parameters
-    ----------
-    error : (n,) array
-        Following error since a change, SI.
-    before : Work
-        Without the change.
-    resolution : float
-        Step of the position, SI.
-    period_s : float
+    ``error``: (n,) following error since a change, SI. ``before``: without the change. ``resolution``: step of the
+    position, SI.
     """
     for span_s, factor, worst in zip(_SPANS_S, _HARMS, before.worst, strict=True):
         rows = round(span_s / period_s)

@@ -19,22 +19,13 @@ _END = 2.0  # times the last distance of a layer: nothing is left of its torque
 
 
 class Feature(NamedTuple):
-    """What the torque of a layer depends on; the amplitude is that of a torque, N m or N.
+    """What the torque of a layer depends on; the amplitude is that of a torque, N m or N."""
 
-    Attributes
-    ----------
-    group : str
-        A key of `PARTS`.
-    at : float
-        Periods per revolution, on a linear axis per metre; distance since the last reversal, rad or m; speed, rad/s or
-        m/s; or load torque, N m or N, at which the friction is larger by the amplitude.
-    part : str
-        One of `PARTS` of the group.
-    """
-
-    group: str
+    group: str  # a key of `PARTS`
+    # periods per revolution, on a linear axis per metre; distance since the last reversal, rad or m; speed, rad/s or
+    # m/s; or load torque, N m or N, at which the friction is larger by the amplitude
     at: float
-    part: str
+    part: str  # one of `PARTS` of the group
 
 
 def pairs(group: str, places: Sequence[float]) -> tuple[Feature, ...]:
@@ -44,18 +35,10 @@ def pairs(group: str, places: Sequence[float]) -> tuple[Feature, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """Torque that is added to that of a friction model.
+    """Torque that is added to that of a friction model."""
 
-    Attributes
-    ----------
-    features : tuple of Feature
-        As `pairs` returns them.
-    amplitudes : tuple of float
-        N m or N.
-    """
-
-    features: tuple[Feature, ...]
-    amplitudes: tuple[float, ...]
+    features: tuple[Feature, ...]  # as `pairs` returns them
+    amplitudes: tuple[float, ...]  # N m or N
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -77,10 +60,7 @@ class Layer:
     def on(self, model: FrictionModel) -> FrictionModel:
         """Return a model with this torque beside its own.
 
-        Parameters
-        ----------
-        model : FrictionModel
-            Without modifiers of the layer's groups; a ripple is added to that of the model.
+        ``model`` has no modifiers of the layer's groups; a ripple is added to that of the model.
         """
         modifiers: dict[str, Any] = dict(model.modifiers)
         by_group: dict[str, dict[float, dict[str, float]]] = {}
@@ -129,13 +109,8 @@ def between(layer: Layer | None, other: Layer | None, part: float) -> Layer | No
 def columns(model: FrictionModel, features: Sequence[Feature], gradient: Any) -> Array:
     """Return the torque of each feature with an amplitude of one along a record, (n, m).
 
-    Parameters
-    ----------
-    model : FrictionModel
-        Without modifiers of the features' groups, but for a ripple.
-    features : sequence of Feature
-    gradient : callable
-        Returns the derivatives (n, m) of a model's torque over weighted sums of parameters.
+    ``model``: without modifiers of the features' groups, but for a ripple. ``gradient`` returns the derivatives (n, m)
+    of a model's torque over weighted sums of parameters.
     """
     if not features:
         return np.asarray(gradient(model, []))

@@ -50,36 +50,10 @@ _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplain
 class Learner:
     """Learning of one axis.
 
-    Parameters
-    ----------
-    model : FrictionModel
-        Of the model file, without a network.
-    mechanics : Mechanics
-    standard_errors : mapping
-        Of the model file; see `friction_hil.learning.coordinates.coordinates_of`.
-    period_s : float
-    resolution : float
-        Step of the position, rad or m.
-    gain : float
-        Of the configuration: the least that is commanded.
-    fade_s : float
-        Time over which a change is blended.
-    is_gain_fixed : bool
-        The gain stays that of the configuration.
-    has_layer : bool
-        A residual layer is looked for; see `friction_hil.learning.residual`.
-    has_families : bool
-        Other families of models are considered; see `friction_hil.learning.families`.
-
-    Attributes
-    ----------
-    belief : Belief
-        What is known now.
-    figures : Figures
-    rows_per_tick : int
-        Number of rows that `take` expects.
-    notes : list of str
-        What is to be reported; whoever reports it removes it.
+    ``model``: that of the model file, without a network; ``standard_errors``: see `coordinates_of`. ``resolution``:
+    step of the position, rad or m. ``gain``: that of the configuration, the least that is commanded; with
+    ``is_gain_fixed`` it stays. ``fade_s``: time over which a change is blended, s. ``has_layer``: a residual layer is
+    looked for; ``has_families``: other families of models are considered.
     """
 
     def __init__(
@@ -98,7 +72,7 @@ class Learner:
     ) -> None:
         self._is_gain_fixed = is_gain_fixed
         self._period_s, self._resolution, self._least_gain = period_s, resolution, gain
-        self.belief: Belief = first_belief(model, mechanics, standard_errors)
+        self.belief: Belief = first_belief(model, mechanics, standard_errors)  # what is known now
         self._has_layer, self._residual = has_layer, Residual(model)
         self._is_turn_of_layer = False  # parameters and layer take turns
         self._finding: Finding | None = None  # what the last window shows of a residual layer
@@ -107,7 +81,7 @@ class Learner:
         self._resumed: Used | None = None
         self._misled = 0  # ticks in which the model file explained the torque better, one after the other
         self.record = Record(period_s, resolution)
-        self.rows_per_tick = self.record.rows_per_tick
+        self.rows_per_tick = self.record.rows_per_tick  # that `take` expects
         self._fresh = 0  # ticks that no estimate has used yet
         self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
         self._trial: Trial | None = None
@@ -122,7 +96,7 @@ class Learner:
         self._settling, self._first_ticks = fade + _SETTLING_TICKS, fade + _FIRST_TICKS
         self.figures = Figures(gain=gain, family=FamilyFigures(model.name, model.name))
         self._has_families, self._families = has_families, Families(self.figures.family)
-        self.notes: list[str] = []
+        self.notes: list[str] = []  # what is to be reported; whoever reports it removes it
 
     def pause(self, reason: str) -> Proposal | None:
         """Forget the rows so far, after some that are not to be learned from; return what is taken back therefore."""
@@ -136,19 +110,9 @@ class Learner:
     def resume(self, parameters: Mapping[str, float], gain: float, model: Mapping[str, Any] | None = None) -> None:
         """Begin with parameters that were kept in an earlier run: they are handed over with the first motion.
 
-        Parameters
-        ----------
-        parameters : mapping
-            By name; those of other names are ignored.
-        gain : float
-            Limited to what the configuration allows.
-        model : mapping, optional
-            As `friction_hil.friction.model.as_dict` returns it, if it is of another family than the model file.
-
-        Raises
-        ------
-        UsageError
-            There is no such model.
+        ``parameters``: by name; those of other names are ignored. ``gain`` is limited to what the configuration allows.
+        ``model``: as `friction_hil.friction.model.as_dict` returns it, if it is of another family than the model file.
+        Raises `UsageError`: there is no such model.
         """
         is_fixed = self._is_gain_fixed or self._least_gain > 1.0
         gain = self._least_gain if is_fixed else min(max(gain, self._least_gain), 1.0)

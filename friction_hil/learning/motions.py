@@ -36,23 +36,12 @@ _LIMITED, _OTHER_FRICTION = (
 
 @dataclass(frozen=True, slots=True)
 class Used:
-    """What a compensator has.
+    """What a compensator has."""
 
-    Attributes
-    ----------
-    x : (m + 3,) array
-        Coordinates of its parameters, and those of the mechanics.
-    gain : float
-    coordinates : Coordinates
-        Of the family of its model.
-    layer : Layer or None
-        Residual layer.
-    """
-
-    x: Array
+    x: Array  # (m + 3,) coordinates of its parameters, and those of the mechanics
     gain: float
-    coordinates: Coordinates
-    layer: Layer | None = None
+    coordinates: Coordinates  # of the family of its model
+    layer: Layer | None = None  # residual layer
 
     @property
     def own(self) -> FrictionModel:
@@ -91,20 +80,11 @@ class Used:
 
 @dataclass(slots=True)
 class Limit:
-    """A gain above which a higher one is not tried for a while.
-
-    Attributes
-    ----------
-    gain : float
-    torque : float
-        Root mean square of the friction torque when it was found, N m.
-    left : int
-        Proposals until a higher one is tried again.
-    """
+    """A gain above which a higher one is not tried for a while."""
 
     gain: float
-    torque: float
-    left: int = _LIMITED
+    torque: float  # root mean square of the friction torque when it was found, N m
+    left: int = _LIMITED  # proposals until a higher one is tried again
 
     def is_of_other_friction(self, torque: float) -> bool:
         """Return True if friction has changed so much since then that a higher gain may be a help now."""
@@ -113,33 +93,17 @@ class Limit:
 
 @dataclass(slots=True)
 class Kind:
-    """A kind of motion.
+    """A kind of motion."""
 
-    Attributes
-    ----------
-    used : Used
-        Proven for it: the model file until something better was kept.
-    pause : int
-        Windows without a trial after the next one that is taken back.
-    rest : int
-        Windows until the next trial.
-    refused_error : float
-        Root mean square of the following error before the last trial that was taken back, SI.
-    refused : Used or None
-        What that trial tried.
-    limit : Limit or None
-        Gain that was kept because a higher one was no help.
-    ranges : (2, spans, 3) array or None
-        Least and most top speed, travel and mean square of the acceleration, of each span; NaN where none was so long.
-        None: the motion has just begun.
-    """
-
-    used: Used
-    pause: int
-    rest: int = 0
+    used: Used  # proven for it: the model file until something better was kept
+    pause: int  # windows without a trial after the next one that is taken back
+    rest: int = 0  # windows until the next trial
+    # root mean square of the following error before the last trial that was taken back, SI
     refused_error: float = math.inf
-    refused: Used | None = None
-    limit: Limit | None = None
+    refused: Used | None = None  # what that trial tried
+    limit: Limit | None = None  # gain that was kept because a higher one was no help
+    # (2, spans, 3) least and most top speed, travel and mean square of the acceleration, of each span; NaN where none
+    # was so long; None: the motion has just begun
     ranges: Array | None = None
 
     def highest_gain(self, torque: float) -> float:
@@ -155,17 +119,7 @@ class Kind:
 class Motions:
     """The present kind of motion, and those that were seen before.
 
-    Parameters
-    ----------
-    file : Used
-        For every motion that nothing was proven for.
-    pause : int
-        Of a new kind.
-    period_s : float
-
-    Attributes
-    ----------
-    now : Kind
+    ``file``: for every motion that nothing was proven for. ``pause``: of a new kind.
     """
 
     def __init__(self, file: Used, pause: int, period_s: float) -> None:
@@ -244,11 +198,8 @@ class Motions:
 def _ranges(parts: Collection[tuple[float, ...]], margin: int = 0) -> Array:
     """Return least and most of each span of a motion, (2, spans, 3).
 
-    Parameters
-    ----------
-    parts : sequence of tuple
-    margin : int
-        The least is that of spans by up to so many parts shorter, the most that of longer ones: rests shift the parts.
+    ``margin``: the least is that of spans by up to so many parts shorter, the most that of longer ones: rests shift the
+    parts.
     """
     rows = np.array(list(parts))
     found = np.full((2, len(_SPANS_TICKS), 3), np.nan)

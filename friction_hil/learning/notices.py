@@ -13,15 +13,8 @@ def described(
 ) -> str:
     """Return what a proposal changes and why; as many parameters are named as there is room for.
 
-    Parameters
-    ----------
-    proposal : Proposal
-    before, after : mapping
-        Parameters in use, and those of the proposal.
-    axis : str
-        Name of the axis, which is put before the text.
-    is_tried : bool
-        False for an axis that only proposes.
+    ``before``, ``after``: parameters in use, and those of the proposal. ``axis``: its name is put before the text.
+    ``is_tried``: False for an axis that only proposes.
     """
     if proposal.step is Step.BACK:
         return f"learning takes back: {proposal.text}"

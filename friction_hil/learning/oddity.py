@@ -28,12 +28,7 @@ _UNFILTERED = 20  # last rows of a record, which its filters do not reach
 def broken(rows: Mapping[str, Array], level: float) -> str | None:
     """Return why the last rows are not to be used at all; None if they are.
 
-    Parameters
-    ----------
-    rows : mapping of str to (n,) array
-        `COLUMNS` of `FROZEN_TICKS` ticks.
-    level : float
-        Of the friction, N m.
+    ``rows``: `COLUMNS` of `FROZEN_TICKS` ticks, (n,) each. ``level``: of the friction, N m.
     """
     finite = [name for name in COLUMNS if name not in ("load_estimate", "temperature_estimate")]
     if not all(np.isfinite(rows[name]).all() for name in finite):
@@ -46,13 +41,8 @@ def broken(rows: Mapping[str, Array], level: float) -> str | None:
 def jump(past: Mapping[str, Array], tick: Mapping[str, Array], resolution: float, *, is_known: bool) -> float:
     """Return by how much the position jumps within a tick; 0 if it does no more than in the past of the same motion.
 
-    Parameters
-    ----------
-    past, tick : mapping of str to (n,) array
-    resolution : float
-        Step of the position, SI.
-    is_known : bool
-        The past contains all of the motion, not only its beginning.
+    ``past``, ``tick``: rows, (n,) each. ``resolution``: step of the position, SI. ``is_known``: the past contains all
+    of the motion, not only its beginning.
     """
     errors = [_error(rows) for rows in (past, tick)]
     usual, found = (
@@ -66,13 +56,7 @@ def jump(past: Mapping[str, Array], tick: Mapping[str, Array], resolution: float
 def follows_otherwise(ticks: Sequence[Mapping[str, Array]], resolution: float, period_s: float) -> float:
     """Return how many times as large the following error is as that of the same demand before; 0 if it is about that.
 
-    Parameters
-    ----------
-    ticks : sequence of mapping
-        `COLUMNS`, all with the same compensation.
-    resolution : float
-        Step of the position, SI.
-    period_s : float
+    ``ticks``: `COLUMNS`, all with the same compensation. ``resolution``: step of the position, SI.
     """
     if len(ticks) < _SPAN_TICKS + _LEAST_ALIKE:
         return 0.0
@@ -99,14 +83,8 @@ def follows_otherwise(ticks: Sequence[Mapping[str, Array]], resolution: float, p
 def is_other_axis(left: Array, usual: float, level: float) -> bool:
     """Return True if the torque is not that of the model any more.
 
-    Parameters
-    ----------
-    left : (n,) array
-        Result of `unexplained`, N m.
-    usual : float
-        Its root mean square in the window of the estimate, N m.
-    level : float
-        Of the friction, N m.
+    ``left``: (n,) result of `unexplained`, N m; ``usual``: its root mean square in the window of the estimate, N m.
+    ``level``: of the friction, N m.
     """
     return bool(np.min(left[-_ODD_TICKS:]) > _ODD * usual + _ODD_LEVEL * level)
 
@@ -119,16 +97,8 @@ def unexplained(
     Rows without demanded motion are left out: at rest friction has any value to break-away; and those of missed
     periods. 0 for a tick of rest.
 
-    Parameters
-    ----------
-    used : Used
-        Of its coordinates those of the friction count; the mechanics are those of the belief.
-    ticks : sequence of mapping
-        `COLUMNS`, the same number of rows in each.
-    belief : Belief
-    period_s : float
-    resolution : float
-        Step of the position, rad or m.
+    ``used``: of its coordinates those of the friction count; the mechanics are those of the belief. ``ticks``:
+    `COLUMNS`, the same number of rows in each. ``resolution``: step of the position, rad or m.
     """
     rows = joined(ticks)
     window = window_of(rows, period_s)

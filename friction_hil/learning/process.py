@@ -51,14 +51,7 @@ _FOREIGN = "the settings were changed by somebody else, or before its process be
 class AxisLearning:
     """Learning of one axis of a daemon.
 
-    Parameters
-    ----------
-    name : str
-    config : AxisConfig
-    facts : AxisFacts
-    period_s : float
-    folder : Path or None
-        Of the parameters that were kept last; None: they are neither used nor stored.
+    ``folder``: of the parameters that were kept last; None: they are neither used nor stored.
     """
 
     def __init__(self, name: str, config: AxisConfig, facts: AxisFacts, period_s: float, folder: Path | None) -> None:
@@ -100,15 +93,8 @@ class AxisLearning:
     ) -> Proposal | None:
         """Take the rows of a tick; those of an axis that is not compensated in motion only end a trial.
 
-        Parameters
-        ----------
-        rows : mapping of str to (k,) array
-        following : mapping of str to (0,) or (1,) array
-            The row after them, if there is one yet.
-        is_in_force : bool
-            The last change was in force by then.
-        is_busy : bool
-            This process has used its share of the processor: estimates wait.
+        ``rows``: (k,) each. ``following``: the row after them, (0,) or (1,), if there is one yet. ``is_in_force``: the
+        last change was in force by then. ``is_busy``: this process has used its share of the processor: estimates wait.
         """
         self._is_busy = is_busy
         whole = self._gaps.fill(rows, following)
@@ -220,16 +206,7 @@ class AxisLearning:
 
 
 class Learning:
-    """Learning of the axes of a daemon that want it.
-
-    Parameters
-    ----------
-    socket : Path
-        Control socket of the daemon.
-    board : LearningBoard
-    is_simulated : bool
-        The loop waits for each tick.
-    """
+    """Learning of the axes of a daemon that want it; ``is_simulated``: the loop waits for each tick."""
 
     def __init__(self, socket: Path, board: LearningBoard, *, is_simulated: bool) -> None:
         self._socket, self._board, self._is_simulated = socket, board, is_simulated

@@ -21,55 +21,27 @@ class Step(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """What is to be handed over.
-
-    Attributes
-    ----------
-    step : Step
-    model : FrictionModel or None
-        None: the model stays.
-    gain : float
-        Factor on the model's torque.
-    text : str
-        Why.
-    """
+    """What is to be handed over."""
 
     step: Step
-    model: FrictionModel | None
-    gain: float
-    text: str
+    model: FrictionModel | None  # None: the model stays
+    gain: float  # factor on the model's torque
+    text: str  # why
 
 
 @dataclass(slots=True)
 class Trial:
-    """What is in force for a trial.
-
-    Attributes
-    ----------
-    step : Step
-    tried : Used
-    before : Work
-        With what was in force before, of the same motion.
-    former : Used
-        What was in force before.
-    left : (float, float)
-        Of the friction by it, in the window before, and how much of that was a lack of torque, N m.
-    text : str
-        Why.
-    is_whole : bool
-        False: only a part of it is in force.
-    ticks : int
-        Since it is in force.
-    """
+    """What is in force for a trial."""
 
     step: Step
     tried: Used
-    before: Work
-    former: Used
+    before: Work  # with what was in force before, of the same motion
+    former: Used  # what was in force before
+    # of the friction by it, in the window before, and how much of that was a lack of torque, N m
     left: tuple[float, float]
-    text: str = ""
-    is_whole: bool = False
-    ticks: int = 0
+    text: str = ""  # why
+    is_whole: bool = False  # False: only a part of it is in force
+    ticks: int = 0  # since it is in force
 
     @property
     def words(self) -> str:

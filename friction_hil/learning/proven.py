@@ -20,29 +20,14 @@ _VERSION = 2
 
 @dataclass(frozen=True, slots=True)
 class Proven:
-    """What was kept last of an axis.
+    """What was kept last of an axis."""
 
-    Attributes
-    ----------
-    model : str
-        Digest of the content of the model file.
-    parameters : dict
-        By their names in ``model.free``.
-    gain : float
-    unix_s : float
-        When it was kept.
-    temperature : float or None
-        Of the axis at that time, deg C, where one is known.
-    friction : dict or None
-        As a model file has it, where the family is not that of the model file.
-    """
-
-    model: str
-    parameters: dict[str, float]
+    model: str  # digest of the content of the model file
+    parameters: dict[str, float]  # by their names in ``model.free``
     gain: float
-    unix_s: float
-    temperature: float | None
-    friction: dict[str, Any] | None = None
+    unix_s: float  # when it was kept
+    temperature: float | None  # of the axis at that time, °C, where one is known
+    friction: dict[str, Any] | None = None  # as a model file has it, where the family is not that of the model file
 
 
 def digest(content: Mapping[str, Any]) -> str:
@@ -51,13 +36,7 @@ def digest(content: Mapping[str, Any]) -> str:
 
 
 def store(path: Path, proven: Proven) -> None:
-    """Write a file; a reader sees the old one or the new one.
-
-    Raises
-    ------
-    OSError
-        It cannot be written.
-    """
+    """Write a file; a reader sees the old one or the new one. Raises `OSError`: it cannot be written."""
     path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_suffix(".new")
     with open(new, "w", encoding="utf-8") as file:
@@ -70,15 +49,8 @@ def store(path: Path, proven: Proven) -> None:
 def recall(path: Path, model: str, temperature: float | None, now_s: float | None = None) -> tuple[Proven | None, str]:
     """Return what was kept last, or None with the reason why it is not used; empty if there is no file.
 
-    Parameters
-    ----------
-    path : Path
-    model : str
-        Digest of the present model file.
-    temperature : float or None
-        Of the axis now, deg C.
-    now_s : float, optional
-        Seconds since 1970; those of the clock by default.
+    ``model``: digest of the present model file. ``temperature``: of the axis now, °C. ``now_s``: since 1970, s; that of
+    the clock by default.
     """
     try:
         values = json.loads(path.read_text(encoding="utf-8"))

@@ -24,22 +24,11 @@ _STEADY, _MOST_DRIFTED = 0.02, 1.25  # change of what the former compensation le
 
 
 class Record:
-    """Rows of the last window, and those before that bring a model's state to where it was.
-
-    Parameters
-    ----------
-    period_s : float
-    resolution : float
-        Step of the position, rad or m.
-
-    Attributes
-    ----------
-    ticks : deque of dict
-        Rows of each tick, `friction_hil.learning.window.COLUMNS`.
-    """
+    """Rows of the last window, and those before that bring a model's state to where it was."""
 
     def __init__(self, period_s: float, resolution: float) -> None:
-        self._period_s, self._resolution = period_s, resolution
+        self._period_s, self._resolution = period_s, resolution  # step of the position, rad or m
+        # rows of each, `friction_hil.learning.window.COLUMNS`
         self.ticks: deque[dict[str, Array]] = deque(maxlen=WARM_TICKS + WINDOW_TICKS)
 
     @property
@@ -120,13 +109,7 @@ class Record:
     def unexplained(self, used: Used, belief: Belief, ticks: Sequence[Mapping[str, Array]] | None = None) -> Array:
         """Return the root mean square of each tick's torque (n,) that a model leaves unexplained, N m.
 
-        Parameters
-        ----------
-        used : Used
-        belief : Belief
-            Of the mechanics.
-        ticks : sequence of mapping, optional
-            All by default.
+        Of ``belief`` the mechanics count. ``ticks``: all by default.
         """
         given = list(self.ticks) if ticks is None else ticks
         return oddity.unexplained(used, given, belief, self._period_s, self._resolution)
@@ -134,17 +117,8 @@ class Record:
     def oddity(self, tick: Mapping[str, Array], settled: int, own: Used | None, belief: Belief, usual: float) -> str:
         """Return why an axis is not what it was in the same motion; empty if it is.
 
-        Parameters
-        ----------
-        tick : mapping
-            The next one.
-        settled : int
-            Ticks of the record with the present compensation.
-        own : Used or None
-            What explains the torque best; None before the first estimate.
-        belief : Belief
-        usual : float
-            Torque that it left unexplained, N m.
+        ``tick``: the next one. ``settled``: ticks of the record with the present compensation. ``own``: what explains
+        the torque best; None before the first estimate. ``usual``: torque that it left unexplained, N m.
         """
         if len(self.ticks) < WARM_TICKS:
             return ""

@@ -60,27 +60,14 @@ _MOVING = 0.01  # of the top speed: slower rows are at rest, where friction is w
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a window shows of a layer.
+    """What a window shows of a layer."""
 
-    Attributes
-    ----------
-    layer : Layer or None
-        None: what the model leaves is noise.
-    explained : float
-        Share of the mean square of what the model leaves that it explains of rows that it was not learned from.
-    change : float
-        Root mean square by which its torque differs from that of the layer in use, N m or N.
-    is_spent : bool
-        The layer in use has explained nothing in the last windows.
-    x : (m + 3,) array or None
-        Coordinates of the belief that belong to the layer; None: those of the belief.
-    """
-
-    layer: Layer | None
+    layer: Layer | None  # None: what the model leaves is noise
+    # share of the mean square of what the model leaves that it explains of rows that it was not learned from
     explained: float = 0.0
-    change: float = 0.0
-    is_spent: bool = False
-    x: Array | None = None
+    change: float = 0.0  # root mean square by which its torque differs from that of the layer in use, N m or N
+    is_spent: bool = False  # the layer in use has explained nothing in the last windows
+    x: Array | None = None  # (m + 3,) coordinates of the belief that belong to the layer; None: those of the belief
 
     @property
     def text(self) -> str:
@@ -90,15 +77,9 @@ class Finding:
 
 @dataclass(slots=True)
 class Residual:
-    """Learning of the residual layer of one axis.
+    """Learning of the residual layer of one axis."""
 
-    Attributes
-    ----------
-    model : FrictionModel
-        Of the model file.
-    """
-
-    model: FrictionModel
+    model: FrictionModel  # of the model file
     _waves: tuple[Feature, ...] = ()
     _memory: Memory = field(default_factory=lambda: empty(0))  # of the amplitudes of waves alone
     _grid: tuple[Feature, ...] = ()  # of the other groups
@@ -114,14 +95,7 @@ class Residual:
     _blind: int = 0  # windows until orders are looked for again
 
     def look(self, left: LeftOver, used: Layer | None) -> Finding:
-        """Learn from what the model without a layer leaves of a window.
-
-        Parameters
-        ----------
-        left : LeftOver
-        used : Layer or None
-            In use during the window.
-        """
+        """Learn from what the model without a layer leaves of a window, during which the layer ``used`` was in use."""
         friction = left.friction(left.belief.model)
         added = np.zeros_like(friction) if used is None else left.friction(used.on(left.belief.model)) - friction
         speed = np.abs(left.velocity)
@@ -267,14 +241,7 @@ class Residual:
     def _groups(self, rows: Rows, waves: list[int], after: Array, used: Layer | None) -> tuple[list[int], Array]:
         """Return the columns of waves and groups that explain more than waves alone, and what they leave.
 
-        Parameters
-        ----------
-        rows : Rows
-        waves : list of int
-            Columns of waves that are evident.
-        after : (k,) array
-            What these leave of the target.
-        used : Layer or None
+        ``waves``: columns of waves that are evident. ``after``: (k,) what these leave of the target.
         """
         features = (*self._waves, *self._grid)
         coordinates = range(len(features), rows.columns.shape[1])

@@ -25,25 +25,14 @@ COLUMNS = (*RECORDED, "is_disturbed")  # 1 in rows whose error is due to a perio
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Rows of one axis, (n,) each, without a gap or with gaps that are filled in.
-
-    Attributes
-    ----------
-    period_s : float
-    position, torque : array
-        Measured, SI.
-    position_demand : array
-        Of the same instant; NaN without a set-point.
-    load_torque, temperature : array
-        That the model was given.
-    """
+    """Rows of one axis, (n,) each, without a gap or with gaps that are filled in."""
 
     period_s: float
-    position: Array
-    torque: Array
-    position_demand: Array
-    load_torque: Array
-    temperature: Array
+    position: Array  # measured, SI
+    torque: Array  # measured, SI
+    position_demand: Array  # of the same instant; NaN without a set-point
+    load_torque: Array  # that the model was given
+    temperature: Array  # that the model was given
 
     def __len__(self) -> int:
         return self.position.size
