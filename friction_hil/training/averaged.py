@@ -30,16 +30,9 @@ _SEEN = 0.99  # of the torques: the output never exceeds the largest of these
 def fit(structure: NetworkStructure, samples: Samples, parts: Sequence[Mask], *, seed: int = 0) -> Array:
     """Return the parameter array of the mean of one member for each part.
 
-    Parameters
-    ----------
-    structure : NetworkStructure
-        Of one member: static, with one layer.
-    samples : Samples
-        Samples of weight 0 are used neither for training nor for stopping.
-    parts : sequence of (n,) masks
-        Samples that stop the member; it is trained on the others.
-    seed : int
-        The same seed gives the same bits.
+    ``structure``: of one member: static, with one layer. Samples of weight 0 are used neither for training nor for
+    stopping. ``parts``: masks (n,) of the samples that stop the member; it is trained on the others. The same seed
+    gives the same bits.
     """
     used = samples.weight > 0.0
     if not np.any(used):  # nothing to learn from: a network whose torque is zero

@@ -44,25 +44,14 @@ def simulate(
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """Behaviour of a network in ten minutes of rest: the worst of several approaches to rest.
+    """Behaviour of a network in ten minutes of rest: the worst of several approaches to rest."""
 
-    Attributes
-    ----------
-    rise : float
-        Largest increase of the absolute torque since the beginning of the rest, N m.
-    late_change : float
-        Range of the torque in the last tenth of the time, N m.
-    dither_growth : float
-        Increase of the largest absolute torque under a dithering velocity from the first to the last tenth of the
-        time, N m.
-    is_steady : bool
-        True if the torque stays or decays, without drift and limit cycle.
-    """
-
-    rise: float
-    late_change: float
+    rise: float  # largest increase of the absolute torque since the beginning of the rest, N m
+    late_change: float  # range of the torque in the last tenth of the time, N m
+    # increase of the largest absolute torque under a dithering velocity from the first to the last tenth of the time,
+    # N m
     dither_growth: float
-    is_steady: bool
+    is_steady: bool  # the torque stays or decays, without drift and limit cycle
 
 
 def at_rest(structure: NetworkStructure, p: Array, dt: float, *, seconds: float = REST_S) -> Rest:

@@ -24,17 +24,10 @@ _SHARPNESS = 4.0  # of the transition at the bound: the larger, the less weights
 
 @dataclass(frozen=True, slots=True)
 class Constraint:
-    """Bound on the feedback weights of a network.
-
-    Attributes
-    ----------
-    structure : NetworkStructure
-    contraction : float
-        Largest sum of slopes over the fed-back values.
-    """
+    """Bound on the feedback weights of a network."""
 
     structure: NetworkStructure
-    contraction: float = 0.8
+    contraction: float = 0.8  # largest sum of slopes over the fed-back values
 
     @property
     def feedback(self) -> NDArray[np.intp]:

@@ -10,23 +10,12 @@ from friction_hil.training.held_out import Gain, gain
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contender:
-    """A model that was judged on held-out data.
-
-    Attributes
-    ----------
-    label : str
-    inputs : tuple of str or None
-        Inputs of the network besides the velocity; None without a network.
-    errors : dict
-        `PredictionError` by kind of held-out data.
-    slow : float
-        Mean square error of the slowest held-out rows.
-    """
+    """A model that was judged on held-out data."""
 
     label: str
-    inputs: tuple[str, ...] | None
-    errors: dict[str, PredictionError]
-    slow: float = 0.0
+    inputs: tuple[str, ...] | None  # of the network besides the velocity; None: no network
+    errors: dict[str, PredictionError]  # by kind of held-out data
+    slow: float = 0.0  # mean square error of the slowest held-out rows
 
     @property
     def first(self) -> PredictionError:

@@ -22,19 +22,8 @@ def of_model(
 ) -> Samples:
     """Return samples of a model of the library along a designed excitation.
 
-    Parameters
-    ----------
-    model : FrictionModel
-    period_s : float
-    samples : int
-    top_speed : float, optional
-        rad/s; by default ten Stribeck velocities.
-    seed : int
-
-    Raises
-    ------
-    UsageError
-        Neither a top speed nor a Stribeck velocity is known, or the friction depends on load.
+    ``top_speed``: rad/s; None: ten Stribeck velocities. Raises `UsageError`: neither a top speed nor a Stribeck
+    velocity is known, or the friction depends on load.
     """
     if top_speed is None:
         stribeck_velocity = model.parameters.get("stribeck_velocity")
@@ -52,12 +41,7 @@ def of_model(
 def of_records(records: Sequence[RegressionSegment], mechanics: Mechanics, base: FrictionModel | None) -> Samples:
     """Return samples of friction in records: measured torque minus inertia, offset, gravity and the model ``base``.
 
-    All terms pass the low-pass of the records.
-
-    Raises
-    ------
-    UsageError
-        The recordings have different sampling periods.
+    All terms pass the low-pass of the records. Raises `UsageError`: the recordings have different sampling periods.
     """
     return join([_of_record(record, mechanics, base) for record in records])
 

@@ -27,27 +27,9 @@ def excitation(top_speed: float, dt: float, samples: int, *, slowest: float | No
     Amplitudes, rates and frequencies are spread over decades, so that presliding, creep and fast motion occur with slow
     and with sudden changes. Every segment begins and ends at rest.
 
-    Parameters
-    ----------
-    top_speed : float
-        Largest velocity, rad/s.
-    dt : float
-        Sampling period, s.
-    samples : int
-    slowest : float, optional
-        Smallest amplitude, rad/s; by default a thousandth of ``top_speed``.
-    seed : int
-        The same seed gives the same bits.
-
-    Returns
-    -------
-    (samples,) array
-        rad/s, held over each sample.
-
-    Raises
-    ------
-    UsageError
-        A number is not finite or not above zero, or ``slowest`` is not below ``top_speed``.
+    Returns (samples,), rad/s, held over each sample. ``top_speed``: rad/s. ``dt``: s. ``slowest``: smallest amplitude,
+    rad/s; None: a thousandth of ``top_speed``. The same seed gives the same bits. Raises `UsageError`: a number is not
+    finite or not above zero, or ``slowest`` is not below ``top_speed``.
     """
     slowest = top_speed / 10.0**_DECADES if slowest is None else slowest
     if not (0.0 < slowest < top_speed < math.inf and 0.0 < dt < math.inf and samples > 0):

@@ -37,15 +37,8 @@ def as_model_file(
 ) -> dict[str, Any]:
     """Return the model file as plain values, for YAML.
 
-    Parameters
-    ----------
-    trained : TrainingResult
-    network : Network
-    known : ModelFile
-        Axis, mechanics, and for a residual the friction model beside the network.
-    is_residual : bool
-    sources : dict
-        Origin of the training data, for the provenance.
+    ``known``: axis, mechanics, and for a residual the friction model beside the network. ``sources``: origin of the
+    training data, for the provenance.
     """
     fit = {
         "train": dataclasses.asdict(trained.train),

@@ -15,22 +15,10 @@ _SLIDING = 0.9  # of the stop's stroke: beyond, the axis slides
 
 
 def first_weights(p: Array, structure: NetworkStructure, samples: Samples, random: np.random.Generator) -> Array:
-    """Draw small random weights whose output is a static map of the inputs, fitted to the samples.
+    """Draw small random weights (weights,) whose output is a static map of the inputs, fitted to the samples.
 
-    A gated network thus starts as Dahl's model with a level that depends on the velocity.
-
-    Parameters
-    ----------
-    p : array
-        Network; its header is used, its weights are not.
-    structure : NetworkStructure
-    samples : Samples
-    random : Generator
-
-    Returns
-    -------
-    (weights,) array
-        Before `friction_hil.training.constraints` is applied.
+    A gated network thus starts as Dahl's model with a level that depends on the velocity. ``p``: the header is used,
+    the weights are not. `friction_hil.training.constraints` is still to be applied.
     """
     searched = 0.3 * random.standard_normal(structure.weights)
     begin, stride = structure.outputs_begin, structure.output_weights

@@ -21,16 +21,10 @@ _MARGIN = 5  # rows on either side of a held-out block, which share samples with
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """Decrease of the mean square error on held-out data, over the mean square error before.
+    """Decrease of the mean square error on held-out data, over the mean square error before."""
 
-    Attributes
-    ----------
-    mean, error : float
-        Mean over the held-out parts, and its standard error from the differences of each part.
-    """
-
-    mean: float
-    error: float
+    mean: float  # over the held-out parts
+    error: float  # standard error of the mean, from the differences of each part
 
     @property
     def is_clear(self) -> bool:

@@ -19,29 +19,16 @@ _OUTPUT_MARGIN = 1.5  # bound of the output over the largest torque of the train
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """One or more records with one sampling period, one after the other.
+    """One or more records with one sampling period, one after the other."""
 
-    Attributes
-    ----------
-    dt : float
-        Sampling period, s.
-    velocity, torque : (n,) array
-        Velocity held over each sample, rad/s, and torque at its end, N m.
-    position, load_torque, temperature : (n,) array
-        rad, N m, deg C; zeros if not given, NaN for an unknown temperature.
-    starts : (n,) array
-        1 where a record begins, else 0.
-    weight : (n,) array
-        Weight of the squared error of each sample; 0 if it is simulated only, such as in a held-out block.
-    """
-
-    dt: float
-    velocity: Array
-    torque: Array
-    position: Array = field(default_factory=lambda: np.zeros(0))
-    load_torque: Array = field(default_factory=lambda: np.zeros(0))
-    temperature: Array = field(default_factory=lambda: np.zeros(0))
-    starts: Array = field(default_factory=lambda: np.zeros(0))
+    dt: float  # sampling period, s
+    velocity: Array  # (n,), held over each sample, rad/s
+    torque: Array  # (n,), at the end of each sample, N m
+    position: Array = field(default_factory=lambda: np.zeros(0))  # (n,), rad; zeros if not given
+    load_torque: Array = field(default_factory=lambda: np.zeros(0))  # (n,), N m; zeros if not given
+    temperature: Array = field(default_factory=lambda: np.zeros(0))  # (n,), deg C; NaN if unknown or not given
+    starts: Array = field(default_factory=lambda: np.zeros(0))  # (n,), 1 where a record begins, else 0
+    # (n,), of the squared error of each sample; 0 if it is simulated only, such as in a held-out block
     weight: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
@@ -81,13 +68,7 @@ class Samples:
 
 
 def join(records: Iterable[Samples]) -> Samples:
-    """Concatenate records.
-
-    Raises
-    ------
-    UsageError
-        There is no record, or the periods differ.
-    """
+    """Concatenate records; a `UsageError`: there is none, or the periods differ."""
     all_of = list(records)
     if not all_of or any(abs(each.dt / all_of[0].dt - 1.0) > 1e-6 for each in all_of):
         raise UsageError("records for one training need the same sampling period: resample the others")

@@ -37,55 +37,27 @@ class SearchStep:
 
 @dataclass(frozen=True, slots=True)
 class UnboundedSolution:
-    """Result of `minimise_unbounded`.
+    """Result of `minimise_unbounded`."""
 
-    Attributes
-    ----------
-    at : (m,) array
-    cost : float
-    iterations : int
-        Accepted and rejected steps.
-    damping : float
-        With which to continue the search.
-    is_converged : bool
-        True if the predicted decrease of the next step is below the tolerance.
-    """
-
-    at: Array
+    at: Array  # (m,)
     cost: float
-    iterations: int
-    damping: float
-    is_converged: bool
+    iterations: int  # accepted and rejected steps
+    damping: float  # with which to continue the search
+    is_converged: bool  # the predicted decrease of the next step is below the tolerance
 
 
 def minimise_unbounded(
-    cost: Cost,
-    normal_equations: NormalEquations,
-    start: Array,
+    cost: Cost,  # takes (m,) and returns the sum of squares r' r; not finite where it is undefined
+    normal_equations: NormalEquations,  # returns J' J (m, m) and J' r (m,) at the argument of the last call of ``cost``
+    start: Array,  # (m,)
     *,
-    iterations: int,
-    damping: float = _FIRST_DAMPING,
-    tolerance: float = 1e-9,
+    iterations: int,  # most steps
+    damping: float = _FIRST_DAMPING,  # at first, relative to the scaled normal equations
+    tolerance: float = 1e-9,  # relative decrease predicted by the linear model below which the search ends
+    # called after every step that lowered the cost; False ends the search
     goes_on: Callable[[SearchStep], bool] = lambda step: True,
 ) -> UnboundedSolution:
-    """Minimise a sum of squares, from ``start``.
-
-    Parameters
-    ----------
-    cost : callable
-        Takes (m,) and returns the sum of squares r' r; not finite where it is undefined.
-    normal_equations : callable
-        Returns J' J (m, m) and J' r (m,) at the argument of the last call of ``cost``.
-    start : (m,) array
-    iterations : int
-        Largest number of steps.
-    damping : float
-        Initial damping, relative to the scaled normal equations.
-    tolerance : float
-        Relative decrease predicted by the linear model below which the search ends.
-    goes_on : callable
-        Called after every step that lowered the cost; returns False to end the search.
-    """
+    """Minimise a sum of squares, from ``start``."""
     at, size = np.array(start, dtype=np.float64), len(start)
     now, growth, scale = cost(at), 2.0, np.zeros(size)
     if not math.isfinite(now):

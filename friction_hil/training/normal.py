@@ -60,14 +60,8 @@ def _add_tile(_: Any, block: Any, rows: Any, i: Any, j: Any, matrix: Any) -> Any
 def add_products(block: Array, rows: int, columns: int, matrix: Array) -> None:
     """Add the products of the columns of ``block`` to the lower triangle of ``matrix``.
 
-    Parameters
-    ----------
-    block : (most rows, width) array
-        ``width`` is `padded` (columns); unused columns are zero.
-    rows, columns : int
-        Number of rows and columns in use.
-    matrix : (width, width) array
-        Changed in place; elements above the diagonal are undefined.
+    ``block`` is (most rows, width), of which ``rows`` and ``columns`` are in use; ``width`` is `padded` (columns), and
+    unused columns are zero. ``matrix`` is (width, width), changed in place; elements above the diagonal are undefined.
     """
     for i in range(0, columns, ROWS):
         for j in range(0, i + ROWS, COLUMNS):
@@ -83,20 +77,10 @@ def padded(columns: int) -> int:
 
 @compiled
 def solve(matrix: Array, right: Array, solution: Array, factor: Array) -> bool:
-    """Solve a symmetric positive definite system by Cholesky's decomposition.
+    """Solve a symmetric positive definite system by Cholesky's decomposition; False if it is not positive definite.
 
-    Parameters
-    ----------
-    matrix : (m, m) array
-        Only its lower triangle is read.
-    right, solution : (m,) array
-    factor : (m, m) array
-        Output: the lower triangular factor.
-
-    Returns
-    -------
-    bool
-        True if the matrix is positive definite; otherwise ``solution`` is undefined.
+    ``solution`` is undefined then. Only the lower triangle of ``matrix`` (m, m) is read. ``right`` and ``solution`` are
+    (m,). ``factor`` (m, m) is filled with the lower triangular factor.
     """
     size = right.shape[0]
     for i in range(size):

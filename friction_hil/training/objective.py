@@ -15,41 +15,26 @@ from friction_hil.training.normal import padded
 class NetworkRun:
     """Runs of networks with one header (structure and scales) over the same samples.
 
-    Parameters
-    ----------
-    p : array
-        Network; its header is used, its weights are not.
-    samples : Samples
-        At the period at which the network is trained.
-
-    Attributes
-    ----------
-    inputs, gate_features : array
-        Inputs of the network and of its gates, see `jacobian`.
-    path : (n,) array
-        Distance travelled in each sample, rad.
-    target, weight : (n,) array
-        Torque in units of the torque scale, and weights that sum to 1.
-    trace : (n, trace_width) array
-        Trace of the last `simulate`.
+    ``p``: the header is used, the weights are not. ``samples``: at the period at which the network is trained.
     """
 
     def __init__(self, p: Array, samples: Samples) -> None:
         self.samples = samples
-        self.inputs = np.empty((len(samples), int(p[network.INPUTS])))
+        self.inputs = np.empty((len(samples), int(p[network.INPUTS])))  # of the network, see `jacobian`
         others = (samples.position, samples.load_torque, samples.temperature)
         jacobian.fill_inputs(p, samples.starts, samples.velocity, samples.dt, *others, self.inputs)
+        # inputs of the gates, see `jacobian`
         self.gate_features = (
             jacobian.gate_features(p, samples.starts, samples.velocity, samples.dt, self.inputs)
             if p[network.STRUCTURE] == network.GATED
             else np.empty((0, 0))
         )
-        self.path = np.abs(samples.velocity) * samples.dt
-        self.target = samples.torque / p[network.TORQUE_SCALE]
-        self.weight = samples.weight / np.sum(samples.weight)
+        self.path = np.abs(samples.velocity) * samples.dt  # (n,), distance travelled in each sample, rad
+        self.target = samples.torque / p[network.TORQUE_SCALE]  # (n,), torque in units of the torque scale
+        self.weight = samples.weight / np.sum(samples.weight)  # (n,), the sum is 1
         mean = float(self.weight @ self.target)
         self._spread = math.sqrt(float(self.weight @ (self.target - mean) ** 2)) or 1.0
-        self.trace = np.empty((len(samples), jacobian.trace_width(p)))
+        self.trace = np.empty((len(samples), jacobian.trace_width(p)))  # (n, trace_width), of the last `simulate`
 
     def simulate(self, p: Array, is_free: bool) -> float:
         """Run a network; return the weighted mean of its squared error, in units of the torque scale squared."""
@@ -69,16 +54,10 @@ class NetworkRun:
 
 
 class Objective:
-    """Mean squared error with weight decay, for `levenberg.minimise_unbounded`.
-
-    Attributes
-    ----------
-    p : array
-        Network with the weights of the last `cost`.
-    """
+    """Mean squared error with weight decay, for `levenberg.minimise_unbounded`."""
 
     def __init__(self, p: Array, run: NetworkRun, constraint: Constraint, decay: float, is_free: bool) -> None:
-        self.p = p.copy()
+        self.p = p.copy()  # network with the weights of the last `cost`
         self._run, self._constraint = run, constraint
         self._decay, self._is_free = decay, is_free
         self._weights = p.size - network.HEADER

@@ -41,13 +41,7 @@ def simulate(model: FrictionModel, samples: Samples) -> Array:
 def fitted(samples: Samples, axis: Axis, *, is_directed: bool = False) -> dict[str, FrictionModel]:
     """Fit each of `FAMILIES` to the torque of the weighted samples, as `identify` does for known mechanics.
 
-    Parameters
-    ----------
-    samples : Samples
-        Friction torque alone.
-    axis : {"rotary", "linear"}
-    is_directed : bool
-        True for parameters of their own for each direction.
+    ``samples``: friction torque alone. ``is_directed``: each direction has parameters of its own.
     """
     data = Data([_record(samples, part, axis) for part in parts_of(samples)])
     scales, found = estimate_scales(data, ()), {}

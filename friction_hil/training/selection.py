@@ -34,44 +34,22 @@ _COMPARED = 3  # physical models that are listed besides the one that is used
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection:
-    """Result of `select`.
+    """Result of `select`."""
 
-    Attributes
-    ----------
-    base : ModelFile
-        Physical model with the mechanics of the axis.
-    network : Network or None
-        Network beside it; None if none predicts held-out data better.
-    physical, chosen : Contender
-        The physical model alone, and the result.
-    contenders : tuple of Contender
-        Networks beside it in the order in which they were tried, then further physical models.
-    reason : str
-        One sentence.
-    train : PredictionError
-        Error of the result on all data.
-    notes : tuple of str
-    sources : dict
-        Origin of the data, for the provenance.
-    seed : int
-    samples : Samples
-        What the physical model leaves, at the rows of the regression; for the report.
-    measured : (k,) array
-        Measured torque of the same rows.
-    """
-
-    base: ModelFile
-    network: Network | None
-    physical: Contender
-    chosen: Contender
+    base: ModelFile  # physical model with the mechanics of the axis
+    network: Network | None  # beside it; None if none predicts held-out data better
+    physical: Contender  # the physical model alone
+    chosen: Contender  # the result
+    # networks beside it in the order in which they were tried, then further physical models
     contenders: tuple[Contender, ...]
-    reason: str
-    train: PredictionError
+    reason: str  # one sentence
+    train: PredictionError  # error of the result on all data
     notes: tuple[str, ...]
-    sources: dict[str, Any]
+    sources: dict[str, Any]  # origin of the data, for the provenance
     seed: int
+    # what the physical model leaves, at the rows of the regression; for the report
     samples: Samples = field(repr=False)
-    measured: Array = field(repr=False)
+    measured: Array = field(repr=False)  # (k,), torque of the same rows
 
     @property
     def model(self) -> FrictionModel:
@@ -131,40 +109,20 @@ class Selection:
 
 def select(
     recordings: Sequence[Recording],
-    validation: Sequence[Recording] = (),
-    known: ModelFile | None = None,
+    validation: Sequence[Recording] = (),  # to judge by; if there is none, parts of ``recordings`` are held out in turn
+    known: ModelFile | None = None,  # the physical model; None: identified from the recordings
     *,
-    settings: IdentificationSettings | None = None,
+    settings: IdentificationSettings | None = None,  # axis and low-pass, and how the physical model is identified
+    # of the network besides the velocity; None: those are tried that vary in the recordings
     inputs: Sequence[str] | None = None,
-    seed: int = 0,
-    progress: Callable[[str], None] = lambda _: None,
-    goes_on: Callable[[], bool] = lambda: True,
+    seed: int = 0,  # the same one gives the same bits
+    progress: Callable[[str], None] = lambda _: None,  # called with a few words before each step
+    goes_on: Callable[[], bool] = lambda: True,  # called before a further input is tried; False ends the trials
 ) -> Selection:
     """Choose between a physical model alone and with a network beside it.
 
-    Parameters
-    ----------
-    recordings, validation : sequence of Recording
-        Recordings to train on and to judge by; without the latter, parts of the former are held out in turn.
-    known : ModelFile, optional
-        The physical model; identified from the recordings if not given.
-    settings : IdentificationSettings, optional
-        Axis and low-pass, and how the physical model is identified.
-    inputs : sequence of str, optional
-        Inputs of the network besides the velocity; by default those are tried that vary in the recordings.
-    seed : int
-        The same seed gives the same bits.
-    progress : callable
-        Called with a few words before each step.
-    goes_on : callable
-        Called before a further input is tried; False ends the trials.
-
-    Raises
-    ------
-    RecordingError
-        A recording lacks a column or is too short, the axis does not move, or a required input was not recorded.
-    UsageError
-        ``known`` is a network.
+    Raises `RecordingError`: a recording lacks a column or is too short, the axis does not move, or a required input was
+    not recorded; `UsageError`: ``known`` is a network.
     """
     settings = settings or IdentificationSettings()
     if known is not None and known.friction.network is not None:

@@ -25,45 +25,24 @@ _UNSEEN_SEED = 1_000_003  # added to the seed of the training for signals that i
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingTask:
-    """Data of one training and of its comparison with physical models.
+    """Data of one training and of its comparison with physical models."""
 
-    Attributes
-    ----------
-    samples, validation : Samples
-        Friction torque minus that of the model beside the network.
-    known : ModelFile
-        Axis and mechanics, and for a residual the friction of the model beside the network.
-    is_residual : bool
-        True if the network learns what that model leaves.
-    sources : dict
-        Origin of the data, for the provenance in the model file.
-    notes : tuple of str
-    unseen : dict of str to Samples
-        Signals by name that are used neither for training nor for validation; for the report.
-    total : array
-        Measured torque of the judged samples, to which errors are related; empty without recordings.
-    physical : str
-        Name of the model beside the network, or of the best physical one.
-    prepared : tuple of RegressionSegment
-        Records of the validation samples as `identify` and `replay` prepare them, for the relative error.
-    judged : Samples
-        Samples of these records, as `validation`.
-    least_speed : float
-        Slowest speed that the recordings visit and the encoder shows, see `visited.least_speed`; 0 without recordings.
-    """
-
-    samples: Samples
+    samples: Samples  # friction torque minus that of the model beside the network, as in ``validation``
     validation: Samples
-    known: ModelFile
-    is_residual: bool
-    sources: dict[str, Any]
+    known: ModelFile  # axis and mechanics, and for a residual the friction of the model beside the network
+    is_residual: bool  # the network learns what that model leaves
+    sources: dict[str, Any]  # origin of the data, for the provenance in the model file
     notes: tuple[str, ...] = ()
+    # by name; used neither for training nor for validation; for the report
     unseen: dict[str, Samples] = field(default_factory=dict)
+    # measured torque of the judged samples, to which errors are related; empty without recordings
     total: Array = field(default_factory=lambda: np.zeros(0))
-    physical: str = ""
+    physical: str = ""  # name of the model beside the network, or of the best physical one
+    # slowest speed that the recordings visit and the encoder shows, see `visited.least_speed`; 0 without recordings
     least_speed: float = 0.0
+    # records of the validation samples as `identify` and `replay` prepare them, for the relative error
     prepared: tuple[RegressionSegment, ...] = ()
-    judged: Samples | None = None
+    judged: Samples | None = None  # samples of these records, as ``validation``
 
     @property
     def base(self) -> FrictionModel | None:
@@ -102,33 +81,21 @@ def _slower(model: FrictionModel, period_s: float, reach: float, seed: int) -> S
 
 def task_of_recordings(
     recordings: Sequence[Recording],
-    validation: Sequence[Recording],
+    validation: Sequence[Recording],  # if there is none, blocks of ``recordings`` are held out
+    # mechanics of the axis, and the friction beside a residual; None: identified from the recordings
     known: ModelFile | None,
     *,
-    is_linear: bool = False,
-    is_static: bool = False,
-    is_residual: bool = False,
+    is_linear: bool = False,  # used if ``known`` is None
+    is_static: bool = False,  # the network has no state
+    is_residual: bool = False,  # the network is beside the known friction
+    # Cut-off of a low-pass for all signals. None: a static network uses the one of `identify`: a map needs no more, and
+    # the noise of the acceleration lies above. A network with a state learns from the encoder's counts if there is no
+    # better velocity: the velocity is derived in bands and the torque stays as measured
+    # (`identification.fine.at_full_rate`), because a low-pass would remove the reversals, which show the state. Without
+    # counts, the low-pass of `identification.data.prepare` is used.
     lowpass_hz: float | None = None,
 ) -> TrainingTask:
-    """Make a task from the friction in recordings.
-
-    Parameters
-    ----------
-    recordings, validation : sequence of Recording
-        Recordings to train on and to validate with; without the latter, blocks of the former are held out.
-    known : ModelFile or None
-        Mechanics of the axis, and the friction beside a residual; identified from the recordings if None.
-    is_linear : bool
-        True for a linear axis; used if ``known`` is None.
-    is_static, is_residual : bool
-        True for a network without a state; true for a network beside the known friction.
-    lowpass_hz : float, optional
-        Cut-off of a low-pass for all signals. Without it, a static network uses the one of `identify`: a map needs no
-        more, and the noise of the acceleration lies above. A network with a state learns from the encoder's counts if
-        there is no better velocity: the velocity is derived in bands and the torque stays as measured
-        (`identification.fine.at_full_rate`), because a low-pass would remove the reversals, which show the state.
-        Without counts, the low-pass of `identification.data.prepare` is used.
-    """
+    """Make a task from the friction in recordings."""
     notes: list[str] = []
     asked_hz = lowpass_hz
     if lowpass_hz is None and is_static:

@@ -26,29 +26,15 @@ _GOOD = 0.02  # NRMSE on validation below which a much smaller one on the traini
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """State of a training after an iteration.
+    """State of a training after an iteration."""
 
-    Attributes
-    ----------
-    stage : {"trial", "series-parallel", "parallel"}
-    start, starts : int
-        Index of the start, from 0, and number of starts.
-    iteration : int
-        Number of iterations so far, of all starts together.
-    most_iterations : int
-        Largest number that there may be: a search ends earlier once it does not improve any more.
-    error, validation_error : float
-        NRMSE on the training set in the current stage, and in free run on the validation set.
-    damping : float
-    """
-
-    stage: str
-    start: int
-    starts: int
-    iteration: int
-    most_iterations: int
-    error: float
-    validation_error: float
+    stage: str  # ``trial``, ``series-parallel`` or ``parallel``
+    start: int  # its index, from 0
+    starts: int  # their number
+    iteration: int  # number of iterations so far, of all starts together
+    most_iterations: int  # that there may be: a search ends earlier once it does not improve any more
+    error: float  # NRMSE on the training set in the current stage
+    validation_error: float  # NRMSE in free run on the validation set
     damping: float
 
 
@@ -65,25 +51,14 @@ class Errors:
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Options of the search.
+    """Options of the search."""
 
-    Attributes
-    ----------
-    starts, survivors : int
-        Number of starts that are tried, and of those that are continued.
-    trial_iterations, iterations : int
-        Iterations of each start, and further ones of each survivor.
-    decays : tuple of float
-        Weight decays; the starts use them in turn.
-    contraction : float
-        Bound on the sum of slopes over the fed-back values, see `constraints`; by default that of the structure.
-    """
-
-    starts: int = 8
-    survivors: int = 2
-    trial_iterations: int = 25
-    iterations: int = 150
-    decays: tuple[float, ...] = DECAYS
+    starts: int = 8  # that are tried
+    survivors: int = 2  # starts that are continued
+    trial_iterations: int = 25  # of each start
+    iterations: int = 150  # further ones of each survivor
+    decays: tuple[float, ...] = DECAYS  # of the weights; the starts use them in turn
+    # bound on the sum of slopes over the fed-back values, see `constraints`; None: that of the structure
     contraction: float | None = None
 
     def __post_init__(self) -> None:
@@ -97,44 +72,22 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class TrainingResult:
-    """Result of one training: a network and its errors.
-
-    Attributes
-    ----------
-    structure : NetworkStructure
-    parameters : array
-        As `network.step` takes them.
-    train, validation : Errors
-    seed, start : int
-        Seed of the training, and index of the best start.
-    iterations : int
-        Of all starts together.
-    decay : float
-        Weight decay of the best start.
-    feedback_gain : float
-        Bound on the sum of slopes over the fed-back values; below 1 the network forgets its initial state.
-    rest : Rest
-        Behaviour in ten minutes at rest.
-    is_stopped : bool
-        True if the callback ended the training.
-    history : tuple of Progress
-    flags : tuple of str
-        Warnings about the network.
-    """
+    """Result of one training: a network and its errors."""
 
     structure: NetworkStructure
-    parameters: Array
+    parameters: Array  # as `network.step` takes them
     train: Errors
     validation: Errors
     seed: int
-    start: int
-    iterations: int
-    decay: float
+    start: int  # index of the best one
+    iterations: int  # of all starts together
+    decay: float  # of the weights, in the best start
+    # bound on the sum of slopes over the fed-back values; below 1 the network forgets its initial state
     feedback_gain: float
-    rest: Rest
-    is_stopped: bool
+    rest: Rest  # behaviour in ten minutes at rest
+    is_stopped: bool  # the callback ended the training
     history: tuple[Progress, ...] = field(repr=False)
-    flags: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()  # warnings about the network
 
 
 class _Start:
@@ -256,21 +209,11 @@ def train(
     Levenberg-Marquardt the starts with the best free run on the validation samples are continued. The network with the
     best free run of all iterations is returned.
 
-    Parameters
-    ----------
-    structure : NetworkStructure
-    samples, validation : Samples
-        Different records, or the same motion with other weights (held-out blocks).
-    seed : int
-        The same seed gives the same bits.
-    options : Options, optional
-    goes_on : callable
-        Called after every iteration; if it returns False, the training ends with the best network so far.
+    ``samples`` and ``validation`` are different records, or the same motion with other weights (held-out blocks). The
+    same seed gives the same bits. ``goes_on`` is called after every iteration; if it returns False, the training ends
+    with the best network so far.
 
-    Raises
-    ------
-    UsageError
-        All weights of one of the sets are zero, or its torque does not vary.
+    Raises `UsageError`: all weights of one of the sets are zero, or its torque does not vary.
     """
     for name, each in (("training", samples), ("validation", validation)):
         if not np.any(each.weight > 0.0) or np.ptp(each.torque[each.weight > 0.0]) == 0.0:

@@ -30,23 +30,12 @@ _ORDERS = (1, 2, 3)  # of a narx: numbers of past torques and past velocities
 
 @dataclass(frozen=True, slots=True)
 class NetworkSpec:
-    """Network to train, as a user specifies it.
-
-    Attributes
-    ----------
-    structure : {"gated", "narx", "static", "residual"}
-    hidden : tuple of int
-        Units of one or two hidden layers; empty for the default.
-    inputs : tuple of str
-        Inputs besides the velocity, among `INPUTS`.
-    seed : int
-        Seed of the random starts.
-    """
+    """Network to train, as a user specifies it."""
 
     structure: Literal["gated", "narx", "static", "residual"] = "gated"
-    hidden: tuple[int, ...] = ()
-    inputs: tuple[str, ...] = ()
-    seed: int = 0
+    hidden: tuple[int, ...] = ()  # units of one or two hidden layers; empty for the default
+    inputs: tuple[str, ...] = ()  # besides the velocity, among `INPUTS`
+    seed: int = 0  # of the random starts
 
     def __post_init__(self) -> None:
         for name in self.inputs:
