@@ -46,28 +46,16 @@ _compensate = compensator.whole_step
 
 
 class Axis(NamedTuple):
-    """Records of an axis, each an array of length 1.
+    """Records of an axis, each an array of length 1."""
 
-    Attributes
-    ----------
-    daemon, loop
-        `DAEMON` and `LOOP`.
-    own_controller
-        `friction_hil.motion.controller.CONTROLLER` of the daemon's loop.
-    servo, controller, state
-        Of a `friction_hil.servo.servo.Servo`.
-    settings, compensator_state
-        Record and state of a `friction_hil.compensator.Compensator`.
-    """
-
-    daemon: StructuredArray
-    loop: StructuredArray
-    own_controller: StructuredArray
-    servo: StructuredArray
+    daemon: StructuredArray  # `DAEMON`
+    loop: StructuredArray  # `LOOP`
+    own_controller: StructuredArray  # `friction_hil.motion.controller.CONTROLLER` of the daemon's loop
+    servo: StructuredArray  # this and the next two: of a `friction_hil.servo.servo.Servo`
     controller: StructuredArray
     state: StructuredArray
-    settings: StructuredArray
-    compensator_state: StructuredArray
+    settings: StructuredArray  # record of a `friction_hil.compensator.Compensator`
+    compensator_state: StructuredArray  # state of that compensator
 
 
 @inlined
@@ -146,17 +134,11 @@ def _act(axis: Axis) -> None:
 def run(axis: Axis, demand: Array, trace: Array) -> None:
     """Simulate a motion of one axis.
 
-    Parameters
-    ----------
-    axis
-        Records at rest; their states are those at the end afterwards.
-    demand
-        (n, 7) array, a row for each cycle: position, velocity and acceleration now, velocity and acceleration when this
-        cycle's torque acts, position and velocity as sent. SI.
-    trace
-        (5, n) array that is filled, in the order of `TRACE`: following error, compensation, gain factor of the
-        compensator, demanded position, and demanded less true position of the load. The following error is that of the
-        encoder, from the demand with the offset of the motor (`friction_hil.compensator.transmission`).
+    ``axis``: records at rest; their states are those at the end afterwards. ``demand``: (n, 7), a row for each cycle:
+    position, velocity and acceleration now, velocity and acceleration when this cycle's torque acts, position and
+    velocity as sent, SI. ``trace``: (5, n), is filled, in the order of `TRACE`: following error, compensation, gain
+    factor of the compensator, demanded position, and demanded less true position of the load. The following error is
+    that of the encoder, from the demand with the offset of the motor (`friction_hil.compensator.transmission`).
     """
     steps = int(axis.daemon[0].period_steps)
     until = int(axis.daemon[0].delay_steps) % steps  # in the period, when a set-point takes effect
@@ -185,24 +167,14 @@ def _pass(mechanism: StructuredArray, mechanism_state: StructuredArray, one: Axi
 
 @compiled
 def run_coupled(
-    mechanism: StructuredArray,
-    mechanism_state: StructuredArray,
-    one: Axis,
+    mechanism: StructuredArray,  # `friction_hil.servo.records.MECHANISM`
+    mechanism_state: StructuredArray,  # `friction_hil.servo.records.MECHANISM_STATE`
+    one: Axis,  # the axes are in the order of the mechanism, with one period
     other: Axis,
-    demands: tuple[Array, Array],
-    traces: tuple[Array, Array],
+    demands: tuple[Array, Array],  # as for `run`, of each axis
+    traces: tuple[Array, Array],  # as for `run`, of each axis
 ) -> None:
-    """Simulate a motion of the two axes of a mechanism, which are sampled at the same time.
-
-    Parameters
-    ----------
-    mechanism, mechanism_state
-        `friction_hil.servo.records.MECHANISM` and `MECHANISM_STATE`.
-    one, other
-        Records of the axes, in the order of the mechanism, with one period.
-    demands, traces
-        As for `run`, of each axis.
-    """
+    """Simulate a motion of the two axes of a mechanism, which are sampled at the same time."""
     steps = int(one.daemon[0].period_steps)
     until, other_until = int(one.daemon[0].delay_steps) % steps, int(other.daemon[0].delay_steps) % steps
     first, last = min(until, other_until), max(until, other_until)

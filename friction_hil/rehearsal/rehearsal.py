@@ -27,41 +27,21 @@ _MODES = {"csp": plant.CSP, "csv": plant.CSV, "cst": plant.CST}
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A motion to rehearse.
+    """A motion to rehearse."""
 
-    Attributes
-    ----------
-    path : callable
-        Position, velocity and acceleration over path time.
-    duration_s : float
-        Length of the part that is scored, s: whole periods.
-    ramp_s : float
-        Time in which path time starts, s.
-    start_s : float
-        Time before the part that is scored, s.
-    """
-
-    path: Path
-    duration_s: float
-    ramp_s: float = 1.0
-    start_s: float = 2.0
+    path: Path  # position, velocity and acceleration over path time
+    duration_s: float  # of the part that is scored: whole periods
+    ramp_s: float = 1.0  # in which path time starts
+    start_s: float = 2.0  # before the part that is scored
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Following error of a motion, and the factor on the gain that the guard against limit cycles has left.
+    """Following error of a motion, and the factor on the gain that the guard against limit cycles has left."""
 
-    Attributes
-    ----------
-    rms, peak : float
-        rad or m; infinity if the simulation diverged.
-    gain_factor : float
-        1: no limit cycle was found.
-    """
-
-    rms: float
-    peak: float
-    gain_factor: float
+    rms: float  # rad or m; infinity if the simulation diverged
+    peak: float  # as ``rms``
+    gain_factor: float  # 1: no limit cycle was found
 
 
 class Rehearsal:
@@ -71,18 +51,7 @@ class Rehearsal:
     delay that the driver states. A set-point of the position is a whole number of counts, as a drive takes it: with a
     coarse encoder its steps shake the axis.
 
-    Parameters
-    ----------
-    axis : AxisConfig
-        Mode, controller, limits and compensation.
-    facts : AxisFacts
-        Resolution and delays.
-    period_s : float
-        Period of the loop.
-
-    Attributes
-    ----------
-    period_s : float
+    ``axis``: mode, controller, limits and compensation. ``facts``: resolution and delays. ``period_s``: of the loop.
     """
 
     def __init__(self, axis: "AxisConfig", facts: "AxisFacts", period_s: float) -> None:
@@ -92,16 +61,8 @@ class Rehearsal:
     def run(self, servo: "ServoConfig", model: "ModelFile", motion: Motion, *, is_compensated: bool = True) -> Outcome:
         """Simulate a motion, with compensation by ``model`` or without; return the following error.
 
-        The model gives inertia, gravity and offset to the loop's own controller (CST) in both cases.
-
-        Parameters
-        ----------
-        servo : ServoConfig
-            Mechanics, friction, encoder, motor and loops of the drive. The resolution of the encoder is that of the
-            facts.
-        model : ModelFile
-        motion : Motion
-        is_compensated : bool
+        The model gives inertia, gravity and offset to the loop's own controller (CST) in both cases. ``servo``:
+        mechanics, friction, encoder, motor and loops of the drive; the resolution of the encoder is that of the facts.
         """
         found = self.trace(servo, model, motion, is_compensated=is_compensated)
         scored = found["error"][-round(motion.duration_s / self.period_s) :]

@@ -15,26 +15,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedAxis:
-    """An axis with its simulated drive.
-
-    Attributes
-    ----------
-    name : str
-    config : AxisConfig
-        As in the configuration.
-    servo : ServoConfig
-        Its ``simulation``.
-    facts : AxisFacts
-        What the driver finds of this drive: resolution and delays.
-    period_s : float
-        Period of the loop.
-    """
+    """An axis with its simulated drive."""
 
     name: str
-    config: "AxisConfig"
-    servo: ServoConfig
-    facts: "AxisFacts"
-    period_s: float
+    config: "AxisConfig"  # as in the configuration
+    servo: ServoConfig  # its ``simulation``
+    facts: "AxisFacts"  # what the driver finds of this drive: resolution and delays
+    period_s: float  # of the loop
 
     @property
     def unit(self) -> str:
@@ -44,27 +31,16 @@ class SimulatedAxis:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedMachine:
-    """Axes that are simulated together.
+    """Axes that are simulated together."""
 
-    Attributes
-    ----------
-    axes : tuple of SimulatedAxis
-        One, or the two of the mechanism, in its order.
-    mechanism : Gantry or TwoLinkArm or None
-        What two axes move.
-    """
-
-    axes: tuple[SimulatedAxis, ...]
-    mechanism: Gantry | TwoLinkArm | None = None
+    axes: tuple[SimulatedAxis, ...]  # one, or the two of the mechanism, in its order
+    mechanism: Gantry | TwoLinkArm | None = None  # what two axes move
 
 
 def simulated_machines(configuration: "Configuration") -> tuple[SimulatedMachine, ...]:
     """Return the axes of a configuration that have a simulated drive, in its order; those of a mechanism together.
 
-    Raises
-    ------
-    UsageError
-        No axis has one, or its driver cannot say what it would find of one.
+    Raises `UsageError`: no axis has one, or its driver cannot say what it would find of one.
     """
     found = {}
     for name, axis in configuration.axes.items():

@@ -19,18 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class AxisRun:
-    """What one axis does in a rehearsal.
+    """What one axis does in a rehearsal."""
 
-    Attributes
-    ----------
-    rehearsal : Rehearsal
-        The loop of the axis.
-    servo, model, motion
-        As for `Rehearsal.trace`.
-    """
-
-    rehearsal: Rehearsal
-    servo: "ServoConfig"
+    rehearsal: Rehearsal  # the loop of the axis
+    servo: "ServoConfig"  # this, model and motion: as for `Rehearsal.trace`
     model: "ModelFile"
     motion: Motion
 
@@ -46,16 +38,8 @@ def rehearse(
     """Simulate the motions of a machine; return the signals of each axis, as `Rehearsal.trace` does.
 
     Two axes start and end together: the longer ramp is that of both, and the shorter motion is repeated before its part
-    that is scored.
-
-    Parameters
-    ----------
-    mechanism : Gantry or TwoLinkArm or None
-        What two axes move; None: there is one axis.
-    runs : sequence of AxisRun
-        One, or those of the axes of the mechanism, in its order and with one period.
-    is_compensated : bool
-        True: all axes are compensated by their models, False: none is.
+    that is scored. ``mechanism``: what two axes move; None: there is one axis. ``runs``: one, or those of the axes of
+    the mechanism, in its order and with one period.
     """
     if mechanism is None:
         [run] = runs
