@@ -31,28 +31,15 @@ class Errors(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
-    """One simulated motion, from where it is steady on.
+    """One simulated motion, from where it is steady on."""
 
-    Attributes
-    ----------
-    time_s : (n,) array
-        Since then.
-    demand : (n,) array
-        Demanded position, rad or m.
-    motor : (n,) array
-        Following error of the drive: demand less position by the encoder of its position loop, at the motor or, where
-        the machine has one there, at the load.
-    load : (n,) array
-        Demand less true position of the load.
-    gain_factor : float
-        What the guard against limit cycles has left of the gain at the end; 1: there was none.
-    """
-
-    time_s: Array
-    demand: Array
+    time_s: Array  # (n,), since then
+    demand: Array  # (n,), demanded position, rad or m
+    # (n,), following error of the drive: demand less position by the encoder of its position loop, at the motor or,
+    # where the machine has one there, at the load
     motor: Array
-    load: Array
-    gain_factor: float = 1.0
+    load: Array  # (n,), demand less true position of the load
+    gain_factor: float = 1.0  # what the guard against limit cycles has left of the gain at the end; 1: there was none
 
     def error(self, side: str) -> Array:
         """Return the following error of a side, (n,), less its mean.
@@ -104,18 +91,10 @@ class MotionResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MachineStudy:
-    """Results of a machine.
+    """Results of a machine."""
 
-    Attributes
-    ----------
-    units : dict of str
-        Unit of the position by axis: rad or m.
-    motions : dict of dict of MotionResult
-        By axis and motion.
-    """
-
-    units: dict[str, str]
-    motions: dict[str, dict[str, MotionResult]]
+    units: dict[str, str]  # of the position by axis: rad or m
+    motions: dict[str, dict[str, MotionResult]]  # by axis and motion
 
     def rows(self) -> Iterator[tuple[str, str, str, MotionResult]]:
         """Yield axis, motion, side and result, in their order."""
@@ -138,20 +117,11 @@ class MachineStudy:
 
 
 def study_machine(
-    units: Mapping[str, str],
-    runs: Mapping[str, Mapping[str, Run]],
+    units: Mapping[str, str],  # of the position by axis: rad or m
+    runs: Mapping[str, Mapping[str, Run]],  # what simulates each motion, by axis and motion
     on_progress: OnProgress = lambda text, fraction: None,
 ) -> MachineStudy:
-    """Simulate all motions of all axes, without and with compensation.
-
-    Parameters
-    ----------
-    units : mapping of str
-        Unit of the position by axis: rad or m.
-    runs : mapping of mapping of callable
-        What simulates each motion, by axis and motion.
-    on_progress : callable, optional
-    """
+    """Simulate all motions of all axes, without and with compensation."""
     found: dict[str, dict[str, MotionResult]] = {}
     done, whole = 0, sum(map(len, runs.values()))
     for axis, motions in runs.items():

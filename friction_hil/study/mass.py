@@ -87,40 +87,23 @@ def _run(moved: StructuredArray, settings: StructuredArray, state: StructuredArr
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:
-    """Mass, drive and controller of an experiment with a closed loop.
+    """Mass, drive and controller of an experiment with a closed loop."""
 
-    Attributes
-    ----------
-    mass : float
-        Mass, kg.
-    duration_s : float
-        Duration, s.
-    spring, pull : float
-        Stiffness of a spring at the mass, N/m, and speed at which its other end is pulled, m/s.
-    pid : (float, float, float)
-        Proportional, integral and derivative gain of a position controller, N/m, N/(m s), N s/m.
-    target : float
-        Set-point of the controller, m; NaN without a controller.
-    demand : float
-        Demanded velocity for the compensator, m/s; NaN if the compensator has only the measurement.
-    """
-
-    mass: float
+    mass: float  # kg
     duration_s: float
-    spring: float = 0.0
-    pull: float = 0.0
+    spring: float = 0.0  # stiffness of a spring at the mass, N/m
+    pull: float = 0.0  # speed at which the other end of the spring is pulled, m/s
+    # proportional, integral and derivative gain of a position controller, N/m, N/(m s), N s/m
     pid: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    target: float = math.nan
+    target: float = math.nan  # set-point of the controller, m; NaN without a controller
+    # demanded velocity for the compensator, m/s; NaN if the compensator has only the measurement
     demand: float = math.nan
 
 
 def push(friction: FrictionModel, mass: float, force: Array, dt: float, damper: float = 0.0) -> Array:
     """Simulate a mass, kg, initially at rest, under a ``force``, (n,), N, with a parallel ``damper``, N s/m.
 
-    Returns
-    -------
-    (3, n) array
-        Position, m, velocity, m/s, and friction, N.
+    Returns (3, n): position, m, velocity, m/s, and friction, N.
     """
     moved = _moved(friction, mass=mass, damper=damper, period_s=dt, steps=1)
     trace = _trace(moved, friction, friction, force, force.size)
@@ -134,18 +117,8 @@ def run(friction: FrictionModel, loop: ClosedLoop, assumed: FrictionModel | None
     commands in that period, and the commands act in the next one, as in the daemon. The motion is integrated in
     five steps per period.
 
-    Parameters
-    ----------
-    friction : FrictionModel
-        Friction that acts on the mass.
-    loop : ClosedLoop
-    assumed : FrictionModel or None
-        Model that the compensator evaluates; None: no compensation.
-
-    Returns
-    -------
-    (4, n) array
-        Position, m, velocity, m/s, friction and compensation, N; one column per period.
+    ``friction`` acts on the mass; ``assumed`` is what the compensator evaluates, None: no compensation. Returns (4, n),
+    one column per period: position, m, velocity, m/s, friction and compensation, N.
     """
     moved = _moved(
         friction,

@@ -9,18 +9,10 @@ from friction_hil.numerics.jit import Array
 
 @dataclass(frozen=True, slots=True)
 class ExperimentResult:
-    """Result of one experiment with one model.
+    """Result of one experiment with one model."""
 
-    Attributes
-    ----------
-    facts : dict of float
-        Numbers by name; the name ends with the unit.
-    lines : dict of ((n,), (n,)) arrays
-        Lines to draw, x and y, SI.
-    """
-
-    facts: dict[str, float]
-    lines: dict[str, tuple[Array, Array]]
+    facts: dict[str, float]  # numbers by name, which ends with the unit
+    lines: dict[str, tuple[Array, Array]]  # (n,) each, to draw, x and y, SI
 
 
 def thin(x: Array, y: Array, most: int = 600) -> tuple[Array, Array]:

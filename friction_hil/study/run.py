@@ -35,21 +35,12 @@ OnProgress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """Results of all experiments.
-
-    Attributes
-    ----------
-    models : tuple of str
-    single : dict of dict of ExperimentResult
-        Experiments without a closed loop, by experiment and model.
-    paired : dict of dict of ExperimentResult
-        Experiments with a closed loop, by experiment and pair: the model that acts, and the model that the compensator
-        assumes (None: no compensation).
-    settings : StudySettings
-    """
+    """Results of all experiments."""
 
     models: tuple[str, ...]
-    single: dict[str, dict[str, ExperimentResult]]
+    single: dict[str, dict[str, ExperimentResult]]  # experiments without a closed loop, by experiment and model
+    # experiments with a closed loop, by experiment and pair: the model that acts, and the model that the compensator
+    # assumes (None: no compensation)
     paired: dict[str, dict[tuple[str, str | None], ExperimentResult]]
     settings: StudySettings = DEFAULT
 
@@ -77,10 +68,7 @@ class Study:
 def check_names(names: Sequence[str] | None) -> tuple[str, ...]:
     """Return the models to study without repetitions; all models if ``names`` is None.
 
-    Raises
-    ------
-    UsageError
-        A name is unknown, or the list is empty.
+    Raises `UsageError`: a name is unknown, or the list is empty.
     """
     if names is None:
         return tuple(models.names())
@@ -90,27 +78,15 @@ def check_names(names: Sequence[str] | None) -> tuple[str, ...]:
 
 
 def run(
-    names: Sequence[str] | None = None,
+    names: Sequence[str] | None = None,  # of the models; None: all
+    # called after each experiment with each model or pair of models
     on_progress: OnProgress = lambda text, fraction: None,
-    workers: int = 2,
+    workers: int = 2,  # threads; the results do not depend on it
     settings: StudySettings = DEFAULT,
 ) -> Study:
     """Run all experiments.
 
-    Parameters
-    ----------
-    names : sequence of str, optional
-        Models; all when not given.
-    on_progress : callable, optional
-        Called after each experiment with each model or pair of models.
-    workers : int
-        Number of threads; the results do not depend on it.
-    settings : StudySettings
-
-    Raises
-    ------
-    UsageError
-        A name is unknown, or the list is empty.
+    Raises `UsageError`: a name is unknown, or the list is empty.
     """
     chosen = check_names(names)
     single: dict[str, dict[str, ExperimentResult]] = {experiment: {} for experiment in SINGLE}

@@ -55,29 +55,17 @@ REFERENCE = Levels(
 
 @dataclass(frozen=True, slots=True)
 class StudySettings:
-    """What the experiments are made with; the defaults are those that the explanations of the report refer to.
+    """What the experiments are made with; the defaults are those that the explanations of the report refer to."""
 
-    Attributes
-    ----------
-    friction : Levels
-        Of the mass of experiments 1 to 8, N and m. Paths, velocities and forces of the experiments are in proportion.
-    servo : dict of float
-        Changed levels of the servo of experiment 9, N m and rad, by the names of `Levels`.
-    mass : float
-        kg.
-    spring, pull : float
-        Of stick-slip: stiffness, N/m, and speed at which the spring is pulled, m/s.
-    radius, frequency : float
-        Of the circle of experiment 9, rad and Hz.
-    """
-
+    # Of the mass of experiments 1 to 8, N and m. Paths, velocities and forces of the experiments are in proportion.
     friction: Levels = REFERENCE
+    # changed levels of the servo of experiment 9, N m and rad, by the names of `Levels`
     servo: Mapping[str, float] = field(default_factory=dict)
-    mass: float = 1.0
-    spring: float = 2.0
-    pull: float = 0.1
-    radius: float = 1.0
-    frequency: float = 0.5
+    mass: float = 1.0  # kg
+    spring: float = 2.0  # stiffness in stick-slip, N/m
+    pull: float = 0.1  # speed at which the spring is pulled in stick-slip, m/s
+    radius: float = 1.0  # of the circle of experiment 9, rad
+    frequency: float = 0.5  # of the circle of experiment 9, Hz
 
     @property
     def servo_levels(self) -> Levels:
