@@ -38,35 +38,17 @@ _LEAST_SPREAD_K = 0.5  # standard deviation of the temperatures: below, no coeff
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Baseline:
-    """What the first observations show.
+    """What the first observations show."""
 
-    Attributes
-    ----------
-    value, error : float
-        At `temperature`.
-    temperature : float or None
-        Mean, °C; None if temperature is not removed.
-    slope, slope_error : float
-        Per K; 0 without temperature.
-    scatter : float
-        Standard deviation of one observation about the baseline, with its own uncertainty.
-    correlation : float
-        Of successive observations, from 0.
-    mean_error : float
-        Standard error that the observations themselves state, root of the mean square.
-    inverse : (p, p) array
-        Inverse of the normal matrix.
-    """
-
-    value: float
-    error: float
-    temperature: float | None
-    slope: float
-    slope_error: float
-    scatter: float
-    correlation: float
-    mean_error: float
-    inverse: Array
+    value: float  # at ``temperature``
+    error: float  # standard error of the value
+    temperature: float | None  # mean, °C; None: temperature is not removed
+    slope: float  # per K; 0 without temperature
+    slope_error: float  # as the slope
+    scatter: float  # standard deviation of one observation about the baseline, with its own uncertainty
+    correlation: float  # of successive observations, from 0
+    mean_error: float  # standard error that the observations themselves state, root of the mean square
+    inverse: Array  # (p, p), of the normal matrix
 
     @property
     def inflation(self) -> float:
@@ -90,34 +72,17 @@ class Baseline:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chart:
-    """Sums of the observations after the baseline.
+    """Sums of the observations after the baseline."""
 
-    Attributes
-    ----------
-    rest : (n,) array
-        Observations less their prediction.
-    upper, lower : (n,) array
-        Sums for a rise and for a fall, standard deviations.
-    threshold : float
-    sign : int
-        1: risen, -1: fallen, 0: no alarm at the end.
-    begin : int
-        First observation after the most likely step before the alarm; n without an alarm.
-    alarm : int
-        Observation at which the alarm was given; n without an alarm.
-    change, change_error : float
-        Mean change since ``begin``; 0 without an alarm.
-    """
-
-    rest: Array
-    upper: Array
-    lower: Array
+    rest: Array  # (n,), observations less their prediction
+    upper: Array  # (n,), sums for a rise, standard deviations
+    lower: Array  # (n,), sums for a fall, standard deviations
     threshold: float
-    sign: int
-    begin: int
-    alarm: int
-    change: float
-    change_error: float
+    sign: int  # 1: risen, -1: fallen, 0: no alarm at the end
+    begin: int  # first observation after the most likely step before the alarm; n without an alarm
+    alarm: int  # observation at which the alarm was given; n without an alarm
+    change: float  # mean change since ``begin``; 0 without an alarm
+    change_error: float  # as the change
 
 
 def average_run_length(threshold: float, allowance: float = _ALLOWANCE) -> float:
@@ -140,14 +105,9 @@ def threshold_for(run_length: float, allowance: float = _ALLOWANCE) -> float:
 
 
 def fit_baseline(values: Array, errors: Array, temperatures: Array | None) -> Baseline:
-    """Learn a baseline.
+    """Learn a baseline from observations and their standard errors, (n,) each, `LEAST_BASELINE` or more.
 
-    Parameters
-    ----------
-    values, errors : (n,) array
-        Observations and their standard errors; `LEAST_BASELINE` or more.
-    temperatures : (n,) array or None
-        °C; None if temperature is not to be removed.
+    ``temperatures``: (n,), °C; None if temperature is not to be removed.
     """
     n = len(values)
     if n < LEAST_BASELINE:

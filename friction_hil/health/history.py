@@ -26,21 +26,11 @@ def state_of(path: Path) -> str:
 
 @dataclass(slots=True)
 class History:
-    """What is known of the axes of a machine.
+    """What is known of the axes of a machine."""
 
-    Attributes
-    ----------
-    layouts : dict of Layout
-        By axis.
-    parts : dict of dict of list of Observation
-        By axis and recording.
-    states : dict of str
-        State of the file of each recording, as it was read.
-    """
-
-    layouts: dict[str, Layout] = field(default_factory=dict)
-    parts: dict[str, dict[str, list[Observation]]] = field(default_factory=dict)
-    states: dict[str, str] = field(default_factory=dict)
+    layouts: dict[str, Layout] = field(default_factory=dict)  # by axis
+    parts: dict[str, dict[str, list[Observation]]] = field(default_factory=dict)  # by axis and recording
+    states: dict[str, str] = field(default_factory=dict)  # of the file of each recording, as it was read
 
     def observations(self, axis: str) -> list[Observation]:
         """Return all observations of an axis."""
@@ -62,10 +52,7 @@ class History:
 def load(path: Path) -> History:
     """Read a history; an empty one if there is no such file.
 
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be read, or a line is not that of a history.
+    Raises `FrictionHilError`: the file cannot be read, or a line is not that of a history.
     """
     history = History()
     try:
@@ -89,13 +76,7 @@ def load(path: Path) -> History:
 
 
 def append(path: Path, lines: list[dict[str, Any]]) -> None:
-    """Append lines to a history, safe on the disk.
-
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be written.
-    """
+    """Append lines to a history, safe on the disk; a `FrictionHilError`: the file cannot be written."""
     if not lines:
         return
     text = "".join(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n" for line in lines)

@@ -30,23 +30,12 @@ _HOW = f"reverse {_FEWEST} times or more in each direction, with strokes of a te
 
 def add_reversals(
     records: Sequence[RegressionSegment],
-    inertia: float,
-    levels: Mapping[str, float],
-    quantities: dict[str, Quantity],
+    inertia: float,  # of the axis, kg m^2 or kg
+    levels: Mapping[str, float],  # friction of each direction where the axis slides, N m or N
+    quantities: dict[str, Quantity],  # these and ``not_shown`` are results, which are added to
     not_shown: dict[str, str],
 ) -> None:
-    """Add break-away friction of each direction, and lost motion.
-
-    Parameters
-    ----------
-    records : sequence of RegressionSegment
-    inertia : float
-        Of the axis, kg m^2 or kg.
-    levels : dict of float
-        Friction of each direction where the axis slides, N m or N.
-    quantities, not_shown : dict
-        Results, which are added to.
-    """
+    """Add break-away friction of each direction, and lost motion."""
     peaks: dict[str, list[float]] = {each: [] for each in DIRECTIONS}
     distances: list[float] = []
     travel = max(float(np.ptp(each.position)) for each in records)

@@ -30,22 +30,13 @@ _SEVERAL = "hold several constant speeds up to the top speed, in this direction"
 
 @dataclass(frozen=True, slots=True)
 class SlidingFit:
-    """Result of a fit.
-
-    Attributes
-    ----------
-    quantities : dict of Quantity
-    not_shown : dict of str
-        Motion that would show the quantity, by its name.
-    inertia : float
-    levels : dict of float
-        Friction of slow sliding in each direction, N m or N, which is above zero unless gravity is greater; empty if
-        not known.
-    """
+    """Result of a fit."""
 
     quantities: dict[str, Quantity]
-    not_shown: dict[str, str]
+    not_shown: dict[str, str]  # motion that would show the quantity, by its name
     inertia: float
+    # friction of slow sliding in each direction, N m or N, which is above zero unless gravity is greater; empty if not
+    # known
     levels: dict[str, float]
 
 
