@@ -32,10 +32,7 @@ def load(path: str | Path) -> FrictionModel:
 def load_model_file(path: str | Path) -> ModelFile:
     """Read a model file.
 
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be read or has mistakes; ``problems`` lists them with their lines.
+    Raises `ConfigurationError`: the file cannot be read or has mistakes; ``problems`` lists them with their lines.
     """
     try:
         model_file = read_section(path, ModelFile)
@@ -51,12 +48,8 @@ def load_model_file(path: str | Path) -> ModelFile:
 def model_from_argument(argument: str) -> ModelFile:
     """Parse the argument of ``--model``: a model file, or ``NAME:coulomb=0.08,viscous=2e-3`` (a rotary axis).
 
-    Raises
-    ------
-    ConfigurationError
-        The model file cannot be read or has mistakes.
-    UsageError
-        The model or a parameter does not exist, or a value is invalid.
+    Raises `ConfigurationError`: the model file cannot be read or has mistakes; `UsageError`: the model or a parameter
+    does not exist, or a value is invalid.
     """
     if argument.endswith((".yaml", ".yml")) or os.path.isfile(argument):
         return load_model_file(argument)

@@ -30,65 +30,32 @@ _NEVER_THERE = (
 
 @dataclass(slots=True)
 class Stated:
-    """What a file states of one joint, in the terms of a model file.
+    """What a file states of one joint, in the terms of a model file."""
 
-    Attributes
-    ----------
-    axis : str
-        "rotary" or "linear"
-    model : str
-    parameters, modifiers, mechanics : dict
-    notes : list of str
-        What was done with numbers that have no place of their own, or was left out.
-    missing : list of str
-        Friction that the file does not state.
-    """
-
-    axis: str
+    axis: str  # "rotary" or "linear"
     model: str
     parameters: dict[str, Any]
     modifiers: dict[str, Any] = field(default_factory=dict)
     mechanics: dict[str, Any] = field(default_factory=dict)
+    # what was done with numbers that have no place of their own, or was left out
     notes: list[str] = field(default_factory=list)
-    missing: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)  # friction that the file does not state
 
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """A model file with what it lacks.
+    """A model file with what it lacks."""
 
-    Attributes
-    ----------
-    content : dict
-        Plain values of the model file.
-    missing : tuple of str
-        What the source does not state.
-    notes : tuple of str
-        What of the source was changed or left out.
-    """
-
-    content: dict[str, Any]
-    missing: tuple[str, ...]
-    notes: tuple[str, ...]
+    content: dict[str, Any]  # plain values of the model file
+    missing: tuple[str, ...]  # what the source does not state
+    notes: tuple[str, ...]  # what of the source was changed or left out
 
 
 def read(path: str | Path, source: str, joint: str | None = None) -> Imported:
-    """Read the friction of one joint.
+    """Read the friction of one joint; ``joint`` is its name, if several have friction.
 
-    Parameters
-    ----------
-    path : path
-    source : str
-        One of `SOURCES`.
-    joint : str, optional
-        Name of the joint, if several have friction.
-
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be read.
-    UsageError
-        The file is not of this format, there is no such joint, or its numbers make no model.
+    ``source``: one of `SOURCES`. Raises `FrictionHilError`: the file cannot be read; `UsageError`: the file is not of
+    this format, there is no such joint, or its numbers make no model.
     """
     if source not in SOURCES:
         raise UsageError(f"there is no source {source!r}; {choices(source, SOURCES)}")

@@ -17,33 +17,16 @@ _STIFF_IMPEDANCE = 0.999  # of the dry friction, of 0.9999 that MuJoCo allows: h
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """Friction of a joint, SI.
+    """Friction of a joint, SI."""
 
-    Attributes
-    ----------
-    axis : str
-        "rotary" or "linear"
-    frictionloss, armature : float
-    damping : (float, float, float)
-        Factors of v, v |v| and v^3, with those of a motor for the friction.
-    lugre : tuple of 5 float or None
-        Stiffness, damping, Coulomb level, break-away level, Stribeck velocity.
-    cogging : (float, float, float) or None
-        Amplitude, poles and phase of the motor's torque.
-    is_stated : bool
-        True if the file gives a frictionloss or LuGre friction, and not MuJoCo's default of zero.
-    notes : tuple of str
-        What of the actuators on the joint is not read.
-    """
-
-    axis: str
+    axis: str  # "rotary" or "linear"
     frictionloss: float
     armature: float
-    damping: tuple[float, float, float]
-    lugre: tuple[float, ...] | None
-    cogging: tuple[float, float, float] | None
-    is_stated: bool
-    notes: tuple[str, ...]
+    damping: tuple[float, float, float]  # factors of v, v |v| and v^3, with those of a motor for the friction
+    lugre: tuple[float, ...] | None  # stiffness, damping, Coulomb level, break-away level, Stribeck velocity
+    cogging: tuple[float, float, float] | None  # amplitude, poles and phase of the motor's torque
+    is_stated: bool  # the file gives a frictionloss or LuGre friction, and not MuJoCo's default of zero
+    notes: tuple[str, ...]  # what of the actuators on the joint is not read
 
 
 def find(root: ET.Element, path: str, name: str | None) -> Joint:

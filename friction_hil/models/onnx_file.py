@@ -18,20 +18,10 @@ _OPSET, _IR_VERSION = 17, 8  # old versions, which the runtimes of controllers s
 
 
 def write(model: FrictionModel, path: Path) -> None:
-    """Write the step of a network as an ONNX file.
+    """Write the step of a network, without base model and modifiers, as an ONNX file.
 
-    Parameters
-    ----------
-    model : FrictionModel
-        Network without base model and modifiers.
-    path : Path
-
-    Raises
-    ------
-    UsageError
-        The package onnx is not installed, or the model is not a network, or has a base model or modifiers.
-    FrictionHilError
-        The file cannot be written.
+    Raises `UsageError`: the package onnx is not installed, or the model is not a network, or has a base model or
+    modifiers; `FrictionHilError`: the file cannot be written.
     """
     try:
         import onnx  # imported here: an optional dependency
@@ -54,12 +44,7 @@ def write(model: FrictionModel, path: Path) -> None:
 class _Graph:
     """Operations of a graph; the results are named by consecutive numbers.
 
-    Parameters
-    ----------
-    onnx : module
-        The package onnx.
-    outer : _Graph, optional
-        Graph that contains this one as the body of a loop; its constants are shared.
+    ``onnx``: the package. ``outer``: graph that contains this one as the body of a loop; its constants are shared.
     """
 
     def __init__(self, onnx: Any, outer: "_Graph | None" = None) -> None:

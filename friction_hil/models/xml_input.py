@@ -13,12 +13,8 @@ _MOST_DEPTH = 200
 def parse(content: bytes, path: str, root: str) -> ET.Element:
     """Return the root element.
 
-    A document type declaration is refused: entities that multiply or name other files are declared in one.
-
-    Raises
-    ------
-    UsageError
-        It is no XML, has a document type or another root element, or is nested too deep.
+    A document type declaration is refused: entities that multiply or name other files are declared in one. Raises
+    `UsageError`: it is no XML, has a document type or another root element, or is nested too deep.
     """
     depth = 0
 
@@ -76,10 +72,7 @@ def _there_are(joints: Collection[str]) -> str:
 def numbers(text: str, where: str, least: int, most: int) -> list[float]:
     """Return the numbers of an attribute, none below zero.
 
-    Raises
-    ------
-    UsageError
-        There are too few or too many, or one is no number, not finite or below zero.
+    Raises `UsageError`: there are too few or too many, or one is no number, not finite or below zero.
     """
     try:
         values = [float(word) for word in text.split()]
