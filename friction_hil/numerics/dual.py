@@ -137,16 +137,9 @@ def borrowed_at(_: Any, address: Any, length: Any) -> Any:
 
 
 def differentiable(function: Any, value_of: Any, slope_of: Any) -> None:
-    """Let compiled code call ``function`` with one number or dual.
+    """Let compiled code call ``function``, which kernels call, with one number or dual.
 
-    Parameters
-    ----------
-    function : callable
-        Function that kernels call.
-    value_of : compiled callable
-        x -> f(x).
-    slope_of : compiled callable
-        x, f(x) -> df/dx.
+    ``value_of``: compiled, x -> f(x). ``slope_of``: compiled, x, f(x) -> df/dx.
     """
 
     @overloaded(function)

@@ -23,12 +23,8 @@ _PADDING_PER_ORDER = 3  # samples per order by which a record is extended oddly 
 def lowpass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
     """Low-pass a record without delay: 4th-order Butterworth, forward and backward.
 
-    Parameters
-    ----------
-    values : (n,) or (n, m) array
-        Evenly sampled, along the first axis; more than `lowpass_padding` samples.
-    cutoff_hz, rate_hz : float
-        Cut-off (-3 dB of a single pass) and sampling rate, Hz; the first below half the second.
+    ``values``: (n,) or (n, m), evenly sampled along the first axis, more than `lowpass_padding` samples. ``cutoff_hz``:
+    -3 dB of a single pass; below half of ``rate_hz``, the sampling rate.
     """
     sections = _low_pass_sections(LOWPASS_ORDER, 0.0, cutoff_hz / (rate_hz / 2.0))
     return _forward_backward(_columns(values), sections, lowpass_padding()).reshape(values.shape)
@@ -48,18 +44,10 @@ def decimate(values: Array, factor: int) -> Array:
     """Keep every ``factor``-th sample, including the last, after a zero-phase low-pass, as MATLAB's decimate does.
 
     8th-order Chebyshev filter of the first kind, 0.05 dB, at 0.8 of the new Nyquist frequency, forward and backward.
+    Returns the samples that `decimated_rows` names: ceil(n / factor) of them.
 
-    Parameters
-    ----------
-    values : (n,) or (n, m) array
-        Evenly sampled, along the first axis; more than `decimation_padding` samples.
-    factor : int
-        1 keeps everything as it is.
-
-    Returns
-    -------
-    (ceil(n / factor),) or (ceil(n / factor), m) array
-        The samples that `decimated_rows` names.
+    ``values``: (n,) or (n, m), evenly sampled along the first axis, more than `decimation_padding` samples. ``factor``:
+    1 keeps everything as it is.
     """
     if factor == 1:
         return values

@@ -12,12 +12,8 @@ _LARGEST_PLAIN = 1e7  # larger numbers have an exponent
 def readable(unit: str, values: Iterable[float]) -> tuple[float, str]:
     """Return factor and unit in which the smallest of ``values`` is at least 1: ``(1e6, "µrad")``.
 
-    Parameters
-    ----------
-    unit : str
-        SI unit of the values: rad, m, N m, ...; ``rad or m`` if it is not known exactly.
-    values : iterable of float
-        Zeros and values that are not finite do not count; without any other the unit has no prefix.
+    ``unit``: SI unit of the values: rad, m, N m, ...; ``rad or m`` if it is not known exactly. Zeros and values that
+    are not finite do not count; without any other the unit has no prefix.
     """
     sizes = [abs(value) for value in values if math.isfinite(value) and value]
     if not sizes:
@@ -78,12 +74,8 @@ def comparison(
 ) -> list[tuple[str, str, str, str]]:
     """Return RMS and peak of the following error: name with unit, without, with compensation, times lower.
 
-    Parameters
-    ----------
-    unit : str
-        Unit of the position: rad or m.
-    without, compensated, reduction : FollowingError or None
-        The errors and the ratio of the first to the second; ``-`` stands for one that is None.
+    ``unit``: of the position: rad or m. ``reduction``: ratio of the first error to the second. ``-`` stands for one
+    that is None.
     """
     factor, shown = readable(unit, [each.rms for each in (without, compensated) if each is not None])
     columns = ((without, factor, 3), (compensated, factor, 3), (reduction, 1.0, 2))
