@@ -33,13 +33,9 @@ _REQUEST = {"do": "observe"}
 def attach(name: str) -> "Live":
     """Attach to the daemon called ``name``.
 
-    Raises
-    ------
-    UsageError
-        No daemon of this name runs here; the message lists those that do.
-    FrictionHilError
-        This user may not use its control socket, it is of another version, or it does not answer within 10 s, because
-        it is still starting; the message says so.
+    Raises `UsageError`: no daemon of this name runs here; the message lists those that do. Raises `FrictionHilError`:
+    this user may not use its control socket, it is of another version, or it does not answer within 10 s, because it is
+    still starting; the message says so.
     """
     path = find(name)
     identity = _identity(path)
@@ -50,30 +46,18 @@ def attach(name: str) -> "Live":
 
 
 class Watch:
-    """Attach to a daemon whenever it runs: now, later, and again when another one of this name starts.
-
-    Parameters
-    ----------
-    name : str
-
-    Attributes
-    ----------
-    live : Live or None
-        The daemon, also after its end until the next one is attached.
-    """
+    """Attach to a daemon whenever it runs: now, later, and again when another one of this name starts."""
 
     def __init__(self, name: str) -> None:
         self._name = name
         self._question: tuple[Path, tuple[int, int] | None, Question] | None = None
-        self.live: Live | None = None
+        self.live: Live | None = None  # the daemon, also after its end until the next one is attached
 
     def poll(self) -> "Live | None":
         """Return the daemon; None while none of this name runs, or while it starts. It never waits.
 
-        Raises
-        ------
-        FrictionHilError
-            This user may not use its control socket, or it is of another version; the message says so.
+        Raises `FrictionHilError`: this user may not use its control socket, or it is of another version; the message
+        says so.
         """
         if self.live is not None and not self.live.is_over:
             return self.live
@@ -150,25 +134,9 @@ def _explained(name: str) -> Iterator[None]:
 class Live:
     """A daemon that somebody looks at. `attach` makes it; use it as a context manager, or `close` it.
 
-    Parameters
-    ----------
-    answer : dict
-        Answer of the control socket to ``observe``.
-    ring_descriptor, journal_descriptor : int
-        Memory of rows and changes, open for reading; this closes them.
-    is_there : callable
-        Returns False if the daemon listens at its control socket no more.
-    learning_descriptor : int, optional
-        Memory of what the process that learns says, open for reading; this closes it.
-
-    Attributes
-    ----------
-    facts : LiveFacts
-    faults : tuple of str
-        Faults that nobody had reset when this was attached; those after it are events.
-    is_over : bool
-        The daemon has ended, as the last `read` saw. A daemon of this name that starts later is another one: attach
-        again.
+    ``answer``: of the control socket to ``observe``. The descriptors are those of the memory of rows, of changes, and
+    of what the process that learns says, open for reading; this closes them. ``is_there`` returns False if the daemon
+    listens at its control socket no more.
     """
 
     def __init__(
@@ -180,7 +148,9 @@ class Live:
         learning_descriptor: int | None = None,
     ) -> None:
         self.facts = _facts(answer)
+        # that nobody had reset when this was attached; those after it are events
         self.faults = tuple(map(str, answer["faults"]))
+        # the daemon has ended, as the last `read` saw; one of this name that starts later is another one: attach again
         self.is_over = False
         self._files: Mapping[str, str] = answer["files"]
         width, axes, columns = len(self.facts.columns) + int(answer["state_width"]), self.facts.axes, self.facts.columns

@@ -37,14 +37,9 @@ class LiveFigures:
     Compiles what it needs, which takes a while for the first time on a machine: make it before the first
     `friction_hil.live.Live.read`, so that no rows are lost meanwhile.
 
-    Parameters
-    ----------
-    facts : LiveFacts
-    faults : sequence of str
-        Faults that nobody had reset when this was attached, `friction_hil.live.Live.faults`.
-    window_s : float
-        Duration over which following error, compensation and lateness are computed, s. Friction over velocity is of
-        the last six windows.
+    ``faults``: that nobody had reset when this was attached, `friction_hil.live.Live.faults`. ``window_s``: duration
+    over which following error, compensation and lateness are computed, s; friction over velocity is of the last six
+    windows.
     """
 
     def __init__(self, facts: LiveFacts, faults: Sequence[str] = (), window_s: float = WINDOW_S) -> None:

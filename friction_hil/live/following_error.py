@@ -17,12 +17,7 @@ class RollingErrors:
     motion, not the fade of the compensation, not the `SETTLE_S` after each, and not cycles shortly after a missed
     period or late feedback. Here every such cycle of the window counts, not only whole periods of the motion.
 
-    Parameters
-    ----------
-    period_s, ramp_s : float
-        Period of the loop; time that the axes take to start.
-    window_s : float
-        Duration of the window, s of steady motion in each condition.
+    ``ramp_s``: time that the axes take to start. ``window_s``: s of steady motion in each condition.
     """
 
     def __init__(self, period_s: float, ramp_s: float, window_s: float) -> None:
@@ -37,14 +32,8 @@ class RollingErrors:
     def take(self, rows: Rows, axis: str, fade_s: float, lost: int) -> Array:
         """Take further rows; return the following error in each (n,), NaN where it is not known.
 
-        Parameters
-        ----------
-        rows : Rows
-        axis : str
-        fade_s : float
-            Time in which the compensation fades in or out.
-        lost : int
-            Rows before these that were lost on the way here.
+        ``fade_s``: time in which the compensation fades in or out. ``lost``: rows before these that were lost on the
+        way here.
         """
         columns = motion_columns(rows, axis)
         error = following.error(columns)

@@ -28,30 +28,16 @@ _NO_TORQUE = "the drive does not report its torque"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionMap:
-    """Friction over velocity, SI; torques in N m or N.
+    """Friction over velocity, SI; torques in N m or N."""
 
-    Attributes
-    ----------
-    velocity : (k,) array
-        Mean velocity of each bin that has points.
-    torque, low, high : (k,) arrays
-        Mean, smallest and largest friction in it: measured torque less inertia, gravity and offset of the model.
-    count : (k,) array
-        Points in it.
-    curve_velocity, curve_torque : (m,) arrays
-        Steady state of the model, NaN at rest; empty before the axis has moved.
-    note : str
-        Why nothing is measured; empty if something is.
-    """
-
-    velocity: Array
-    torque: Array
-    low: Array
-    high: Array
-    count: "np.typing.NDArray[np.int64]"
-    curve_velocity: Array
-    curve_torque: Array
-    note: str
+    velocity: Array  # (k,) mean of each bin that has points
+    torque: Array  # (k,) mean friction in it: measured torque less inertia, gravity and offset of the model
+    low: Array  # (k,) smallest friction in it
+    high: Array  # (k,) largest friction in it
+    count: "np.typing.NDArray[np.int64]"  # (k,) points in it
+    curve_velocity: Array  # (m,) of the steady state of the model; empty before the axis has moved
+    curve_torque: Array  # (m,) NaN at rest
+    note: str  # why nothing is measured; empty if something is
 
 
 class FrictionTracer:
@@ -59,15 +45,7 @@ class FrictionTracer:
 
     Rows are prepared as `friction_hil.replay` prepares those of a recording.
 
-    Parameters
-    ----------
-    axis : str
-    period_s : float
-        Period of the loop, s.
-    window_s : float
-        Duration of the window, s of motion.
-    has_torque : bool
-        The drive reports its torque.
+    ``window_s``: duration of the window, s of motion. ``has_torque``: the drive reports its torque.
     """
 
     def __init__(self, axis: str, period_s: float, window_s: float, *, has_torque: bool) -> None:

@@ -14,42 +14,21 @@ BOUNDS_US = tuple(float(step * 10**decade) for decade in range(6) for step in (1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lateness:
-    """Lateness of the cycles.
+    """Lateness of the cycles."""
 
-    Attributes
-    ----------
-    p50_us, p99_us, max_us : float
-        Over the window; NaN without any row.
-    bounds_us : (k,) tuple
-        Upper bounds of the bins, `BOUNDS_US`; the last bin, beyond all of them, has none.
-    counts : (k + 1,) array
-        Rows of the window in each bin: above the bound before it, up to its own.
-    total_counts : (k + 1,) array
-        Rows since this was attached.
-    total_us : float
-        Sum of the lateness since this was attached.
-    highest_us : float
-        Largest since this was attached; NaN without any row.
-    """
-
-    p50_us: float
+    p50_us: float  # over the window, as the next two; NaN without any row
     p99_us: float
     max_us: float
+    # (k,) upper bounds of the bins, `BOUNDS_US`; the last bin, beyond all of them, has none
     bounds_us: tuple[float, ...]
-    counts: NDArray[np.int64]
-    total_counts: NDArray[np.int64]
-    total_us: float
-    highest_us: float
+    counts: NDArray[np.int64]  # (k + 1,) rows of the window in each bin: above the bound before it, up to its own
+    total_counts: NDArray[np.int64]  # (k + 1,) rows since this was attached
+    total_us: float  # sum of the lateness since this was attached
+    highest_us: float  # largest since this was attached; NaN without any row
 
 
 class LatenessFigures:
-    """Lateness over a window and since the start.
-
-    Parameters
-    ----------
-    size : int
-        Rows of the window.
-    """
+    """Lateness over a window of ``size`` rows and since the start."""
 
     def __init__(self, size: int) -> None:
         self._window = Window(size)

@@ -13,50 +13,22 @@ from friction_hil.recordings.columns import AxisKind, unit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveFacts:
-    """Facts of a daemon that hold for its whole run.
+    """Facts of a daemon that hold for its whole run."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the daemon.
-    version : str
-        Version of friction_hil that it runs.
-    source : str
-        Configuration file.
-    configuration : dict
-        At the start of the run, as `friction_hil.config.self_contained` returns it.
-    period_s : float
-        Period of the loop, s.
-    ramp_s : float
-        Time that the axes take to reach full speed, s.
-    started_unix_ns : int
-        Wall-clock time of ``time_s`` = 0, ns since 1970; 0 in simulated time (``--pace sync``).
-    axes : tuple of str
-    kinds : dict of {"rotary", "linear"}
-        Kind of each axis.
-    columns : tuple of str
-        Columns of each axis, see `friction_hil.recordings.columns`; those of shadow models at the end.
-    drives : dict of dict
-        What the driver found of each drive, `friction_hil.drive.AxisFacts` as a dict.
-    is_follower : bool
-        Another controller enables and moves the drives.
-    remedies : dict of str
-        What to do about each code of a fault.
-    """
-
-    name: str
-    version: str
-    source: str
-    configuration: Mapping[str, Any]
-    period_s: float
-    ramp_s: float
-    started_unix_ns: int
+    name: str  # of the daemon
+    version: str  # of friction_hil that it runs
+    source: str  # configuration file
+    configuration: Mapping[str, Any]  # at the start of the run, as `friction_hil.config.self_contained` returns it
+    period_s: float  # of the loop, s
+    ramp_s: float  # time that the axes take to reach full speed, s
+    started_unix_ns: int  # wall-clock time of ``time_s`` = 0, ns since 1970; 0 in simulated time (``--pace sync``)
     axes: tuple[str, ...]
     kinds: Mapping[str, AxisKind]
-    columns: tuple[str, ...]
+    columns: tuple[str, ...]  # of each axis, see `friction_hil.recordings.columns`; those of shadow models at the end
+    # what the driver found of each drive, `friction_hil.drive.AxisFacts` as a dict
     drives: Mapping[str, Mapping[str, Any]]
-    is_follower: bool
-    remedies: Mapping[str, str]
+    is_follower: bool  # another controller enables and moves the drives
+    remedies: Mapping[str, str]  # what to do about each code of a fault
 
     def unit(self, axis: str, column: str) -> str:
         """Return the unit of a column of an axis; empty if it has none."""
@@ -69,21 +41,11 @@ class LiveFacts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisSettings:
-    """Settings of an axis that are in force.
+    """Settings of an axis that are in force."""
 
-    Attributes
-    ----------
-    compensation : dict
-        Section ``compensation`` of the configuration: enabled, gain, adaptation, ...
-    model : dict
-        Content of the model file.
-    model_file : str or None
-        Path of the model file; None if the model was given in the configuration.
-    """
-
-    compensation: Mapping[str, Any]
-    model: Mapping[str, Any]
-    model_file: str | None
+    compensation: Mapping[str, Any]  # section ``compensation`` of the configuration: enabled, gain, adaptation, ...
+    model: Mapping[str, Any]  # content of the model file
+    model_file: str | None  # its path; None if the model was given in the configuration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,37 +58,19 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class LiveEvent:
-    """Event of a run.
-
-    Attributes
-    ----------
-    cycle : float
-    time_s : float
-        Time of the cycle, s.
-    name : str
-        ``fault``, ``reset``, ``warning``, ``notice``, ``state``, ``change``, ``drive_state`` or ``error_without``.
-    text : str
-        Cut off after about 180 bytes.
-    code, remedy : str
-        Of a fault or warning that has a code; else empty.
-    """
+    """Event of a run."""
 
     cycle: float
-    time_s: float
+    time_s: float  # of the cycle, s
+    # ``fault``, ``reset``, ``warning``, ``notice``, ``state``, ``change``, ``drive_state`` or ``error_without``
     name: str
-    text: str
-    code: str = ""
+    text: str  # cut off after about 180 bytes
+    code: str = ""  # of a fault or warning that has one, as its remedy; else empty
     remedy: str = ""
 
 
 class Rows:
-    """Rows of all axes.
-
-    Parameters
-    ----------
-    facts : LiveFacts
-    values : (n, axes, columns) array
-    """
+    """Rows of all axes; values (n, axes, columns)."""
 
     __slots__ = ("_axes", "_columns", "values")
 
@@ -151,29 +95,14 @@ class Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """What has happened since the last reading.
-
-    Attributes
-    ----------
-    rows : Rows
-    lost : int
-        Rows since the last reading that are not in ``rows``: it came too late for them.
-    events : tuple of LiveEvent
-    settings : Settings
-        In force in the last row.
-    stands : bool
-        The loop has written no row for a second: what the last rows say of the drives may not hold any more.
-    is_over : bool
-        The daemon has ended, and this is the last reading.
-    learning : dict of dict
-        What is known of `compensation.learning`, by axis, as ``friction-hil run --json`` reports it; axes that learn
-        nothing are missing.
-    """
+    """What has happened since the last reading."""
 
     rows: Rows
-    lost: int
+    lost: int  # rows since the last reading that are not in ``rows``: it came too late for them
     events: tuple[LiveEvent, ...]
-    settings: Settings
-    stands: bool
-    is_over: bool
+    settings: Settings  # in force in the last row
+    stands: bool  # the loop has written no row for a second: what the last rows say of the drives may not hold any more
+    is_over: bool  # the daemon has ended, and this is the last reading
+    # what is known of `compensation.learning`, by axis, as ``friction-hil run --json`` reports it; axes that learn
+    # nothing are missing
     learning: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

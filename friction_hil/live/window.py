@@ -6,15 +6,7 @@ from friction_hil.numerics.jit import Array
 
 
 class Window:
-    """The last values.
-
-    Parameters
-    ----------
-    size : int
-        Most values that are kept.
-    width : int
-        Numbers of a value; 1 for a plain one.
-    """
+    """The last ``size`` values, of ``width`` numbers each; 1 for plain ones."""
 
     __slots__ = ("_count", "_values")
 

@@ -149,13 +149,7 @@ def _refused(refusal: Refusal) -> Response:
 
 
 async def _content(request: Request) -> dict[str, Any]:
-    """Return the JSON object in the body of a request.
-
-    Raises
-    ------
-    ValueError
-        It is no JSON object, or too long.
-    """
+    """Return the JSON object in the body of a request; a `ValueError`: it is none, or too long."""
     body = b""
     async for part in request.stream():
         body += part

@@ -19,40 +19,20 @@ _LEAST_SHARE = 0.5  # of its points that must be usable
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveCircle:
-    """The last lap.
+    """The last lap."""
 
-    Attributes
-    ----------
-    axes : (str, str)
-        The first is drawn to the right, the second upwards.
-    circle : Circle
-    angle : (n,) array
-        rad, from the first axis towards the second; in the order of the motion. Empty as long as there is no whole lap
-        in steady motion.
-    error : (n,) array
-        Measured minus nominal radius, rad or m.
-    scale : RingScale
-    compensated : float
-        Share of the lap in which the compensation of both axes was in force.
-    """
-
-    axes: tuple[str, str]
+    axes: tuple[str, str]  # the first is drawn to the right, the second upwards
     circle: Circle
+    # (n,) rad, from the first axis towards the second; in the order of the motion; empty as long as there is no whole
+    # lap in steady motion
     angle: Array
-    error: Array
+    error: Array  # (n,) measured minus nominal radius, rad or m
     scale: RingScale
-    compensated: float
+    compensated: float  # share of the lap in which the compensation of both axes was in force
 
 
 class CircleTracer:
-    """Follows the circle of two axes.
-
-    Parameters
-    ----------
-    facts : LiveFacts
-    axes : (str, str)
-    circle : Circle
-    """
+    """Follows the circle of two axes."""
 
     def __init__(self, facts: LiveFacts, axes: tuple[str, str], circle: Circle) -> None:
         self._axes, self._circle = axes, circle

@@ -29,24 +29,8 @@ def hidden_host() -> str:
 class Door:
     """Passes on connections whose head the gate accepts, in a thread of its own.
 
-    Parameters
-    ----------
-    host : str
-    port : int
-        0 for any that is free.
-    target : tuple of (str, int)
-        Address of the library's server.
-    gate : Gate
-        Names that were allowed are also those whose pages may connect.
-
-    Attributes
-    ----------
-    port : int
-
-    Raises
-    ------
-    OSError
-        The port cannot be used.
+    ``port``: 0 for any that is free. ``target``: address of the library's server. Names that the gate allows are also
+    those whose pages may connect. Raises `OSError`: the port cannot be used.
     """
 
     def __init__(self, host: str, port: int, target: tuple[str, int], gate: Gate) -> None:

@@ -29,15 +29,7 @@ Publish = Callable[[int, dict[str, Any]], None]
 
 
 class Feed:
-    """Reads one daemon after the other of a name.
-
-    Parameters
-    ----------
-    name : str
-    foxglove : FoxgloveFeed, optional
-    report : callable
-        Called with lines for the user.
-    """
+    """Reads one daemon after the other of a name; ``report`` is called with lines for the user."""
 
     def __init__(self, name: str, foxglove: "FoxgloveFeed | None", report: Callable[[str], None]) -> None:
         self._name, self._foxglove, self._report = name, foxglove, report
@@ -101,11 +93,8 @@ class Feed:
     def _with_paths(self, values: Any) -> Any:
         """Return values to set, with the path of each model file in the place of its name.
 
-        Raises
-        ------
-        UsageError
-            A model is not among the files beside the configuration: a page does not read any other file. Or no daemon
-            is attached, whose files they are.
+        Raises `UsageError`: a model is not among the files beside the configuration (a page does not read any other
+        file), or no daemon is attached, whose files they are.
         """
         with self._lock:
             watched, reason = self._watched, self._reason

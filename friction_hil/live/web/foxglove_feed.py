@@ -30,21 +30,8 @@ _LEVELS = {"fault": LogLevel.Error, "abandoned": LogLevel.Error, "warning": LogL
 class FoxgloveFeed:
     """Server of the Foxglove WebSocket protocol.
 
-    Parameters
-    ----------
-    port : int
-        0 for any that is free.
-    names : collection of str
-        Host names by which it may be called, and whose pages may connect.
-
-    Attributes
-    ----------
-    port : int
-
-    Raises
-    ------
-    UsageError
-        The port cannot be used.
+    ``port``: 0 for any that is free. ``names``: of hosts, by which it may be called, and whose pages may connect.
+    Raises `UsageError`: the port cannot be used.
     """
 
     def __init__(self, port: int, names: Collection[str] = ()) -> None:

@@ -30,30 +30,16 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Rules of one server.
+    """Rules of one server."""
 
-    Attributes
-    ----------
-    token : str
-        Needed for what changes anything.
-    names : collection of str
-        Host names, in lower case, by which it may be called besides addresses and ``localhost``.
-    is_reading_free : bool
-        Data may be read without the token: only this machine can connect.
-    """
-
-    token: str
-    names: Collection[str]
-    is_reading_free: bool
+    token: str  # needed for what changes anything
+    names: Collection[str]  # of hosts, in lower case, by which it may be called besides addresses and ``localhost``
+    is_reading_free: bool  # data may be read without the token: only this machine can connect
 
     def refusal(self, method: str, path: str, headers: Iterable[tuple[bytes, bytes]]) -> Refusal | None:
         """Return why a request is refused; None if it is not.
 
-        Parameters
-        ----------
-        method, path : str
-        headers : iterable of (bytes, bytes)
-            All header fields, names in lower case; one that is repeated is refused where it matters.
+        ``headers``: all fields, names in lower case; one that is repeated is refused where it matters.
         """
         given: dict[str, str] = {}
         for key, value in headers:

@@ -16,12 +16,8 @@ _ALIVE = b'{"kind": "alive"}\n'
 class Hub:
     """Takes messages from the thread that reads the daemon, and hands them to clients in the server's event loop.
 
-    Parameters
-    ----------
-    loop : asyncio.AbstractEventLoop
-    greeting : callable
-        Called in a thread for each client; returns the messages with which it begins, and the number of the last
-        message that they contain.
+    ``greeting`` is called in a thread for each client; it returns the messages with which it begins, and the number of
+    the last message that they contain.
     """
 
     def __init__(

@@ -30,16 +30,8 @@ def metrics_text(
 ) -> str:
     """Return the metrics of a daemon as text.
 
-    Parameters
-    ----------
-    name : str
-        Name of the daemon.
-    snapshot : Snapshot or None
-        None while no daemon of this name runs.
-    faults : dict of int
-        Number of faults by code, since the daemon is watched.
-    events : dict of int
-        Number of events by name, since then: what a drive says of itself is a notice.
+    ``snapshot``: None while no daemon of this name runs. ``faults``: their number by code, since the daemon is watched.
+    ``events``: their number by name, since then: what a drive says of itself is a notice.
     """
     registry = CollectorRegistry(auto_describe=False)
     registry.register(_Collected(_metrics(name, snapshot, faults, events or {})))
@@ -89,13 +81,7 @@ def _histogram(name: str, snapshot: Snapshot) -> Metric:
 
 
 class _AxisMetrics:
-    """Metrics with a sample for each axis.
-
-    Parameters
-    ----------
-    name : str
-        Of the daemon.
-    """
+    """Metrics of a daemon with a sample for each axis."""
 
     def __init__(self, name: str) -> None:
         self._name = name

@@ -25,40 +25,20 @@ _END_S = 1  # for connections that are open when the server ends
 
 @dataclass(frozen=True, slots=True)
 class Serving:
-    """What is served, and where.
+    """What is served, and where."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the daemon.
-    port, foxglove : int or None
-        Ports of the page and of the Foxglove WebSocket; 0 for any that is free, None for none.
-    host : str
-        Address of the page.
-    allow_hosts : tuple of str
-        Further names by which the page and the WebSocket may be called; the WebSocket by their pages too.
-    token : str
-    token_file : Path or None
-        File in which the user finds the token; None: it is printed.
-    """
-
-    name: str
-    port: int | None
-    foxglove: int | None
-    host: str
+    name: str  # of the daemon
+    port: int | None  # of the page; 0 for any that is free, None for none
+    foxglove: int | None  # the same of the Foxglove WebSocket
+    host: str  # address of the page
+    # further names by which the page and the WebSocket may be called; the WebSocket by their pages too
     allow_hosts: tuple[str, ...]
     token: str
-    token_file: Path | None = None
+    token_file: Path | None = None  # in which the user finds the token; None: it is printed
 
 
 def serve(serving: Serving, ending: threading.Event, report: Callable[[str], None]) -> None:
-    """Serve until ``ending`` is set, or a signal comes.
-
-    Raises
-    ------
-    UsageError
-        An address or a port cannot be used.
-    """
+    """Serve until ``ending`` is set, or a signal comes; a `UsageError`: an address or a port cannot be used."""
     with contextlib.ExitStack() as stack:
         listening = None if serving.port is None else stack.enter_context(_listen(serving.host, serving.port))
         foxglove = None
@@ -88,12 +68,7 @@ def serve(serving: Serving, ending: threading.Event, report: Callable[[str], Non
 
 
 class _Reader(threading.Thread):
-    """Thread of the feed. If it fails nothing is served any more, because what pages show would not be live.
-
-    Attributes
-    ----------
-    failure : BaseException or None
-    """
+    """Thread of the feed. If it fails nothing is served any more, because what pages show would not be live."""
 
     def __init__(self, feed: Feed, ending: threading.Event) -> None:
         super().__init__(daemon=True)

@@ -20,12 +20,7 @@ _DIGITS = 7
 class Strips:
     """Columns over time, thinned out to two points a bucket: the least and the largest value, in their order.
 
-    Parameters
-    ----------
-    columns : int
-        Number of columns.
-    period_s : float
-        Period of the rows; where a bucket holds two rows or fewer, all of them are kept.
+    ``period_s``: of the rows; where a bucket holds two rows or fewer, all of them are kept.
     """
 
     def __init__(self, columns: int, period_s: float) -> None:
@@ -39,12 +34,7 @@ class Strips:
     def take(self, time: Array, values: Array) -> Points:
         """Take further rows, and return the points of all buckets that are complete.
 
-        Parameters
-        ----------
-        time : (n,) array
-            s, ascending.
-        values : (n, columns) array
-            NaN where a value is not known.
+        ``time``: (n,) s, ascending. ``values``: (n, columns), NaN where one is not known.
         """
         is_known = np.isfinite(time)
         time = np.concatenate([self._time, time[is_known]])

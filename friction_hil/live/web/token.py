@@ -21,10 +21,7 @@ def new_token() -> str:
 def token_of(path: Path) -> str:
     """Return the token in a file; a file that is not there is made, with a random token and mode 600.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be read or made, others can read or change it, or what it holds is no token.
+    Raises `UsageError`: the file cannot be read or made, others can read or change it, or what it holds is no token.
     """
     try:
         return _read(path)
