@@ -81,7 +81,7 @@ def _choose_learned_torque(kind: Any, p: Any, s: Any, *inputs: Any) -> Any:
 @inlined
 def step(
     kind: Any,  # number or tag of the family; see `dispatch`
-    p: Array,
+    p: Array,  # parameters
     s: Array,  # state, changed in place
     # drives the state, sets the direction and is that of the modifiers ``reversal`` and ``speed``, rad/s
     velocity: float,
