@@ -95,7 +95,7 @@ FAULTS = (
     _wire("lost-10", "10 % of the frames lost", "lost", 0.1, _LOST, loses_frames=True),
     _wire("lost-50", "half of the frames lost", "lost", 0.5, _LOST, loses_frames=True),
     _wire("late", "frames late by 0.3 to 3 periods", "late", None, (*_SILENCE, *_JUMPS)),
-    _wire("duplicated", "frames twice, the second at once or later", "duplicated", None, (*_SILENCE, *_JUMPS, "FH-264")),
+    _wire("duplicated", "frames twice, the other at once or later", "duplicated", None, (*_SILENCE, *_JUMPS, "FH-264")),
     _wire("reordered", "frames overtaken by later ones", "reordered", None, (*_SILENCE, *_JUMPS)),
     _wire("short", "frames cut short", "short", None, (*_SILENCE, "FH-236")),
     _wire("long", "frames with more bytes than they should have", "long", None, (*_SILENCE, "FH-236")),
