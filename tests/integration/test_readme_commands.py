@@ -168,13 +168,7 @@ ELSEWHERE = (
     ("./tools/bench recordings --json", "test_benchmark_of_recordings_has_every_format"),
     ("./tools/bench serial", "test_cycles_without_time_for_a_rehearsal_are_measured_all_the_same"),
     ("./tools/bench latency", "test_the_benchmark_of_latency_compares_sleeping_and_spinning"),
-    (
-        "./tools/bench experiment --models --json",
-        "test_the_benchmark_of_experiments_compares_whole_ones_with_parts",
-    ),
     ("./tools/bench exchange", "test_the_benchmark_of_the_exchange_times_each_part"),
-    ("./tools/bench servo", "test_the_benchmark_of_the_servo_compares_parts_rigid_and_c"),
-    ("./tools/bench export", "test_the_benchmark_of_exports_compares_steps"),
     ("./tools/bench loop", "test_the_benchmark_of_the_loop_starts_a_daemon"),
     ("./tools/bench neural", "test_the_benchmark_of_networks_measures_an_iteration"),
 )

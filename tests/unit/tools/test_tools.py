@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import formats, read, write
-from tools.benchmarks import export, health, latency, loop, models, neural, recordings
+from tools.benchmarks import health, latency, loop, models, neural, recordings
 from tools.benchmarks.report import Row, compare, percentile, show
 
 PROJECT = Path(__file__).parents[3]
@@ -409,11 +409,8 @@ def test_unknown_benchmark_is_answered_with_what_there_is() -> None:
     command = [sys.executable, "-m", "tools.benchmarks", "latenzy"]
     done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
-    assert (
-        "did you mean 'latency'? There are: compensation, exchange, experiment, export, health, help, latency, "
-        in done.stderr
-    )
-    assert ", learning, loop, models, neural, recordings, serial, servo, tune\n" in done.stderr
+    assert "did you mean 'latency'? There are: compensation, exchange, health, help, latency, learning" in done.stderr
+    assert ", loop, models, neural, recordings, serial, tune\n" in done.stderr
 
 
 def test_benchmark_of_recordings_has_every_format(
@@ -469,11 +466,6 @@ def test_the_benchmark_of_the_exchange_times_each_part() -> None:
         "whole cycle",
         "mailbox without news",
     ]
-
-
-def test_the_benchmark_of_exports_compares_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(export, "SAMPLES", 1000)
-    assert all(row.value > 0.0 and row.reference is not None for row in export.run())
 
 
 def test_the_benchmark_of_health_has_every_change(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-/* The rigid simulated servo in torque mode (CST), in plain C, for tools/bench servo: torque lag, LuGre friction by its
+/* The rigid simulated servo in torque mode (CST), in plain C, for the test beside it: torque lag, LuGre friction by its
  * exact step, semi-implicit Euler, and the drive's encoder and velocity filter. SI units.
  */
 #include <math.h>
