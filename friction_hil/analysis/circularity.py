@@ -14,6 +14,7 @@ from friction_hil.config import AxisConfig, Circle, Configuration, from_dict
 from friction_hil.daemon.assembly import ramp_s
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
+from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.recordings import columns as names
 from friction_hil.recordings.recording import Array, Recording
 from friction_hil.replay.changes import settings_after
@@ -230,7 +231,7 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
     settings = {} if stop is None else kept
     for each in columns.values():
         each.update(time_s=cycle * period_s, is_usable=is_usable.astype(np.float64))
-    unit = "rad" if configuration.axes[first].model.axis == "rotary" else "m"
+    unit = POSITION_UNITS[configuration.axes[first].model.axis]
     three = without, with_compensation, learned
     return Circularity(configuration, (first, second), circle.radius, unit, *three, settings, columns)
 

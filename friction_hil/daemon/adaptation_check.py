@@ -12,6 +12,7 @@ from friction_hil.drive import AxisFacts
 from friction_hil.errors import UsageError
 from friction_hil.motion.trajectory import PathTime, Trajectory
 from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.servo.config import ServoConfig
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def adaptation_problem(name: str, axis: "AxisConfig", period_s: float) -> str | 
         return None
     if can_learn(velocity, step_s, compensator):
         return None
-    unit = "rad" if axis.model.axis == "rotary" else "m"
+    unit = POSITION_UNITS[axis.model.axis]
     return f"will learn nothing in this motion: {adaptation_needs(unit, compensator)}"
 
 

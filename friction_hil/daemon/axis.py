@@ -32,7 +32,7 @@ from friction_hil.drive import AxisFacts, Command, Feedback
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import OptionError
 from friction_hil.motion.trajectory import PathTime, Setpoint
-from friction_hil.numerics.readable import quantity
+from friction_hil.numerics.readable import POSITION_UNITS, quantity
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
@@ -124,7 +124,7 @@ class AxisLoop:
         max_stale_cycles: int = MAX_STALE_CYCLES,
     ) -> None:
         check_torque(name, config, facts)
-        unit, limits = ("rad" if config.model.axis == "rotary" else "m"), make_limits(config)
+        unit, limits = POSITION_UNITS[config.model.axis], make_limits(config)
         self.name = name
         self._period_s, self._unit = period_s, unit
         self.lead_s = lead_s(config.model, facts, period_s)

@@ -20,6 +20,7 @@ from friction_hil.daemon.worsening import WorseningJudge
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback
 from friction_hil.drive.codes import FaultCode
 from friction_hil.motion.trajectory import PathTime
+from friction_hil.numerics.readable import POSITION_UNITS
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
@@ -98,7 +99,7 @@ class FollowerAxis(AxisLoop):
         max_stale_cycles: int = MAX_STALE_CYCLES,
     ) -> None:
         super().__init__(name, config, facts, period_s, path_time, shadow_names, max_stale_cycles)
-        unit, limits = ("rad" if config.model.axis == "rotary" else "m"), make_limits(config)
+        unit, limits = POSITION_UNITS[config.model.axis], make_limits(config)
         self.supervisor = FollowerSupervisor(name, limits, period_s, facts.position_resolution, unit, max_stale_cycles)
         self.supervisor.is_operating = False
         self.following_errors = FollowingErrors(period_s, 0.0, math.inf)

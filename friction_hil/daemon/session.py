@@ -42,6 +42,7 @@ from friction_hil.drive.finding import complaints
 from friction_hil.models import create
 from friction_hil.motion.trajectory import PathTime
 from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.recordings import columns
 from friction_hil.recordings.fingerprint import fingerprint
 
@@ -165,7 +166,7 @@ def run_session(
             recorded = companion.close()
             learned = {} if prepared.learning is None else prepared.learning.report()
     for axis in axes:
-        unit = "rad" if configuration.axes[axis.name].model.axis == "rotary" else "m"
+        unit = POSITION_UNITS[configuration.axes[axis.name].model.axis]
         if notice := adaptation_notice(axis.name, unit, axis.compensator):
             result.notices.append(notice)
     figures = {axis.name: _figures(axis, configuration.axes[axis.name], configuration.period_s) for axis in axes}
@@ -367,7 +368,7 @@ def _figures_of(errors: FollowingErrors, axis: AxisLoop, config: "AxisConfig", p
     # in cst no set-point is sent
     later = 0.0 if config.mode == "cst" or age_s is None else errors.delay(configured)
     return AxisFigures(
-        unit="rad" if config.model.axis == "rotary" else "m",
+        unit=POSITION_UNITS[config.model.axis],
         without=errors.figures(Condition.WITHOUT, later),
         compensated=errors.figures(Condition.WITH, later),
         is_comparable=config.trajectory.kind not in ("experiment", "multisine", "sequence"),
@@ -394,7 +395,7 @@ def _series(configuration: "Configuration", settings: SessionSettings) -> str:
 def _first_report(axis: "AxisConfig") -> dict[str, Any]:
     """Return what is known of the learning of an axis before its process runs."""
     given = axis.compensation
-    return first_report(given.learning, "rad" if axis.model.axis == "rotary" else "m", given.gain)
+    return first_report(given.learning, POSITION_UNITS[axis.model.axis], given.gain)
 
 
 def _place_in_state(name: str) -> int:

@@ -4,6 +4,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from friction_hil.compensator.load import gravity_torque
+from friction_hil.numerics.readable import FORCE_UNITS
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
@@ -93,4 +94,4 @@ def static_torque_shortage(config: "AxisConfig") -> str:
 
 
 def _unit(config: "AxisConfig") -> str:
-    return "N m" if config.model.axis == "rotary" else "N"
+    return FORCE_UNITS[config.model.axis]

@@ -17,6 +17,7 @@ from friction_hil.export.points import Points
 from friction_hil.friction import FrictionModel
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import FORCE_UNITS
 
 _NOTHING = 1e-9  # of the friction: a loss that is rounding
 MEMORY = "The memory of the model."
@@ -65,7 +66,7 @@ class Loss:
 
     def amount(self) -> str:
         """Return how much is lost in steady motion, in words."""
-        torque = "N m" if self.axis == "rotary" else "N"
+        torque = FORCE_UNITS[self.axis]
         return f"{self.rms:.3g} {torque} RMS, {100.0 * self.relative:.3g} % of the friction"
 
     def lines(self) -> list[str]:

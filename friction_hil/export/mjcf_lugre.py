@@ -15,6 +15,7 @@ from friction_hil.export.subject import Subject
 from friction_hil.export.xml_text import element, head
 from friction_hil.friction import FrictionModel
 from friction_hil.models.model_file import ModelFile
+from friction_hil.numerics.readable import POSITION_UNITS
 
 _POWERS = 3  # of the velocity, in the damping of a joint
 _DEFAULT_STEP = 0.002  # s, of MuJoCo
@@ -71,7 +72,7 @@ def _stiffness(model: FrictionModel, fit: Stribeck) -> tuple[float, list[str]]:
         return float(model.parameters.get("sigma0", own)), lost
     if level == 0.0:
         return 0.0, []
-    travel, angle = fit.velocity * _STATIC_DEFLECTION_S, "rad" if model.axis == "rotary" else "m"
+    travel, angle = fit.velocity * _STATIC_DEFLECTION_S, POSITION_UNITS[model.axis]
     added = f"The model has no presliding; in MuJoCo the torque builds up over {travel:.3g} {angle} after a reversal."
     return level / travel, [*([] if model.family.is_static and model.network is None else [MEMORY]), added]
 

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import POSITION_UNITS
 
 AxisKind = Literal["rotary", "linear"]
 
@@ -144,7 +145,7 @@ def label(name: str, layout: Layout) -> str:
     place, _, direction = rest.rpartition(".")
     towards = f", {direction} direction" if direction in DIRECTIONS else ""
     if first == ZONE:
-        k, length = int(place), "rad" if layout.kind == "rotary" else "m"
+        k, length = int(place), POSITION_UNITS[layout.kind]
         begin, end = (_rounded(edge, layout.edges) for edge in layout.edges[k : k + 2])
         return f"extra friction from {begin} to {end} {length}{towards}"
     if first == RIPPLE:

@@ -27,7 +27,7 @@ from friction_hil.learning.record import TICK_S, Record
 from friction_hil.learning.residual import Finding, Residual
 from friction_hil.learning.window import COLUMNS, joined
 from friction_hil.numerics.jit import Array
-from friction_hil.numerics.readable import quantity
+from friction_hil.numerics.readable import POSITION_UNITS, quantity
 
 _SETTLING_TICKS = 3  # beyond the fade: the first strokes after a change are of neither side
 _UNJUDGED_TICKS = 1  # errors may be due to the change itself, in the midst of a reversal
@@ -211,7 +211,7 @@ class Learner:
 
     def _size(self, length: float) -> str:
         """Return a position or an error in words."""
-        return quantity(length, "rad" if self.belief.coordinates.model.axis == "rotary" else "m")
+        return quantity(length, POSITION_UNITS[self.belief.coordinates.model.axis])
 
     def _refine(self) -> None:
         """Refine the belief by the last window."""

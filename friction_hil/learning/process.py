@@ -32,6 +32,7 @@ from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.learning.proven import Proven, digest, recall, store
 from friction_hil.learning.window import RECORDED
 from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.recordings import columns
 
 _LOOK_S = 0.02
@@ -71,7 +72,7 @@ class AxisLearning:
             is_gain_fixed=given.gain_negative is not None,
         )
         self._gaps = Gaps(self.learner.rows_per_tick, period_s)
-        self.unit = "rad" if config.model.axis == "rotary" else "m"
+        self.unit = POSITION_UNITS[config.model.axis]
         self._is_paused, self._why_paused = True, STARTING
         self._is_busy = False
         self._file = None if folder is None or not self.is_tried else folder / f"{name}.json"

@@ -15,7 +15,7 @@ from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.proposal import Trial
 from friction_hil.learning.window import Window, errors_of, joined, velocity_of, window_of
 from friction_hil.numerics.jit import Array
-from friction_hil.numerics.readable import quantity
+from friction_hil.numerics.readable import POSITION_UNITS, quantity
 
 TICK_S = 0.25
 _MORE_LEFT = 2.0  # times what is left of the friction now: the most that a truer model may leave with its gain
@@ -125,9 +125,7 @@ class Record:
         past = list(self.ticks)
         is_known = len(past) >= WINDOW_TICKS
         if jump := oddity.jump(joined(past), tick, self._resolution, is_known=is_known):
-            return (
-                f"the position jumps by {quantity(jump, 'rad' if belief.coordinates.model.axis == 'rotary' else 'm')}"
-            )
+            return f"the position jumps by {quantity(jump, POSITION_UNITS[belief.coordinates.model.axis])}"
         same = [*past[-settled:], tick] if settled > 0 else []
         if times := oddity.follows_otherwise(same, self._resolution, self._period_s):
             return (

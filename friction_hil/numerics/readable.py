@@ -4,6 +4,9 @@ import math
 from collections.abc import Iterable
 from typing import Protocol
 
+POSITION_UNITS = {"rotary": "rad", "linear": "m"}
+FORCE_UNITS = {"rotary": "N m", "linear": "N"}
+
 _PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"))
 _SMALLEST = (1e9, "n")
 _LARGEST_PLAIN = 1e7  # larger numbers have an exponent

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
 from friction_hil.errors import UsageError
+from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.mechanisms import Gantry, TwoLinkArm
 
@@ -26,7 +27,7 @@ class SimulatedAxis:
     @property
     def unit(self) -> str:
         """Unit of the position."""
-        return "rad" if self.config.model.axis == "rotary" else "m"
+        return POSITION_UNITS[self.config.model.axis]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ import numpy as np
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.models.model_file import ModelFile, TorqueSignal
 from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import FORCE_UNITS
 from friction_hil.recordings import Recording
 from friction_hil.recordings.segments import Segment, default_decimation
 from friction_hil.replay.preparation import Reduction, replay_segments
@@ -220,7 +221,7 @@ def _prediction(name: str, model: ModelFile, measured: Array, friction: Array, m
         mechanics=mechanics,
         rmse=residual / math.sqrt(len(measured)),
         relative_error=residual / norm if norm > 0.0 else math.nan,
-        unit="N m" if model.axis == "rotary" else "N",
+        unit=FORCE_UNITS[model.axis],
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil import __version__
-from friction_hil.numerics.readable import digits
+from friction_hil.numerics.readable import POSITION_UNITS, digits
 from friction_hil.reports.figures import WITH, WITHOUT, new_figure
 from friction_hil.reports.identification_report import write_report
 from friction_hil.reports.numbers import comparison_rows, readable
@@ -82,7 +82,7 @@ def _rows(axis: "AxisTuning", candidate: "TriedModel") -> Iterator[tuple[str, ..
 
 
 def _unit(axis: "AxisTuning") -> str:
-    return "rad" if axis.best.identification.settings.axis == "rotary" else "m"
+    return POSITION_UNITS[axis.best.identification.settings.axis]
 
 
 def _identifications(name: str, axis: "AxisTuning") -> Iterator[tuple[str, "TriedModel"]]:

@@ -9,7 +9,7 @@ from friction_hil.daemon.assembly import multisine_plan, periodic_path
 from friction_hil.daemon.safety import SPEED_MARGIN
 from friction_hil.motion.experiment import coarsest, is_fast
 from friction_hil.motion.trajectory import extent
-from friction_hil.numerics.readable import brief
+from friction_hil.numerics.readable import POSITION_UNITS, brief
 from friction_hil.tuning.gains import MOST
 from friction_hil.tuning.trial_motions import RESTS, SLOW, SMALL, TINY
 
@@ -161,4 +161,4 @@ def _others(run: Configuration, names: Iterable[str]) -> str:
 
 
 def _unit(axis: AxisConfig) -> str:
-    return "rad" if axis.model.axis == "rotary" else "m"
+    return POSITION_UNITS[axis.model.axis]

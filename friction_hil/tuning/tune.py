@@ -15,6 +15,7 @@ from friction_hil.identification.mechanics import Mechanics, find_mechanics
 from friction_hil.identification.settings import chosen_families
 from friction_hil.identification.torque_timing import TorqueTiming
 from friction_hil.models.model_file import ModelFile
+from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.recordings import Recording, read, read_all
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text, once_more_text, shaken_text, trial_text
 from friction_hil.tuning.candidates import CandidateFit, ExperimentPart, candidates, identified
@@ -234,7 +235,7 @@ class _Tuner:
         recording = read(path, name)
         [facts] = (each for each in recording.metadata["facts"] if each["name"] == name)
         self._resolutions[name] = facts["position_resolution"]
-        unit = "rad" if axis.model.axis == "rotary" else "m"
+        unit = POSITION_UNITS[axis.model.axis]
         slow = sliding_part(recording, self._configuration, part_s)
         if warning := refuse_limit_cycle(slow, experiment_of(name, axis).velocity, unit):
             self._warn(warning)

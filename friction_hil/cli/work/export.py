@@ -17,6 +17,7 @@ from friction_hil.daemon.assembly import make_compensator
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import UsageError, choices
 from friction_hil.models.model_file import ModelFile
+from friction_hil.numerics.readable import POSITION_UNITS
 
 _FINEST = 1e-15  # rad or m: no encoder resolves this; what is finer is a mistake
 
@@ -128,7 +129,7 @@ def _compensator(
     own = _axis(configuration, axis)
     if resolution is None or not _FINEST <= resolution < math.inf:
         given = "R" if resolution is None else f"{resolution:g}"
-        unit = "rad" if file.axis == "rotary" else "m"
+        unit = POSITION_UNITS[file.axis]
         raise click.UsageError(
             f"--resolution {given}: the compensator needs the smallest step of the position, {unit}, such as 4.8e-5"
         )

@@ -23,7 +23,7 @@ from friction_hil.cli.work.tables import Table, new_table, number, print_table, 
 from friction_hil.config import Configuration, file_problems, load, located
 from friction_hil.daemon.companion import free_path
 from friction_hil.errors import ConfigurationError, FrictionHilError, OptionError
-from friction_hil.numerics.readable import digits
+from friction_hil.numerics.readable import POSITION_UNITS, digits
 from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.tuning_report import write_reports
 from friction_hil.tuning import AxisTuning, TriedModel, TuneSettings, Tuning, tune
@@ -302,7 +302,7 @@ def _clipped(axis: AxisTuning) -> str:
 
 
 def _unit(axis: AxisTuning) -> str:
-    return "rad" if axis.best.identification.settings.axis == "rotary" else "m"
+    return POSITION_UNITS[axis.best.identification.settings.axis]
 
 
 def _compared(axis: AxisTuning) -> tuple[str, Figures, Figures, Figures]:

@@ -23,6 +23,7 @@ from friction_hil.daemon.learning_board import read_done_cycle, read_report
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import AxisFacts, DriveState
 from friction_hil.errors import FrictionHilError, choices
+from friction_hil.numerics.readable import POSITION_UNITS
 
 PROTOCOL = 1
 _ANSWER_S = 5.0  # within which the loop takes a message
@@ -119,7 +120,7 @@ class Desk:
             given = configuration["axes"][name]["compensation"]
             axes[name] = {
                 **self._state.axis(name),
-                "unit": "rad" if configuration["axes"][name]["model"]["axis"] == "rotary" else "m",
+                "unit": POSITION_UNITS[configuration["axes"][name]["model"]["axis"]],
                 "enabled": given["enabled"] and not self._state.is_taken_back(name),
                 "gain": given["gain"],
                 "gain_negative": given["gain_negative"],
