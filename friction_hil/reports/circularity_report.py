@@ -33,22 +33,10 @@ figure.circles img {{ display: block; width: 100% }}
 def write_report(
     path: Path, circularity: Circularity, circle: "Figure", loop: Mapping[str, Any], notes: str, pace: str
 ) -> None:
-    """Write the report.
+    """Write the report; an existing file is overwritten. ``circle`` is the picture.
 
-    Parameters
-    ----------
-    path : Path
-        The HTML file; overwritten.
-    circularity : Circularity
-    circle : Figure
-        Its picture.
-    loop : dict
-        ``cycles``, ``late_p50_us``, ``late_p99_us``, ``missed`` and ``learning`` of the output of
-        ``friction-hil run --json``.
-    notes : str
-        Messages of the daemon.
-    pace : str
-        ``real`` or ``sync``.
+    ``loop``: ``cycles``, ``late_p50_us``, ``late_p99_us``, ``missed`` and ``learning`` of the output of ``friction-hil
+    run --json``. ``notes``: messages of the daemon. ``pace``: ``real`` or ``sync``.
     """
     first, second = circularity.axes
     has_learned = circularity.learned is not None

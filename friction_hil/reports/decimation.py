@@ -11,22 +11,11 @@ def bucket_size(rows: int, most_points: int) -> int:
 
 
 def decimated(values: Array, size: int) -> Array:
-    """Keep the smallest and the largest of each ``size`` values, in the order in which they occur.
+    """Keep the smallest and the largest of each ``size`` values, (n,), in the order in which they occur.
 
-    Parameters
-    ----------
-    values : (n,) array
-        NaN is left out, except where a bucket holds nothing else.
-    size : int
-        Rows in a bucket; 1 keeps all values.
+    A ``size`` of 1 keeps all values. NaN is left out, except where a bucket holds nothing else. Each bucket gives two
+    values; `decimated_time` gives their times.
 
-    Returns
-    -------
-    (m,) array
-        Two values for each bucket; `decimated_time` gives their times.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> decimated(np.array([0.0, 5.0, -1.0, 2.0, 3.0, 4.0]), 3)
     array([ 5., -1.,  2.,  4.])

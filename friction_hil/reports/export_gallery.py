@@ -32,26 +32,10 @@ def write_gallery(
 ) -> dict[str, dict[str, str]]:
     """Export models to every format, and write the page.
 
-    Parameters
-    ----------
-    folder : Path
-        It is created; the files of a former gallery in it are replaced.
-    models : dict of ModelFile
-        Models by their names, which are names of exports, too.
-    note : callable
-        Called with the name of each model before it is exported.
-
-    Returns
-    -------
-    dict
-        By model and format: empty, or why the format cannot hold the model.
-
-    Raises
-    ------
-    UsageError
-        matplotlib is not installed, or another program's files are in the way.
-    FrictionHilError
-        A file cannot be written.
+    Returns, by model and format, why the format cannot hold the model, empty if it can. The folder is created; the
+    files of a former gallery in it are replaced. The names of the models are names of exports, too. ``note`` is called
+    with the name of each model before it is exported. Raises `UsageError`: matplotlib is not installed, or another
+    program's files are in the way; `FrictionHilError`: a file cannot be written.
     """
     require_matplotlib()
     claim_folder(folder, (INDEX, *models), _MARK, "gallery")

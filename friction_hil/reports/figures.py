@@ -40,10 +40,7 @@ def require_matplotlib() -> None:
 def new_figure(width: float, height: float, layout: Any = "constrained") -> "Figure":
     """Return an empty white figure of ``width`` by ``height`` inches.
 
-    Raises
-    ------
-    UsageError
-        matplotlib is not installed.
+    Raises `UsageError`: matplotlib is not installed.
     """
     try:
         from matplotlib.figure import Figure  # imported here: matplotlib is optional, and takes 0.3 s
@@ -57,17 +54,8 @@ def new_figure(width: float, height: float, layout: Any = "constrained") -> "Fig
 def new_figure_for(path: Path, width: float, height: float) -> "Figure":
     """Return an empty figure for a file, before any work is done for it.
 
-    Parameters
-    ----------
-    path : Path
-        File in which it will be saved; the suffix gives the format.
-    width, height : float
-        Inches.
-
-    Raises
-    ------
-    UsageError
-        matplotlib is not installed, or does not know the suffix.
+    ``width`` and ``height`` are inches; the suffix of ``path`` gives the format. Raises `UsageError`: matplotlib is not
+    installed, or does not know the suffix.
     """
     figure = new_figure(width, height)
     known = figure.canvas.get_supported_filetypes()
@@ -108,10 +96,7 @@ def apply_style(figure: "Figure") -> None:
 def save(figure: "Figure", path: Path) -> None:
     """Write a figure, in the style of all pictures, to a file.
 
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be written.
+    Raises `FrictionHilError`: the file cannot be written.
     """
     from matplotlib import rc_context  # imported here: matplotlib is optional, and takes 0.3 s
 

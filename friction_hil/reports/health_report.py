@@ -24,13 +24,7 @@ _LAST = 10  # observations, that are compared with the baseline in the picture o
 
 
 def write_report(path: Path, found: Sequence[Health], false_alarms: float) -> None:
-    """Write the report; an existing file is overwritten.
-
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be written.
-    """
+    """Write the report; an existing file is overwritten. Raises `FrictionHilError`: the file cannot be written."""
     parts = [f"<h1>Friction health</h1><p>Expected false alarms: at most {false_alarms:g} per year and axis.</p>"]
     for health in found:
         parts.append(f"<h2>Axis {html.escape(health.axis)}: {health.count} observations</h2>")

@@ -20,17 +20,8 @@ _ALIKE = 1.2  # ratio of the travel of two loops below which only one of them is
 def find_loops(position: Array, recording: Any, most: int) -> list[slice]:
     """Return up to ``most`` loops of different travel, from small to large.
 
-    Parameters
-    ----------
-    position : (n,) array
-    recording : (n,) array of int
-        Number of the recording of each row; no loop extends over two of them.
-    most : int
-
-    Returns
-    -------
-    list of slice
-        Rows from one turning point to the next but one.
+    A loop is the rows from one turning point to the next but one. ``recording``, (n,): number of the recording of each
+    row; no loop extends over two of them.
     """
     ends = np.flatnonzero(np.diff(recording)) + 1
     parts = [slice(a, b) for a, b in itertools.pairwise([0, *ends.tolist(), len(position)])]

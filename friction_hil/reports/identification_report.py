@@ -30,31 +30,13 @@ _UNITS = {  # of parameters that are not those of a friction model, on a rotary 
 
 
 def write_report(
-    path: Path,
+    path: Path,  # the HTML file; overwritten
     result: Identification,
-    free_run: dict[str, Any],
-    findings: Sequence[str] = (),
-    mechanics: Mechanics | None = None,
+    free_run: dict[str, Any],  # `relative_error` of a free simulation, or None and the `reason` why there is none
+    findings: Sequence[str] = (),  # what speaks against the model (`friction_hil.identification.plausibility`)
+    mechanics: Mechanics | None = None,  # found behind the motor
 ) -> None:
-    """Write the report.
-
-    Parameters
-    ----------
-    path : Path
-        The HTML file; overwritten.
-    result : Identification
-    free_run : dict
-        ``relative_error`` of a free simulation, or None and the ``reason`` why there is none.
-    findings : sequence of str
-        What speaks against the model (`friction_hil.identification.plausibility`).
-    mechanics : Mechanics, optional
-        What was found behind the motor.
-
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be written.
-    """
+    """Write the report. Raises `FrictionHilError`: the file cannot be written."""
     best, is_rotary = result.best, result.settings.axis == "rotary"
     unit, speed_unit, position_unit = ("N m", "rad/s", "rad") if is_rotary else ("N", "m/s", "m")
     curves = best.curves

@@ -53,13 +53,7 @@ KINDS: dict[str, Callable[..., Array]] = {"sine": sine, "reversals": reversals, 
 
 
 def keys_of(kind: str) -> tuple[str, ...]:
-    """Return the numbers that a kind of motion takes.
-
-    Raises
-    ------
-    UsageError
-        There is no such kind.
-    """
+    """Return the numbers that a kind of motion takes. Raises `UsageError`: there is no such kind."""
     if kind not in KINDS:
         raise UsageError(f"--motion {kind}: no file, and no motion of this name; {choices(kind, KINDS)}")
     return (*list(inspect.signature(KINDS[kind]).parameters)[1:], "periods")
@@ -68,10 +62,7 @@ def keys_of(kind: str) -> tuple[str, ...]:
 def make_motion(kind: str, given: Mapping[str, float], models: Mapping[str, FrictionModel]) -> Motion:
     """Make a motion whose size, if it is not given, shows the presliding of the first model.
 
-    Raises
-    ------
-    UsageError
-        A number is unknown, not finite or not above zero, or the motion has too many samples.
+    Raises `UsageError`: a number is unknown, not finite or not above zero, or the motion has too many samples.
     """
     known = keys_of(kind)
     for name, value in given.items():
@@ -121,10 +112,8 @@ def draw_steady(models: Mapping[str, FrictionModel], path: Path) -> None:
 def draw_motion(models: Mapping[str, FrictionModel], motion: Motion, path: Path, title: str) -> dict[str, float]:
     """Draw the torque of models along a motion, from rest, over time, position and velocity.
 
-    Returns
-    -------
-    dict
-        Root mean square of the difference of each further model from the first one, over the RMS torque of that.
+    Returns the root mean square of the difference of each further model from the first one, over the RMS torque of
+    that.
     """
     first = next(iter(models.values()))
     torques = {label: _torque(model, motion) for label, model in models.items()}

@@ -36,41 +36,21 @@ _TEMPERATURE_STEP = 20.0  # K
 
 @dataclass(frozen=True, slots=True)
 class SlowCycle:
-    """A slow motion from rest to one end, to the other end and back, with a small loop on the last leg.
+    """A slow motion from rest to one end, to the other end and back, with a small loop on the last leg."""
 
-    Attributes
-    ----------
-    position, torque : (n,) array
-        rad, N m. The position of a static map is a fraction of the stroke: such a map has no length scale.
-    leg : (n,) array of int
-        0 from rest to the first end; 1 to the other end; 2 back to the small loop; 3 and 4 the small loop; 5 on to the
-        first end.
-    velocity : float
-        rad/s.
-    """
-
-    position: Array
-    torque: Array
+    position: Array  # (n,), rad; for a static map, which has no length scale, a fraction of the stroke
+    torque: Array  # (n,), N m
+    # (n,), 0 from rest to the first end; 1 to the other end; 2 back to the small loop; 3 and 4 the small loop; 5 on to
+    # the first end
     leg: NDArray[np.int64]
-    velocity: float
+    velocity: float  # rad/s
 
 
 def draw(model: FrictionModel, path: Path, title: str) -> None:
     """Draw a model into a file; the suffix gives the format.
 
-    Parameters
-    ----------
-    model : FrictionModel
-    path : Path
-    title : str
-        Heading; the parameters are listed below the panels.
-
-    Raises
-    ------
-    UsageError
-        matplotlib is not installed, or does not know the suffix.
-    FrictionHilError
-        The file cannot be written.
+    ``title``: heading; the parameters are listed below the panels. Raises `UsageError`: matplotlib is not installed, or
+    does not know the suffix; `FrictionHilError`: the file cannot be written.
     """
     painters = [_draw_velocity, _draw_cycle]
     if model.modifiers.get("ripple"):

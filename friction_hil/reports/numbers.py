@@ -36,12 +36,7 @@ def figure_rows(circularity: Circularity) -> Iterator[tuple[str, str, list[str],
 def comparison_rows(unit: str, without: Figures | None, compensated: Figures | None) -> Iterator[tuple[str, ...]]:
     """Yield RMS and peak of the following error: name with unit, without, with compensation, times lower.
 
-    Parameters
-    ----------
-    unit : str
-        Unit of the position: rad or m.
-    without, compensated : Figures or None
-        None if there was no such phase: its cells are dashes.
+    ``unit``: of the position, rad or m. A phase that is None did not exist: its cells are dashes.
     """
     if without is not None or compensated is not None:
         reduction = without.times(compensated) if without is not None and compensated is not None else None

@@ -91,13 +91,7 @@ def unordered_list(lines: Iterable[str]) -> str:
 
 
 def write_page(path: Path, text: str) -> None:
-    """Write a report; an existing file is overwritten.
-
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be written.
-    """
+    """Write a report; an existing file is overwritten. Raises `FrictionHilError`: the file cannot be written."""
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -107,21 +101,10 @@ def write_page(path: Path, text: str) -> None:
 def claim_folder(folder: Path, names: Sequence[str], mark: str, maker: str) -> None:
     """Create a folder for a report and the files beside it.
 
-    Parameters
-    ----------
-    folder : Path
-    names : sequence of str
-        Files that will be written; the first is the report.
-    mark : str
-        Beginning of the meta element by which an earlier report is recognised.
-    maker : str
-        Name of the command that makes such reports.
-
-    Raises
-    ------
-    UsageError
-        A file of one of these names exists, and the report in the folder was not made by the same command; or the
-        folder cannot be written.
+    The first of ``names``, the files that will be written, is the report. ``mark``: beginning of the meta element by
+    which an earlier report is recognised. ``maker``: name of the command that makes such reports. Raises `UsageError`:
+    a file of one of these names exists, and the report in the folder was not made by the same command; or the folder
+    cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if not os.access(folder, os.W_OK):

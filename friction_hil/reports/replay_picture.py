@@ -16,12 +16,8 @@ _MOST_POINTS = 20_000  # of a line: more than a picture can resolve
 def draw(replay: Replay, path: Path) -> None:
     """Draw one recording with all its models into a file; the suffix gives the format.
 
-    Raises
-    ------
-    UsageError
-        matplotlib is not installed, or does not know the suffix.
-    FrictionHilError
-        The file cannot be written.
+    Raises `UsageError`: matplotlib is not installed, or does not know the suffix; `FrictionHilError`: the file cannot
+    be written.
     """
     figure = new_figure_for(path, 11.0, 8.0)
     first = replay.predictions[0]

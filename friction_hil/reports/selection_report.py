@@ -20,13 +20,7 @@ _LEFT_CAPTION = "Measured torque minus that of the physical model (grey), and th
 
 
 def write_report(path: Path, found: Selection, seconds: float) -> None:
-    """Write the report; an existing file is overwritten.
-
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be written.
-    """
+    """Write the report; an existing file is overwritten. Raises `FrictionHilError`: the file cannot be written."""
     learned = str(found.network) if found.network is not None else "no network"
     body = f"""
 <h1>{html.escape(found.chosen.label)}</h1>

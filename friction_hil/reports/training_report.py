@@ -22,13 +22,7 @@ _MOST_POINTS = 6000  # of a drawn signal
 
 
 def write_report(path: Path, candidate: TrainedModel, seconds: float) -> None:
-    """Write the report; an existing file is overwritten.
-
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be written.
-    """
+    """Write the report; an existing file is overwritten. Raises `FrictionHilError`: the file cannot be written."""
     task, trained = candidate.task, candidate.trained
     is_rotary = task.known.axis == "rotary"
     unit, speed = ("N m", "rad/s") if is_rotary else ("N", "m/s")

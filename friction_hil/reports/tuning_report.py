@@ -28,12 +28,7 @@ _NO_FREE_RUN = {"relative_error": None, "reason": "the model was tested on the m
 def write_reports(folder: Path, tuning: "Tuning", *, is_simulated: bool = False) -> Path:
     """Write ``report.html`` and a page on each identification; return the path of ``report.html``.
 
-    Its title says where it was a simulation.
-
-    Raises
-    ------
-    FrictionHilError
-        A file cannot be written.
+    Its title says where it was a simulation. Raises `FrictionHilError`: a file cannot be written.
     """
     for name, axis in tuning.axes.items():
         for file, candidate in _identifications(name, axis):

@@ -22,24 +22,12 @@ _GOLDEN = 0.6180339887498949
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionOverVelocity:
-    """What is drawn over velocity; SI, torques in N m or N. Pairs are velocity and torque, each (k,).
+    """What is drawn over velocity; SI, torques in N m or N. Pairs are velocity and torque, each (k,)."""
 
-    Attributes
-    ----------
-    measured : pair of arrays or None
-        Measured torque, less the mechanics of the model if there is one.
-    is_friction : bool
-        True if the mechanics could be subtracted.
-    compensation : pair of arrays or None
-        Compensation over the velocity that the model was given, where it was in force.
-    curve : pair of arrays or None
-        Steady state of the model.
-    """
-
-    measured: tuple[Array, Array] | None
-    is_friction: bool
-    compensation: tuple[Array, Array] | None
-    curve: tuple[Array, Array] | None
+    measured: tuple[Array, Array] | None  # torque, less the mechanics of the model if there is one
+    is_friction: bool  # the mechanics could be subtracted
+    compensation: tuple[Array, Array] | None  # over the velocity that the model was given, where it was in force
+    curve: tuple[Array, Array] | None  # steady state of the model
 
 
 def friction_over_velocity(

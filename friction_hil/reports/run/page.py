@@ -42,23 +42,10 @@ _HELP = (
 
 
 def write_run_page(path: Path, views: Sequence[RunView]) -> int:
-    """Write the page; an existing file is overwritten.
+    """Write the page, with one view for each axis; an existing file is overwritten.
 
-    Parameters
-    ----------
-    path : Path
-    views : sequence of RunView
-        One for each axis.
-
-    Returns
-    -------
-    int
-        Number of rows of which the page holds only minimum and maximum; 1 if it holds every row.
-
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be written.
+    Returns the number of rows of which the page holds only minimum and maximum; 1 if it holds every row. Raises
+    `FrictionHilError`: the file cannot be written.
     """
     drawing = files("friction_hil.live.web") / "static"
     library, licence, charts, style = (

@@ -24,12 +24,8 @@ _STATES = ("state", "drive_state")  # drawn, but not listed
 def draw_run(view: RunView, path: Path) -> None:
     """Draw a run into a file; the suffix gives the format.
 
-    Raises
-    ------
-    UsageError
-        matplotlib is not installed, or does not know the suffix.
-    FrictionHilError
-        The file cannot be written.
+    Raises `UsageError`: matplotlib is not installed, or does not know the suffix; `FrictionHilError`: the file cannot
+    be written.
     """
     beside = [_draw_comparison] * any(view.phases) + [_draw_friction] * (view.friction is not None)
     rows = max(len(view.panels), 1)

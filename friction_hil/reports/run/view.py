@@ -42,45 +42,21 @@ class Mark:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunView:
-    """One axis of a run, or a part of it.
+    """One axis of a run, or a part of it."""
 
-    Attributes
-    ----------
-    title, facts : str
-        File and axis; what ran, and what went wrong.
-    time_s : (n,) array
-    panels : tuple of Panel
-    missed_s : (k,) array
-        Time of the first cycle after each gap.
-    missed : (k,) array
-        Number of periods that were missed there.
-    marks : tuple of Mark
-    phases : (Phase or None, Phase or None)
-        Without and with compensation, of the whole run.
-    is_periodic : bool
-        True if the motion has a period.
-    rows : tuple of tuple of str
-        Their figures: name with unit, without, with, times lower.
-    friction : FrictionOverVelocity or None
-    units : (str, str)
-        Units of position and torque.
-    notes : tuple of str
-        What is not drawn, and why.
-    """
-
-    title: str
-    facts: str
-    time_s: Array
+    title: str  # file and axis
+    facts: str  # what ran, and what went wrong
+    time_s: Array  # (n,)
     panels: tuple[Panel, ...]
-    missed_s: Array
-    missed: Array
+    missed_s: Array  # (k,), of the first cycle after each gap
+    missed: Array  # (k,), periods that were missed there
     marks: tuple[Mark, ...]
-    phases: tuple[Phase | None, Phase | None]
-    is_periodic: bool
-    rows: tuple[tuple[str, ...], ...]
+    phases: tuple[Phase | None, Phase | None]  # without and with compensation, of the whole run
+    is_periodic: bool  # the motion has a period
+    rows: tuple[tuple[str, ...], ...]  # figures of the phases: name with unit, without, with, times lower
     friction: FrictionOverVelocity | None
-    units: tuple[str, str]
-    notes: tuple[str, ...]
+    units: tuple[str, str]  # of position and torque
+    notes: tuple[str, ...]  # what is not drawn, and why
 
     @property
     def speed_unit(self) -> str:
@@ -104,20 +80,9 @@ def make_view(
 ) -> RunView:
     """Collect what is drawn of a recording.
 
-    Parameters
-    ----------
-    recording : Recording
-    configuration : Configuration or None
-        Configuration of the run; without it there are neither a model nor a comparison.
-    window : (float, float), optional
-        Begin and end of the part to draw, s. Figures are of the whole run.
-
-    Raises
-    ------
-    RecordingError
-        There is nothing to draw in it, or a value is too large to be drawn.
-    UsageError
-        The configuration has several axes, and none of this name.
+    Without the ``configuration`` of the run there are neither a model nor a comparison. ``window``: begin and end of
+    the part to draw, s; figures are of the whole run. Raises `RecordingError`: there is nothing to draw in it, or a
+    value is too large to be drawn; `UsageError`: the configuration has several axes, and none of this name.
     """
     notes: list[str] = []
     config = None if configuration is None else _config_of(recording, configuration)
@@ -160,10 +125,7 @@ def make_view(
 def _config_of(recording: Recording, configuration: Configuration) -> AxisConfig:
     """Return the configuration of the axis; a table of columns has no name, and gets the only axis there is.
 
-    Raises
-    ------
-    UsageError
-        The configuration has several axes, and none of this name.
+    Raises `UsageError`: the configuration has several axes, and none of this name.
     """
     axes = configuration.axes
     if recording.axis not in axes and len(axes) > 1:

@@ -28,15 +28,7 @@ MEANING = (
 
 
 def write_machine_report(folder: Path, name: str, study: MachineStudy) -> Path:
-    """Write the report into a folder that was prepared by `claim`, and return its path.
-
-    Parameters
-    ----------
-    folder : Path
-    name : str
-        Name of the machine, for the heading.
-    study : MachineStudy
-    """
+    """Write the report on a machine into a folder that was prepared by `claim`, and return its path."""
     title = f"What compensation does on {name}"
     parts = [
         f"<h2>{html.escape(axis)}: {html.escape(motion)}</h2>"

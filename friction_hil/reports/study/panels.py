@@ -21,29 +21,14 @@ _SAME = 0.01  # of the largest value: curves closer than this are drawn as one
 
 def panels(
     names: Sequence[str],
-    draw: Callable[["Axes", str], None],
-    labels: tuple[str, str],
+    draw: Callable[["Axes", str], None],  # a panel, by its name
+    labels: tuple[str, str],  # of the x and the y axis, with units
     *,
-    height: float = 2.3,
-    legend: bool = False,
-    title: Callable[[str], str] = lambda name: name,
+    height: float = 2.3,  # of a row of panels, inches
+    legend: bool = False,  # show the legend of the first panel above all panels
+    title: Callable[[str], str] = lambda name: name,  # heading of a panel, by its name
 ) -> "Figure":
-    """Draw a panel for each model, all with the same scales.
-
-    Parameters
-    ----------
-    names : sequence of str
-    draw : callable
-        Takes axes and a name.
-    labels : (str, str)
-        Labels of the x and the y axis, with units.
-    height : float
-        Height of a row of panels, in inches.
-    legend : bool
-        Show the legend of the first panel above all panels.
-    title : callable
-        Takes a name and returns the panel's heading.
-    """
+    """Draw a panel for each model, all with the same scales."""
     columns = min(4, len(names))
     rows = math.ceil(len(names) / columns)
     wide, high = 10.0 if columns > 2 else 4.5 * columns, height * rows + (0.7 if legend else 0.4)
