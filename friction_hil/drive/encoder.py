@@ -4,13 +4,8 @@
 def unwrap(count: int, raw: int, bits: int) -> int:
     """Return the continuous count of an encoder whose counter wraps.
 
-    Parameters
-    ----------
-    count : int
-        Continuous count before; at the start the raw one. The result is the nearest count that agrees with the
-        counter; at exactly half the range the lower one.
-    raw, bits : int
-        Counter, signed or unsigned, and its width in bits.
+    ``count``: the continuous count before; at the start the raw one. The result is the nearest count that agrees with
+    the counter ``raw``, signed or unsigned, of ``bits`` bits; at exactly half the range the lower one.
 
     Examples
     --------
@@ -27,15 +22,8 @@ def derived_velocity(way: float, elapsed_s: float, before: float, period_s: floa
     A loop that was held up samples late, and the next time on its grid: a step of a count over a small part of a period
     would be a large velocity. What is missing to a whole period is filled up with the velocity before.
 
-    Parameters
-    ----------
-    way : float
-        Distance from the position before, SI.
-    elapsed_s : float
-        Time since that position was sampled, s, whatever was missed or lost in between.
-    before : float
-        Velocity then.
-    period_s : float
+    ``way``: distance from the position before, SI. ``elapsed_s``: since that position was sampled, whatever was missed
+    or lost in between. ``before``: velocity then.
 
     Examples
     --------

@@ -12,28 +12,15 @@ NOT_REPORTED = "not reported by this system"
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Result of one check.
+    """Result of one check."""
 
-    Attributes
-    ----------
-    check : str
-        Name of the check: what was examined, in a few words.
-    result : str
-        ``pass``; ``warn``: the daemon runs, but less well, or the system does not report what was checked; ``fail``:
-        the daemon will not run, or not safely.
-    detail : str
-        What was found.
-    fix : str
-        Remedy; empty if the check passed.
-    code : str
-        Code under which ``friction_hil/doctor/README.md`` explains the finding, e.g. ``FH-310``; empty if the check
-        passed.
-    """
-
-    check: str
+    check: str  # its name: what was examined, in a few words
+    # warn: the daemon runs, but less well, or the system does not report what was checked; fail: it will not run, or
+    # not safely
     result: Literal["pass", "warn", "fail"]
-    detail: str
-    fix: str = ""
+    detail: str  # what was found
+    fix: str = ""  # remedy; empty if the check passed
+    # under which ``friction_hil/doctor/README.md`` explains the finding, e.g. ``FH-310``; empty if the check passed
     code: str = ""
 
     def __str__(self) -> str:

@@ -9,77 +9,39 @@ from friction_hil.drive.port import DriveState
 
 @dataclass(frozen=True, slots=True)
 class DriveEntry:
-    """One node that a scan has found.
-
-    Attributes
-    ----------
-    node : int
-    answers : bool
-        It answered; otherwise it was only heard.
-    name : str
-        Name that the device gives itself, "" for none.
-    profile : int or None
-        Number of its device profile: 402 for drives.
-    vendor_id, product_code, revision, serial : int or None
-    nmt : str
-        State of the network management, as heard, "" where it was not.
-    state : DriveState or None
-        None: it is no drive.
-    mode : str
-        Mode of operation in force, "" where the device reports none.
-    modes : tuple of str
-        Modes that it supports.
-    problem : str
-        Why it must not be used as it is, "" for none: two nodes have this number.
-    """
+    """One node that a scan has found."""
 
     node: int
-    answers: bool
-    name: str = ""
-    profile: int | None = None
+    answers: bool  # otherwise it was only heard
+    name: str = ""  # that the device gives itself, "" for none
+    profile: int | None = None  # number of its device profile: 402 for drives
     vendor_id: int | None = None
     product_code: int | None = None
     revision: int | None = None
     serial: int | None = None
-    nmt: str = ""
-    state: DriveState | None = None
-    mode: str = ""
-    modes: tuple[str, ...] = ()
-    problem: str = ""
+    nmt: str = ""  # state of the network management, as heard, "" where it was not
+    state: DriveState | None = None  # None: it is no drive
+    mode: str = ""  # of operation, in force, "" where the device reports none
+    modes: tuple[str, ...] = ()  # that it supports
+    problem: str = ""  # why it must not be used as it is, "" for none: two nodes have this number
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Result of stopping one drive, or of resetting its fault.
+    """Result of stopping one drive, or of resetting its fault."""
 
-    Attributes
-    ----------
-    node : int or None
-        Node number; None for a drive on a serial line.
-    before, after : DriveState
-        As read back; `DriveState.UNKNOWN` where it could not be read.
-    result : str
-        ``stopped`` (it was powered, and is read back without power), ``reset`` (it was in fault, and is read back
-        without the fault and without power), ``unpowered`` (there was nothing to do), ``powered``, ``fault`` (of a
-        reset: the fault is still there) or ``unknown``.
-    detail : str
-        Reason, "" for none.
-    axis, address : str
-        Name of the axis in the configuration, and where its drive is; "" without a configuration.
-    fault : str
-        What the drive reported as its fault before a reset, "" for none.
-    leftover : str
-        Set-points that could not be set to zero and would act once somebody enables the drive, "" for none.
-    """
-
-    node: int | None
-    before: DriveState
-    after: DriveState
+    node: int | None  # its number; None for a drive on a serial line
+    before: DriveState  # as read back; `DriveState.UNKNOWN` where it could not be read
+    after: DriveState  # the same
+    # ``stopped`` (it was powered, and is read back without power), ``reset`` (it was in fault, and is read back without
+    # the fault and without power), ``unpowered`` (there was nothing to do), ``powered``, ``fault`` (of a reset: the
+    # fault is still there) or ``unknown``
     result: str
-    detail: str = ""
-    axis: str = ""
-    address: str = ""
-    fault: str = ""
+    detail: str = ""  # reason, "" for none
+    axis: str = ""  # its name in the configuration; "" without one
+    address: str = ""  # where its drive is; "" without a configuration
+    fault: str = ""  # what the drive reported as its fault before a reset, "" for none
+    # set-points that could not be set to zero and would act once somebody enables the drive, "" for none
     leftover: str = ""
 
     @property

@@ -22,16 +22,6 @@ class PhaseLock:
     jitter of 100 us RMS is reduced to some 20 us, and a drift of the other clock leaves no lasting phase error.
     Source: F. M. Gardner, Phaselock Techniques, 3rd edition, 2005, chapter 2.
 
-    Parameters
-    ----------
-    period_s : float
-        Nominal period, s.
-
-    Attributes
-    ----------
-    error_ns : float
-        Phase error of the last stamp: positive where SYNC came later than expected.
-
     Examples
     --------
     >>> lock = PhaseLock(1e-3)
@@ -50,7 +40,7 @@ class PhaseLock:
         self._at_ns = 0.0
         self._square = math.inf
         self._outliers = 0
-        self.error_ns = 0.0
+        self.error_ns = 0.0  # of the phase, of the last stamp: positive where SYNC came later than expected
 
     @property
     def is_locked(self) -> bool:
@@ -70,10 +60,7 @@ class PhaseLock:
     def acquire(self, stamps_ns: Sequence[int]) -> str:
         """Take period and phase from the stamps of successive SYNCs, some of which may be missing.
 
-        Returns
-        -------
-        str
-            Why they give no lock; empty if they do.
+        Returns why they give no lock; empty if they do.
         """
         if len(stamps_ns) < _LEAST_STAMPS:
             return f"{len(stamps_ns)} of them are too few"

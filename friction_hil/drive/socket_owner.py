@@ -10,10 +10,7 @@ _CREDENTIALS = struct.Struct("3i")  # process, user, group
 def peer(connection: socket.socket) -> tuple[int, int, int]:
     """Return process, user and group at the other end of a connected Unix-domain socket; the kernel vouches for them.
 
-    Raises
-    ------
-    OSError
-        The connection is gone.
+    Raises `OSError`: the connection is gone.
     """
     process, user, group = _CREDENTIALS.unpack(
         connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)

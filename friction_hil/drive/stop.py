@@ -42,20 +42,9 @@ _STOPPING = (StopState.QUICK_STOP, StopState.STOPPING, StopState.STANDSTILL)
 class DriveStop:
     """Stop of one drive.
 
-    Parameters
-    ----------
-    standstill : float
-        Largest change of the position in 50 ms that counts as standstill; in counts, as the position.
-    counter_range : float
-        Counts after which the position begins anew.
-    has_quick_stop_state : bool
-        False: the drive shows Operation enabled during a quick stop too.
-
-    Attributes
-    ----------
-    at : StopState
-    state : DriveState
-        Of the drive, as read back last; UNKNOWN before, and after a step without an answer.
+    ``standstill``: largest change of the position in 50 ms that counts as standstill, in counts, as the position.
+    ``counter_range``: counts after which the position begins anew. ``has_quick_stop_state``: if False, the drive shows
+    Operation enabled during a quick stop too.
     """
 
     __slots__ = (
@@ -84,6 +73,7 @@ class DriveStop:
     def begin(self, now_ns: int, at: StopState = StopState.QUICK_STOP) -> None:
         """Begin, with the quick stop or with `StopState.DISABLE`; what was read before does not count."""
         self.at = at
+        # of the drive, as read back last; UNKNOWN before, and after a step without an answer
         self.state = DriveState.UNKNOWN
         self._began_ns = self._due_ns = self._standing_since_ns = now_ns
         self._disabled_ns: int | None = None  # when the drive first took the command

@@ -6,27 +6,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class UnitRow:
-    """Unit of one quantity of a drive, in words for the user.
+    """Unit of one quantity of a drive, in words for the user."""
 
-    Attributes
-    ----------
-    quantity : str
-        ``position``, ``velocity`` or ``torque``; ``watchdog`` for what takes the torque if the daemon dies.
-    value : str
-        Scale, e.g. ``651.9 counts per rad``.
-    source : str
-        Where the scale comes from, e.g. ``608Fh 4096/1``.
-    confirmation : str
-        What agrees with it, or ``not cross-checked``.
-    limit : str
-        Limit of the configuration in increments of the drive.
-    """
-
-    quantity: str
-    value: str
-    source: str
-    confirmation: str
-    limit: str
+    quantity: str  # ``position``, ``velocity`` or ``torque``; ``watchdog`` for what takes the torque if the daemon dies
+    value: str  # scale, e.g. ``651.9 counts per rad``
+    source: str  # where the scale comes from, e.g. ``608Fh 4096/1``
+    confirmation: str  # what agrees with it, or ``not cross-checked``
+    limit: str  # of the configuration, in increments of the drive
 
 
 def unit_table(name: str, rows: Iterable[UnitRow]) -> Iterator[str]:
