@@ -31,16 +31,7 @@ _ATOM = 9
 
 
 class Printer:
-    """Prints the functions of one program.
-
-    Parameters
-    ----------
-    prefix : str
-        Prefix of the functions and tables, which are local to the file.
-    state_type : str
-        Type of the state.
-    tables : sequence of Table
-    """
+    """Prints the functions of one program. ``prefix``: of the functions and tables, which are local to the file."""
 
     def __init__(self, prefix: str, state_type: str, tables: Sequence[Table]) -> None:
         self._prefix, self._state_type = prefix, state_type

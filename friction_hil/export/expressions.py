@@ -51,24 +51,16 @@ def names_outside(function: Any) -> dict[str, Any]:
 
 
 class Expressions:
-    """Translates the expressions of one function; statements that they need are added to the present block.
-
-    Attributes
-    ----------
-    _environment : dict
-        What each name stands for.
-    _types : dict
-        Type of each variable of the program.
-    """
+    """Translates the expressions of one function; statements that they need are added to the present block."""
 
     _translator: "Translator"
     _function: Any
     _file: str
     _before: int
     _outside: dict[str, Any]
-    _types: dict[str, Type]
+    _types: dict[str, Type]  # of each variable of the program
     _block: Block
-    _environment: dict[str, Any]
+    _environment: dict[str, Any]  # what each name stands for
     _temporaries: int
 
     def _refusal(self, node: Any, why: str) -> TranslationError:

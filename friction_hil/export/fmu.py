@@ -32,10 +32,7 @@ _GLUE = ("fmi2.c", "fmi3.c")
 def files(subject: Subject) -> dict[str, bytes]:
     """Return an archive for each of model and compensator and for each version of the standard.
 
-    Raises
-    ------
-    UsageError
-        There is no C compiler, or it failed.
+    Raises `UsageError`: there is no C compiler, or it failed.
     """
     alone = replace(subject, compensator=None)
     units = [_model(alone)]

@@ -148,25 +148,12 @@ Block = list[Statement]
 
 @dataclass(slots=True, eq=False)
 class Function:
-    """A function of the program, after a Python function that was specialised.
-
-    Attributes
-    ----------
-    name : str
-    summary : str
-        First line of its description.
-    parameters : list of Variable
-        Those that are used.
-    results : tuple of str
-        Types.
-    body : list of statements
-    reads_state, writes_state : bool
-    """
+    """A function of the program, after a Python function that was specialised."""
 
     name: str
-    summary: str
-    parameters: list[Variable] = field(default_factory=list)
-    results: tuple[Type, ...] = ()
+    summary: str  # first line of its description
+    parameters: list[Variable] = field(default_factory=list)  # those that are used
+    results: tuple[Type, ...] = ()  # types
     body: Block = field(default_factory=list)
     reads_state: bool = False
     writes_state: bool = False

@@ -41,29 +41,14 @@ LARGEST_POSITION = 1e15
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A step as a program.
+    """A step as a program."""
 
-    Attributes
-    ----------
-    entry : Function
-        The step itself.
-    operands : tuple of Variable
-        Those of the inputs that are passed to its parameters.
-    inputs : tuple of Variable
-        All inputs, in the order of the step.
-    functions : tuple of Function
-        In an order in which none calls a later one.
-    state : State
-    tables : tuple of Table
-        Constant tables that are read by a variable index.
-    """
-
-    entry: Function
-    operands: tuple[Variable, ...]
-    inputs: tuple[Variable, ...]
-    functions: tuple[Function, ...]
+    entry: Function  # the step itself
+    operands: tuple[Variable, ...]  # those of the inputs that are passed to its parameters
+    inputs: tuple[Variable, ...]  # all, in the order of the step
+    functions: tuple[Function, ...]  # in an order in which none calls a later one
     state: State
-    tables: tuple[Table, ...]
+    tables: tuple[Table, ...]  # constant ones that are read by a variable index
 
 
 def _add_products(

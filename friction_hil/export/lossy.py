@@ -26,43 +26,20 @@ _STARTS = 25  # Stribeck velocities that are tried before the search
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loss:
-    """Torque of the model that an export does not hold, N m or N.
+    """Torque of the model that an export does not hold, N m or N."""
 
-    Attributes
-    ----------
-    rms : float
-        Root of the weighted mean square of the difference between model and export.
-    relative : float
-        ``rms`` over the root mean square torque of the model.
-    largest : float
-        Largest difference, model minus export, with its sign.
-    velocity, temperature : float
-        Where it is, rad/s or m/s, and deg C; NaN for a model that does not depend on temperature.
-    between_directions : float
-        Part of ``rms`` due to the difference between the directions of motion, which a symmetrical form loses.
-    origin : str
-        What range and weights come from.
-    lost : tuple of str
-        What else the export does not hold; sentences.
-    axis : str
-        "rotary" or "linear"
-    points : Points
-        Where model and export were compared.
-    difference : (n,) array
-        Model minus export at the points.
-    """
-
-    rms: float
-    relative: float
-    largest: float
-    velocity: float
-    temperature: float
+    rms: float  # root of the weighted mean square of the difference between model and export
+    relative: float  # `rms` over the root mean square torque of the model
+    largest: float  # difference, model minus export, with its sign
+    velocity: float  # where the largest difference is, rad/s or m/s
+    temperature: float  # likewise, deg C; NaN for a model that does not depend on it
+    # part of `rms` due to the difference between the directions of motion, which a symmetrical form loses
     between_directions: float
-    origin: str
-    lost: tuple[str, ...]
-    axis: str
-    points: Points
-    difference: Array
+    origin: str  # what range and weights come from
+    lost: tuple[str, ...]  # what else the export does not hold; sentences
+    axis: str  # "rotary" or "linear"
+    points: Points  # where model and export were compared
+    difference: Array  # (n,), model minus export at the points
 
     def amount(self) -> str:
         """Return how much is lost in steady motion, in words."""
@@ -151,14 +128,7 @@ def fit_stribeck(
     For a velocity and an exponent of the hump the other parameters follow from a bounded linear problem (variable
     projection: Golub, Pereyra, SIAM J. Numer. Anal. 10(2), 1973), so that only these two are searched.
 
-    Parameters
-    ----------
-    points : Points
-    torque : (n,) array
-    powers : int
-        Number of viscous coefficients.
-    exponents : (float, float)
-        Bounds of the exponent.
+    ``powers``: number of viscous coefficients; ``exponents``: bounds of the exponent.
     """
     speeds = np.abs(points.velocity[points.weight > 0.0])
     bounds = [(float(np.log(speeds.min())), float(np.log(speeds.max()))), exponents]
@@ -189,23 +159,12 @@ def break_away(model: FrictionModel, points: Points) -> float:
 def judge(
     model_file: ModelFile,
     points: Points,
-    exported: Callable[[Points], Array],
-    lost: Sequence[str] = (),
+    exported: Callable[[Points], Array],  # torque of the export at points, (n,), N m or N
+    lost: Sequence[str] = (),  # what else is lost
+    # what the export holds, or `lost` says in other words: "presliding", "ripple", "directions"
     carried: Collection[str] = (),
 ) -> Loss:
-    """Compare an export with the model at the points.
-
-    Parameters
-    ----------
-    model_file : ModelFile
-    points : Points
-    exported : callable
-        Torque of the export at points, (n,), N m or N.
-    lost : sequence of str
-        What else is lost.
-    carried : collection of str
-        What the export holds, or ``lost`` says in other words: "presliding", "ripple", "directions".
-    """
+    """Compare an export with the model at the points."""
     model = model_file.friction_model
     mirror = replace(points, velocity=-points.velocity)
     torque = points.torque(model)

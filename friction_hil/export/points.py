@@ -28,27 +28,14 @@ class Points:
     """Every combination of velocity and temperature, with its weight.
 
     The velocities lie closer together near rest, and each stands for the cell around it.
-
-    Attributes
-    ----------
-    velocity : (n,) array
-        rad/s or m/s, without zero.
-    temperature : (n,) array
-        deg C; NaN for a model that does not depend on it.
-    weight : (n,) array
-        Share of the time; the sum is 1.
-    low, high : float
-        Ends of the range of velocity, rad/s or m/s; the one is not above zero, the other not below.
-    origin : str
-        What range and weights come from, as the end of a sentence.
     """
 
-    velocity: Array
-    temperature: Array
-    weight: Array
-    low: float
-    high: float
-    origin: str
+    velocity: Array  # (n,), rad/s or m/s, without zero
+    temperature: Array  # (n,), deg C; NaN for a model that does not depend on it
+    weight: Array  # (n,), share of the time; the sum is 1
+    low: float  # end of the range of velocity, rad/s or m/s; not above zero
+    high: float  # the other end, not below zero
+    origin: str  # what range and weights come from, as the end of a sentence
 
     def torque(self, model: FrictionModel) -> Array:
         """Return the steady torque of a model without load and ripple, (n,), N m or N."""
@@ -66,23 +53,10 @@ def points(
 ) -> Points:
     """Return the points for a model file.
 
-    Parameters
-    ----------
-    model_file : ModelFile
-        Its range of validity limits the velocity. A file without one has the range in which it is drawn.
-    recording : path, optional
-        Recording whose velocities (and temperatures) give the weights; without it all velocities count alike.
-    axis : str, optional
-        Axis of a recording that has several.
-    speed : float, optional
-        Largest speed, rad/s or m/s.
-
-    Raises
-    ------
-    RecordingError
-        The recording cannot be used, or its axis rests.
-    UsageError
-        ``speed`` is not above zero, or nothing of the range lies below it.
+    The range of validity of ``model_file`` limits the velocity; without one, it is the range in which the model is
+    drawn. Velocities (and temperatures) of ``recording`` give the weights; without it all velocities count alike.
+    ``axis``: of a recording that has several. ``speed``: largest, rad/s or m/s. Raises `RecordingError`: the recording
+    cannot be used, or its axis rests; `UsageError`: ``speed`` is not above zero, or nothing of the range lies below it.
     """
     if speed is not None and not 0.0 < speed < np.inf:
         raise UsageError(f"--speed {speed:g}: the largest speed must be a number above zero, rad/s or m/s")

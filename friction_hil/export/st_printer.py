@@ -110,15 +110,8 @@ class Names:
 class StPrinter:
     """Prints the functions of one program.
 
-    Parameters
-    ----------
-    prefix : str
-        Prefix of the functions, of the type of the state and of the functions of the library.
-    kind : str
-        ``model`` or ``compensator``: the rest of the prefix of the functions.
-    tables : sequence of Table
-    library : collection of functions
-        Those without the kind in their names.
+    ``prefix``: of the functions, of the type of the state and of the functions of the library. ``kind``: ``model`` or
+    ``compensator``, the rest of the prefix of the functions; those of ``library`` are without it.
     """
 
     def __init__(self, prefix: str, kind: str, tables: Sequence[Table], library: Iterable[Function]) -> None:

@@ -55,22 +55,12 @@ class StrictField:
 
 @dataclass(frozen=True, slots=True)
 class StrictProgram:
-    """A step in the narrow sense.
-
-    Attributes
-    ----------
-    entry : Function
-    inputs : tuple of Variable
-        What the parameters of the entry are called outside, in their order; see `flag` for the names of flags.
-    functions : tuple of Function
-        In an order in which none calls a later one.
-    fields : tuple of StrictField
-    tables : tuple of Table
-    """
+    """A step in the narrow sense."""
 
     entry: Function
+    # what the parameters of the entry are called outside, in their order; see `flag` for the names of flags
     inputs: tuple[Variable, ...]
-    functions: tuple[Function, ...]
+    functions: tuple[Function, ...]  # in an order in which none calls a later one
     fields: tuple[StrictField, ...]
     tables: tuple[Table, ...]
 

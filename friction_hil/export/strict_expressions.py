@@ -97,24 +97,13 @@ def inverted(value: Expression) -> Expression:
 
 
 class StrictExpressions:
-    """Translates the values of one function; a pair is a value and the condition that it is known.
-
-    Attributes
-    ----------
-    _whole : Whole
-    _old, _new : Function
-        The function that is translated, and what it becomes.
-    _certain : set of str
-        Variables that are known here, whatever they are elsewhere.
-    _out : list of statements
-        The present block; statements that a value needs are added to it.
-    """
+    """Translates the values of one function; a pair is a value and the condition that it is known."""
 
     _whole: Whole
-    _old: Function
-    _new: Function
-    _certain: set[str]
-    _out: Block
+    _old: Function  # function that is translated
+    _new: Function  # what it becomes
+    _certain: set[str]  # variables that are known here, whatever they are elsewhere
+    _out: Block  # the present block; statements that a value needs are added to it
     _count: int
 
     def _inside(self, work: Callable[[], object], certain: set[str]) -> tuple[Block, set[str]]:

@@ -13,23 +13,12 @@ from friction_hil.printable import on_one_line
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """A model with its provenance.
+    """A model with its provenance."""
 
-    Attributes
-    ----------
-    name : str
-        Name in the target's language, an identifier in small letters.
-    model_file : ModelFile
-    origin : str
-        File or text that it was read from, for the comment; empty if it is not known.
-    compensator : Compensator or None
-        Compensator that is exported beside the model.
-    """
-
-    name: str
+    name: str  # in the target's language, an identifier in small letters
     model_file: ModelFile
-    origin: str = ""
-    compensator: Compensator | None = None
+    origin: str = ""  # file or text that it was read from, for the comment; empty if it is not known
+    compensator: Compensator | None = None  # that is exported beside the model
 
 
 def provenance(subject: Subject) -> list[str]:

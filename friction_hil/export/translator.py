@@ -45,30 +45,15 @@ _MOST_UNROLLED = 16  # passes of a loop that is written out
 
 @dataclass(slots=True)
 class Translator:
-    """Translates kernels into the functions of one program.
+    """Translates kernels into the functions of one program."""
 
-    Attributes
-    ----------
-    state : State
-        The state that the kernels change.
-    intrinsics : mapping of function to function
-        Kernels that a function of this package stands for: it takes and returns values.
-    definitions : mapping of function to function
-        Kernels whose source is that of another function.
-    passes : mapping of function to int
-        Largest number of passes of the loops of a kernel that depends on data.
-    built_in : collection of functions
-        Kernels of a single expression that takes the place of a call.
-    functions : dict
-        Functions made so far, by what they were made of.
-    """
-
-    state: State
+    state: State  # that the kernels change
+    # kernels that a function of this package stands for: it takes and returns values
     intrinsics: Mapping[Any, Callable[..., Any]]
-    definitions: Mapping[Any, Any]
-    passes: Mapping[Any, int]
-    built_in: Collection[Any] = ()
-    functions: dict[Any, tuple[Function, Any]] = field(default_factory=dict)
+    definitions: Mapping[Any, Any]  # kernels whose source is that of another function
+    passes: Mapping[Any, int]  # largest number of passes of the loops of a kernel that depends on data
+    built_in: Collection[Any] = ()  # kernels of a single expression that takes the place of a call
+    functions: dict[Any, tuple[Function, Any]] = field(default_factory=dict)  # made so far, by what they were made of
     tables: dict[Any, Table] = field(default_factory=dict)
 
     def table(self, name: str, values: Any) -> Table:

@@ -62,21 +62,12 @@ class Choice:
 
 @dataclass(slots=True, eq=False)
 class Table:
-    """A constant array.
-
-    Attributes
-    ----------
-    name : str
-    values : (n,) array
-    names : sequence of str
-        Name of the parameter in each element; empty for an element without one.
-    used : list of int
-        Indices between which the program reads; empty if it reads no element by a variable index.
-    """
+    """A constant array."""
 
     name: str
     values: Array
-    names: Sequence[str] = ()
+    names: Sequence[str] = ()  # of the parameter in each element; empty for an element without one
+    # indices between which the program reads; empty if it reads no element by a variable index
     used: list[int] = field(default_factory=list)
 
     def name_of(self, k: int) -> str:
@@ -122,22 +113,14 @@ class Field:
 
 
 class State:
-    """The flat state of a program.
-
-    Parameters
-    ----------
-    initial : array of records, (1,)
-        The state at the start, as the compiled step takes it; the names of a field inside a record are joined.
-    wide : collection of str
-        Fields in double precision.
-    pieces : mapping of str to a list of (name, begin, end)
-        Arrays that hold several things: each becomes a field of its own.
-    """
+    """The flat state of a program."""
 
     def __init__(
         self,
+        # record (1,) at the start, as the compiled step takes it; the names of a field inside a record are joined
         initial: Any,
-        wide: Sequence[str] = (),
+        wide: Sequence[str] = (),  # fields in double precision
+        # arrays that hold several things, each a field of its own: name, begin, end
         pieces: dict[str, list[tuple[str, int, int]]] | None = None,
     ) -> None:
         self.fields: dict[str, Field] = {}
