@@ -26,13 +26,7 @@ _UNITS = (  # rotary or linear, rotary, linear
 
 
 class Page:
-    """Lines of a configuration.
-
-    Parameters
-    ----------
-    is_linear : bool
-        Units are those of a linear axis.
-    """
+    """Lines of a configuration, with the units of a linear axis or of a rotary one."""
 
     def __init__(self, *, is_linear: bool) -> None:
         self.lines: list[str] = []

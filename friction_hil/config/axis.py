@@ -244,13 +244,7 @@ def split_options(axis: Mapping[str, Any]) -> dict[str, Any]:
 
 @functools.cache
 def driver_options(driver: str, group: str) -> type[BaseModel]:
-    """Return the pydantic model of a driver's keys.
-
-    Raises
-    ------
-    UsageError
-        The driver is not installed, or it is broken.
-    """
+    """Return the pydantic model of a driver's keys; a `UsageError`: the driver is not installed, or it is broken."""
     try:
         return (load_driver(driver) if group == DRIVERS else load_driver(driver, SIMULATED_DRIVES)).Options
     except ImportError as error:

@@ -26,11 +26,8 @@ def load_driver(name: str, group: Literal["friction_hil.simulated_drives"]) -> t
 def load_driver(name: str, group: str = DRIVERS) -> Any:
     """Load the class of the entry point ``name`` in ``group``, with the defaults of what it does not offer.
 
-    Raises
-    ------
-    UsageError
-        No driver of this name is installed; the message lists the installed ones. Or its `Options` is no pydantic
-        model.
+    Raises `UsageError`: no driver of this name is installed (the message lists the installed ones), or its `Options` is
+    no pydantic model.
     """
     for entry in entry_points(group=group):
         if entry.name == name:

@@ -12,13 +12,7 @@ _IN_CLONE = Path(__file__).parents[2] / "config"
 
 
 def examples() -> dict[str, Path]:
-    """Return the paths of the example configurations by name.
-
-    Raises
-    ------
-    UsageError
-        This installation has none.
-    """
+    """Return the paths of the example configurations by name; a `UsageError`: this installation has none."""
     folder = _PACKAGED if _PACKAGED.is_dir() else _IN_CLONE
     found = {path.stem: path for path in sorted(folder.glob("*.yaml"))}
     if not found:
@@ -27,13 +21,7 @@ def examples() -> dict[str, Path]:
 
 
 def example_models() -> dict[str, Path]:
-    """Return the paths of the example model files by name.
-
-    Raises
-    ------
-    UsageError
-        This installation has none.
-    """
+    """Return the paths of the example model files by name; a `UsageError`: this installation has none."""
     folder = next(iter(examples().values())).parent / "models"
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
@@ -49,18 +37,8 @@ def summary(path: Path) -> str:
 def copied(name: str, target: Path) -> dict[Path, str]:
     """Return the text of an example, and of the model files that it names, by the paths that they get.
 
-    Comments that name the example name the copy.
-
-    Parameters
-    ----------
-    name : str
-    target : Path
-        Path of the copy.
-
-    Raises
-    ------
-    UsageError
-        There is no example of this name; the message lists them.
+    Comments that name the example name the copy. ``target``: path of the copy. Raises `UsageError`: there is no example
+    of this name; the message lists them.
     """
     known = examples()
     if name not in known:

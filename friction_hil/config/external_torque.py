@@ -17,10 +17,7 @@ _MOST_BYTES = 50_000_000
 def simulated_servo(config: "ServoConfig", position: float = 0.0) -> "Servo":
     """Return a simulated servo, with the file of its external torque read.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be read, or a line of it is wrong; the message names the line.
+    Raises `UsageError`: the file cannot be read, or a line of it is wrong; the message names the line.
     """
     from friction_hil.servo.servo import Servo
 
@@ -30,10 +27,7 @@ def simulated_servo(config: "ServoConfig", position: float = 0.0) -> "Servo":
 def external_content(config: "ServoConfig") -> "Array | None":
     """Return the content of the file with the external torque of a servo, (n, 2); None if it has none.
 
-    Raises
-    ------
-    UsageError
-        As for `simulated_servo`.
+    Raises `UsageError` as `simulated_servo` does.
     """
     import numpy as np
 
@@ -46,10 +40,7 @@ def external_content(config: "ServoConfig") -> "Array | None":
 def read_table(path: Path) -> list[tuple[float, float]]:
     """Read two columns of numbers, separated by a comma or white space; text after # is a comment.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be read, or a line has no two finite numbers, or a time that does not rise.
+    Raises `UsageError`: the file cannot be read, or a line has no two finite numbers, or a time that does not rise.
     """
     try:
         if path.exists() and not path.is_file():  # a pipe would be waited for

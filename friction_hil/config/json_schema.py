@@ -22,12 +22,8 @@ _PATH_OR_MODEL = {
 def json_schema() -> dict[str, Any]:
     """Return a JSON Schema 2020-12 of the configuration file, for editors.
 
-    It cannot express checks that involve several keys; `friction_hil.config.load` makes the complete check.
-
-    Raises
-    ------
-    UsageError
-        An installed driver is broken.
+    It cannot express checks that involve several keys; `friction_hil.config.load` makes the complete check. Raises
+    `UsageError`: an installed driver is broken.
     """
     schema = Configuration.model_json_schema()
     definitions = schema["$defs"]

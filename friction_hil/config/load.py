@@ -32,17 +32,10 @@ _KEYS_OF_A_MODEL = ("friction", "axis", "mechanics")
 def load(path: str | Path, *, needs_models: bool = True) -> Configuration:
     """Read a configuration file and the model files that it refers to.
 
-    Parameters
-    ----------
-    path : path
-    needs_models : bool
-        True if a missing model file is a mistake. Otherwise the axis gets a model without friction whose
-        ``source_path`` is the path of the missing file, and whose kind of axis is ``experiment.axis``.
+    Unless ``needs_models``, a missing model file is no mistake: the axis gets a model without friction whose
+    ``source_path`` is the path of the missing file, and whose kind of axis is ``experiment.axis``.
 
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be read or has mistakes; ``problems`` lists them with their lines.
+    Raises `ConfigurationError`: the file cannot be read or has mistakes; ``problems`` lists them with their lines.
     """
     configuration = _configuration(yaml_text.read(path), Path(path).parent, needs_models=needs_models)
     configuration._source_path = Path(path).absolute()
@@ -52,19 +45,9 @@ def load(path: str | Path, *, needs_models: bool = True) -> Configuration:
 def from_dict(data: Mapping[str, Any], source: str, *, reads_files: bool = True) -> Configuration:
     """Create a configuration from plain values, e.g. those in a recording.
 
-    Parameters
-    ----------
-    data
-        Values as returned by `self_contained`, or as in a file.
-    source
-        Origin of the values, for messages.
-    reads_files
-        False for values inside a recording, which are whole: whoever made it must not choose which files are read.
-
-    Raises
-    ------
-    ConfigurationError
-        The values have mistakes.
+    ``data``: as returned by `self_contained`, or as in a file. ``source``: origin of the values, for messages.
+    ``reads_files``: False for values inside a recording, which are whole: whoever made it must not choose which files
+    are read. Raises `ConfigurationError`: the values have mistakes.
     """
     return _configuration(Document(source, dict(data)), Path(source).parent, reads_files=reads_files)
 
@@ -118,10 +101,7 @@ def missing_models(path: str | Path, configuration: Configuration) -> list[Probl
 def only_driver(configuration: Configuration) -> str:
     """Return the name of the driver of all axes.
 
-    Raises
-    ------
-    OptionError
-        The axes have different drivers, which one run does not support.
+    Raises `OptionError`: the axes have different drivers, which one run does not support.
     """
     (first, axis), *others = configuration.axes.items()
     for name, other in others:
@@ -266,11 +246,7 @@ class _ModelReader:
 def no_model_file(path: Path, name: str) -> str:
     """Say that a model file is not there, how it is made, and which one in its folder may be meant.
 
-    Parameters
-    ----------
-    path : Path
-    name : str
-        The path as the configuration gives it.
+    ``name``: the path as the configuration gives it.
     """
     text = f"there is no model file {path}; 'friction-hil tune' identifies the friction of the axis and writes it"
     try:
@@ -284,10 +260,7 @@ def no_model_file(path: Path, name: str) -> str:
 def model_files(folder: Path) -> list[Path]:
     """Return the files in a folder that look like model files; of very many files, only the first ones are looked at.
 
-    Raises
-    ------
-    OSError, ValueError
-        The folder cannot be read, or its name is not that of any.
+    Raises `OSError` or `ValueError`: the folder cannot be read, or its name is not that of any.
     """
     return [each for each in sorted(folder.glob("*.y*ml"))[:_MOST_SIBLINGS] if _is_model_file(each)]
 

@@ -34,46 +34,21 @@ _LOWER, _ASSUMED = ("coulomb", "static"), 0.9  # of the simulated friction, in t
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What is known about a machine whose configuration is to be written; None where it is not known.
-
-    Attributes
-    ----------
-    driver : str
-    bus : str, optional
-        CAN bus as ``can0`` or ``INTERFACE:CHANNEL[:PORT]``; of a serial driver the port.
-    bitrate : int, optional
-        Bit rate of the CAN bus or baud rate of the line.
-    node : str, optional
-        Address of the drive on the bus or line.
-    description : str, optional
-        Description of a serial drive.
-    mode : str, optional
-    torque, velocity : float, optional
-        Limits, N m and rad/s (N and m/s).
-    travel : float, optional
-        Distance from the present position that the axis may move to either side, rad (m).
-    is_linear : bool
-    is_simulated : bool
-        The drive is to be simulated on this machine: what is not known is chosen.
-    port : int
-        UDP port of a simulated CAN bus.
-    path : Path
-        Path of the configuration; those in it are relative to its folder.
-    """
+    """What is known about a machine whose configuration is to be written; None where it is not known."""
 
     driver: str = "canopen"
-    bus: str | None = None
-    bitrate: int | None = None
-    node: str | None = None
-    description: str | None = None
+    bus: str | None = None  # CAN bus as ``can0`` or ``INTERFACE:CHANNEL[:PORT]``; of a serial driver the port
+    bitrate: int | None = None  # of the CAN bus, or baud rate of the line
+    node: str | None = None  # address of the drive on the bus or line
+    description: str | None = None  # of a serial drive
     mode: str | None = None
-    torque: float | None = None
-    velocity: float | None = None
-    travel: float | None = None
+    torque: float | None = None  # limit, N m (N)
+    velocity: float | None = None  # limit, rad/s (m/s)
+    travel: float | None = None  # distance from the present position that the axis may move to either side, rad (m)
     is_linear: bool = False
-    is_simulated: bool = False
-    port: int = 43113
-    path: Path = Path("machine.yaml")
+    is_simulated: bool = False  # the drive is to be simulated on this machine: what is not known is chosen
+    port: int = 43113  # UDP port of a simulated CAN bus
+    path: Path = Path("machine.yaml")  # of the configuration; those in it are relative to its folder
 
     @property
     def name(self) -> str:
@@ -83,35 +58,20 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class DriverKeys:
-    """Keys of a driver in a new configuration.
+    """Keys of a driver in a new configuration."""
 
-    Attributes
-    ----------
-    keys : dict
-        Values by name, also in groups; `FILL_IN` where only the user can know it.
-    notes : dict
-        Comments that replace the meaning of a key, by its name; of a key in a group ``line.port``.
-    modes : tuple of str
-        Modes that the drive has, the best first.
-    period_s : float
-    bus : dict, optional
-        Section ``bus``.
-    """
-
-    keys: dict[str, Any]
+    keys: dict[str, Any]  # values by name, also in groups; `FILL_IN` where only the user can know it
+    # comments that replace the meaning of a key, by its name; of a key in a group ``line.port``
     notes: dict[str, str] = field(default_factory=dict)
-    modes: tuple[str, ...] = _MODES
+    modes: tuple[str, ...] = _MODES  # that the drive has, the best first
     period_s: float = 1e-3
-    bus: dict[str, Any] | None = None
+    bus: dict[str, Any] | None = None  # section ``bus``
 
 
 def new_configuration(wanted: Wanted) -> str:
     """Return the text of a configuration of one axis.
 
-    Raises
-    ------
-    UsageError
-        There is no such driver, mode or description, or the driver has no such option.
+    Raises `UsageError`: there is no such driver, mode or description, or the driver has no such option.
     """
     if wanted.is_simulated and wanted.is_linear:
         raise UsageError("--simulated: the simulated drive is rotary; leave --linear out")
@@ -153,10 +113,7 @@ def new_configuration(wanted: Wanted) -> str:
 def parse_bus(wanted: Wanted) -> dict[str, Any]:
     """Return the section ``bus`` of a CAN bus given as ``can0`` or ``INTERFACE:CHANNEL[:PORT]``.
 
-    Raises
-    ------
-    UsageError
-        The interface or the channel is empty.
+    Raises `UsageError`: the interface or the channel is empty.
     """
     if wanted.bus is None and wanted.is_simulated:
         return {"interface": "udp_multicast", "channel": MULTICAST, "port": wanted.port}

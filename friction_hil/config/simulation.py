@@ -55,17 +55,8 @@ def mechanism_mistakes(mechanism: Gantry | TwoLinkArm, axes: "Mapping[str, AxisC
 def simulated_servos(configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> "dict[str, Servo]":
     """Return a simulated servo for each of the axes, those of a mechanism coupled.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        Its ``simulation``.
-    axes : mapping of str to AxisConfig
-        The axes to simulate, each with its ``simulation``.
-
-    Raises
-    ------
-    UsageError
-        A file with an external torque cannot be read.
+    ``axes``: those to simulate, each with its ``simulation``. Raises `UsageError`: a file with an external torque
+    cannot be read.
     """
     servos = {name: _config(axis) for name, axis in axes.items()}
     shared = configuration.simulation
@@ -82,10 +73,7 @@ def coupled_servos(
 ) -> "CoupledServos":
     """Return the simulated servos of a mechanism, with the files of their external torques read.
 
-    Raises
-    ------
-    UsageError
-        A file cannot be read.
+    Raises `UsageError`: a file cannot be read.
     """
     from friction_hil.servo.coupled_servos import CoupledServos
 
