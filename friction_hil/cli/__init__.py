@@ -129,10 +129,7 @@ def application() -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status; errors are printed on stderr.
 
-    Parameters
-    ----------
-    arguments
-        Arguments after the program's name; those of the process if None.
+    ``arguments``: those after the program's name; those of the process if None.
     """
     _open_standard_streams()
     _write_utf8()

@@ -25,10 +25,7 @@ def forget_printed() -> None:
 def print_json(value: Any) -> None:
     """Print one JSON document on stdout. NaN and infinity become null; numpy scalars and arrays are converted.
 
-    Raises
-    ------
-    TypeError
-        ``value`` contains an object that JSON cannot represent.
+    Raises `TypeError`: ``value`` contains an object that JSON cannot represent.
     """
     _printed[0] = True
     click.echo(json.dumps(to_json(value), indent=2, ensure_ascii=False, allow_nan=False))

@@ -42,13 +42,7 @@ def act_on_daemon(name: str, what: str, *, as_json: bool) -> int:
 
 
 def is_daemon(config: str) -> bool:
-    """Return True if an argument names a running daemon, and no file.
-
-    Raises
-    ------
-    UsageError
-        It is neither.
-    """
+    """Return True if an argument names a running daemon, and no file; a `UsageError`: it is neither."""
     if os.path.lexists(config):
         return False
     daemons = dict(running())
@@ -86,10 +80,7 @@ def status(*, name: str | None, as_json: bool) -> int:
 def _assignment(text: str) -> tuple[str, Any]:
     """Return key and value of ``x.gain=0.8``; the value is YAML, a model file becomes an absolute path.
 
-    Raises
-    ------
-    UsageError
-        It is no assignment, or the value is not YAML.
+    Raises `UsageError`: it is no assignment, or the value is not YAML.
     """
     key, equals, value = text.partition("=")
     if not equals or not key:

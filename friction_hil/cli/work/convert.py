@@ -79,12 +79,8 @@ def convert(
 def _targets(source: Path, target: Path, axes: list[str], force: bool) -> dict[str, Path]:
     """Return the file of each axis.
 
-    Raises
-    ------
-    click.UsageError
-        MCAP to MCAP, or several axes to one MCAP file.
-    RecordingError
-        A file exists and ``force`` is not given; nothing is written then.
+    Raises `click.UsageError`: MCAP to MCAP, or several axes to one MCAP file; `RecordingError`: a file exists and
+    ``force`` is not given; nothing is written then.
     """
     if source.suffix.lower() == target.suffix.lower() == ".mcap":
         raise click.UsageError(f"{source} is MCAP already; a copy would lose its metadata and restart points")

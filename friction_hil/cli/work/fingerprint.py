@@ -25,27 +25,9 @@ def record_fingerprints(
 ) -> tuple[dict[Path, str], Path]:
     """Move the axes of a configuration one after the other, as their ``experiment`` says, and record them.
 
-    Parameters
-    ----------
-    config : Path
-    axis : str or None
-        Only this one; None for all.
-    simulate, pace, reset_fault, yes
-        Options of the command.
-
-    Returns
-    -------
-    recordings : dict of str
-        Axis that moved, by the path of its recording.
-    history : Path
-        File of the observations of this configuration.
-
-    Raises
-    ------
-    UsageError, OptionError
-        There is nobody to ask, no such axis, or an axis without ``experiment``.
-    TuningError
-        A run met a fault.
+    Returns the axis that moved by the path of its recording, and the file of the observations of this configuration.
+    ``axis``: only this one; None for all. The others are options of the command. Raises `UsageError` or `OptionError`:
+    there is nobody to ask, no such axis, or an axis without ``experiment``; `TuningError`: a run met a fault.
     """
     if not yes and not sys.stdin.isatty():
         raise click.UsageError(

@@ -9,34 +9,17 @@ from friction_hil.numerics.readable import FollowingError, comparison
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes
-    ----------
-    labels : tuple of str
-        Cells before the figures.
-    unit : str
-        rad or m.
-    without, compensated, reduction : FollowingError or None
-        Following error without and with compensation, and their ratio; None if it is not known.
-    """
-
-    labels: tuple[str, ...]
-    unit: str
-    without: FollowingError | None
-    compensated: FollowingError | None
-    reduction: FollowingError | None
+    labels: tuple[str, ...]  # cells before the figures
+    unit: str  # rad or m
+    without: FollowingError | None  # following error without compensation; each of the three is None if not known
+    compensated: FollowingError | None  # the same with compensation
+    reduction: FollowingError | None  # their ratio
 
 
 def following_table(headings: Sequence[str | Column], rows: Sequence[Compared]) -> Table:
-    """Return the table; a condition that no row has gets no column.
-
-    Parameters
-    ----------
-    headings : sequence of str or Column
-        Headings of the labels.
-    rows : sequence of Compared
-    """
+    """Return the table, with the headings of the labels; a condition that no row has gets no column."""
     conditions = ("without", "compensated", "reduction")
     shown = [k for k, name in enumerate(conditions) if any(getattr(row, name) is not None for row in rows)]
     titles = ("without\ncompensation", "with\ncompensation", "times\nlower")

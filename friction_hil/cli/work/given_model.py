@@ -12,10 +12,7 @@ _OPTION = "--model "  # prefix of the messages about a model that an option name
 def given_model(argument: str) -> ModelFile:
     """Return the model of an argument that is not the option ``--model``; see `model_from_argument`.
 
-    Raises
-    ------
-    ConfigurationError, UsageError
-        As there, without the name of the option.
+    Raises `ConfigurationError` or `UsageError` as that does, without the name of the option.
     """
     try:
         return model_from_argument(argument)

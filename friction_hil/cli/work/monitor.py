@@ -69,10 +69,7 @@ class _View:
 def _only_daemon() -> str:
     """Return the name of the only daemon that runs here.
 
-    Raises
-    ------
-    FrictionHilError
-        None runs, or several: the message lists them.
+    Raises `FrictionHilError`: none runs, or several: the message lists them.
     """
     names = [each for each, _ in running()]
     if not names:

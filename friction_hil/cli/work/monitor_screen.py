@@ -32,16 +32,9 @@ Line = list[Part]
 def screen(shown: Snapshot, width: int, height: int, chosen: int, *, is_coloured: bool, is_live: bool) -> list[str]:
     """Return the lines of the screen, at most ``height`` of at most ``width - 1`` characters each.
 
-    Parameters
-    ----------
-    shown : Snapshot
-    width, height : int
-        Size of the terminal; the last column stays empty, because some terminals wrap there.
-    chosen : int
-        Axis whose friction is drawn, counted over all axes again and again.
-    is_coloured : bool
-    is_live : bool
-        False for a single picture: there are no keys to name.
+    ``width``, ``height``: of the terminal; the last column stays empty, because some terminals wrap there. ``chosen``:
+    axis whose friction is drawn, counted over all axes again and again. ``is_live``: False for a single picture: there
+    are no keys to name.
     """
     width -= 1
     axes = list(shown.axes.items())

@@ -45,13 +45,7 @@ def status_line(text: str) -> Iterator["ShowStep"]:
 
 
 class _Steps:
-    """Count of the steps of a stage, with an estimate of the time that is left.
-
-    Parameters
-    ----------
-    clock : callable
-        Returns the time, s.
-    """
+    """Count of the steps of a stage, with an estimate of the time that is left; ``clock`` returns the time, s."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock

@@ -21,10 +21,7 @@ def expanded(words: Iterable[str | Path]) -> list[str]:
     stands for the recordings of the daemon in it. Of the files of one recording only the first remains: it is read with
     those that follow.
 
-    Raises
-    ------
-    UsageError
-        A pattern matches nothing, or a folder has no recording.
+    Raises `UsageError`: a pattern matches nothing, or a folder has no recording.
     """
     found: list[str] = []
     for word in map(str, words):
@@ -44,12 +41,8 @@ def expanded(words: Iterable[str | Path]) -> list[str]:
 def read_recordings(sources: Iterable[Path], axis: str | None, **options: Any) -> list[Recording]:
     """Read the recordings of one axis from files and patterns; ``options`` are those of `recordings.read`.
 
-    Raises
-    ------
-    UsageError
-        A pattern matches nothing, or a file has several axes and none is chosen.
-    RecordingError
-        A file cannot be read.
+    Raises `UsageError`: a pattern matches nothing, or a file has several axes and none is chosen; `RecordingError`: a
+    file cannot be read.
     """
     found = []
     for source in expanded(sources):
@@ -66,10 +59,7 @@ def read_recordings(sources: Iterable[Path], axis: str | None, **options: Any) -
 def kind_of(found: Iterable[Recording], *, is_linear: bool) -> "AxisKind":
     """Return the kind of the axis: as the daemon has recorded it, and by the option where the files do not say.
 
-    Raises
-    ------
-    UsageError
-        The files say that the axis is rotary, and the option that it is linear; or the files differ.
+    Raises `UsageError`: the files say that the axis is rotary, and the option that it is linear; or the files differ.
     """
     kind: AxisKind | None = "linear" if is_linear else None
     by = "--linear"

@@ -12,12 +12,8 @@ from friction_hil.reports.figures import require_matplotlib
 def check_result_files(output: Path | None, report: Path | None) -> None:
     """Check the names of a model file and a report.
 
-    Raises
-    ------
-    click.UsageError
-        A name has the wrong suffix.
-    UsageError
-        A report is requested and matplotlib is not installed, or a file cannot be written.
+    Raises `click.UsageError`: a name has the wrong suffix; `UsageError`: a report is requested and matplotlib is not
+    installed, or a file cannot be written.
     """
     if output is not None and output.suffix not in (".yaml", ".yml"):
         raise click.UsageError(f"--output {output}: a model file ends in .yaml")
@@ -33,10 +29,7 @@ def check_result_files(output: Path | None, report: Path | None) -> None:
 def check_writable(path: Path, option: str) -> None:
     """Check that a file can be written where an option names it: hours of work must not fail at their last step.
 
-    Raises
-    ------
-    UsageError
-        There is no such folder, the name is that of a folder, or writing is not permitted.
+    Raises `UsageError`: there is no such folder, the name is that of a folder, or writing is not permitted.
     """
     folder = path.parent
     if path.is_dir():

@@ -49,10 +49,7 @@ def _make_master(
 ) -> Any:
     """Return the stand-in for the controller that moves the drives.
 
-    Raises
-    ------
-    UsageError
-        There is none for drives of this kind, or the configuration is not that of a sidecar.
+    Raises `UsageError`: there is none for drives of this kind, or the configuration is not that of a sidecar.
     """
     master = kind.make_master(configuration, axes, pace=pace)
     if master is None:
@@ -106,10 +103,8 @@ def _has_ended(child: int) -> bool:
 def _only_driver(config: str, configuration: Configuration, axes: dict[str, AxisConfig]) -> str:
     """Return the driver of all simulated axes.
 
-    Raises
-    ------
-    UsageError
-        There is no simulated axis, there are several drivers, or other processes could not reach the bus.
+    Raises `UsageError`: there is no simulated axis, there are several drivers, or other processes could not reach the
+    bus.
     """
     if not axes:
         raise UsageError(f"{config}: no axis has a 'simulation' section; an empty one (simulation: {{}}) is enough")

@@ -34,25 +34,11 @@ def simulated_drives(
     They are another process, ``friction-hil simulate``, which ends with this one in any case. Bus or lines are used by
     nothing else, so that no command can reach a real drive. A sidecar gets its stand-in master too.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        Axes without ``simulation`` get simulated drives with its defaults.
-    pace : str
-        real or sync.
-    report : callable
-        Called with lines for the user.
-    is_interrupted : callable
-        True once the user wants to stop.
+    ``configuration``: axes without ``simulation`` get simulated drives with its defaults. ``pace``: real or sync.
+    ``report`` is called with lines for the user. ``is_interrupted`` is True once the user wants to stop.
 
-    Raises
-    ------
-    UsageError
-        The driver has no simulated drives that can be moved to a bus of their own.
-    DriveError
-        The simulated drives do not start.
-    KeyboardInterrupt
-        The user stopped before they were ready.
+    Raises `UsageError`: the driver has no simulated drives that can be moved to a bus of their own; `DriveError`: the
+    simulated drives do not start; `KeyboardInterrupt`: the user stopped before they were ready.
     """
     driver = only_driver(configuration)
     with tempfile.TemporaryDirectory(prefix="friction-hil-") as name:

@@ -56,13 +56,7 @@ def _carry_out(config: str, names: Sequence[str], *, is_reset: bool, as_json: bo
 
 
 def _choose(path: str, configuration: Configuration, names: Sequence[str]) -> dict[str, AxisConfig]:
-    """Return the axes of these names, all axes for none.
-
-    Raises
-    ------
-    UsageError
-        There is no axis of a name.
-    """
+    """Return the axes of these names, all axes for none; a `UsageError`: there is no axis of a name."""
     for name in names:
         if name not in configuration.axes:
             raise UsageError(f"--axis {name}: {path} has no such axis; {choices(name, configuration.axes)}")

@@ -61,10 +61,7 @@ def run_study(
 def _settings(friction: dict[str, float], servo: dict[str, float], motion: dict[str, float]) -> StudySettings:
     """Check the numbers of ``--friction``, ``--servo`` and ``--motion``.
 
-    Raises
-    ------
-    UsageError
-        A name is unknown, or a number is not finite or not above zero.
+    Raises `UsageError`: a name is unknown, or a number is not finite or not above zero.
     """
     known = {"--friction": (friction, _LEVELS), "--servo": (servo, _LEVELS), "--motion": (motion, _MOTION)}
     for option, (given, names) in known.items():

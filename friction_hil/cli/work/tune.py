@@ -100,10 +100,7 @@ def tune_machine(
 def checked(config: Path) -> Configuration:
     """Return a configuration whose model files need not exist, but whose other files must.
 
-    Raises
-    ------
-    ConfigurationError
-        It is wrong, or a file is missing.
+    Raises `ConfigurationError`: it is wrong, or a file is missing.
     """
     configuration = load(config, needs_models=False)
     if problems := file_problems(config, configuration):
