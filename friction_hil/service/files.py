@@ -24,12 +24,8 @@ m {USER} dialout
 def unit(executable: str, configurations: str) -> str:
     """Return the template of the unit.
 
-    Parameters
-    ----------
-    executable : str
-        Absolute path of the command ``friction-hil``.
-    configurations : str
-        Directory of the configurations, one folder for each service.
+    ``executable``: absolute path of the command ``friction-hil``. ``configurations``: their directory, one folder for
+    each service.
     """
     text = resources.files(__package__).joinpath(UNIT).read_text(encoding="utf-8")
     return Template(text).substitute(executable=executable, configurations=configurations)

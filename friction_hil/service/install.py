@@ -29,47 +29,25 @@ _PATIENCE_S = 60.0
 
 @dataclass(slots=True)
 class Installation:
-    """What an installation or removal did.
-
-    Attributes
-    ----------
-    written, removed, kept : list of Path
-        Files written; removed; and left where they are.
-    commands : list of str
-        Commands that were run.
-    to_run : list of str
-        Commands that are left to the user, because this is not the running system.
-    """
+    """What an installation or removal did."""
 
     written: list[Path] = field(default_factory=list)
     removed: list[Path] = field(default_factory=list)
-    kept: list[Path] = field(default_factory=list)
-    commands: list[str] = field(default_factory=list)
+    kept: list[Path] = field(default_factory=list)  # files that were left where they are
+    commands: list[str] = field(default_factory=list)  # that were run
+    # commands that are left to the user, because this is not the running system
     to_run: list[str] = field(default_factory=list)
 
 
 def install(name: str, configuration: Path, root: Path, executable: str, *, overwrite: bool) -> Installation:
     """Write the files of the service ``name``, without enabling or starting it.
 
-    Parameters
-    ----------
-    name : str
-        Name of the service and of its daemon.
-    configuration : Path
-        Configuration that is copied, with the files beside it that it names.
-    root : Path
-        Directory that counts as root of the file system.
-    executable : str
-        Absolute path of the command ``friction-hil``.
-    overwrite : bool
-        True if a service of this name may be replaced.
+    ``name``: of the service and of its daemon. ``configuration`` is copied, with the files beside it that it names.
+    ``root``: directory that counts as root of the file system. ``executable``: absolute path of the command
+    ``friction-hil``. ``overwrite``: a service of this name may be replaced.
 
-    Raises
-    ------
-    ConfigurationError
-        The configuration has mistakes.
-    UsageError
-        The name or the place of the executable is unsuitable, or there is such a service already.
+    Raises `ConfigurationError`: the configuration has mistakes; `UsageError`: the name or the place of the executable
+    is unsuitable, or there is such a service already.
     """
     _check_name(name)
     _check_executable(executable)
@@ -110,12 +88,7 @@ def install(name: str, configuration: Path, root: Path, executable: str, *, over
 def remove(name: str, root: Path) -> Installation:
     """Remove the service ``name``: stop and disable it, and remove its files.
 
-    Recordings stay. What all services share goes with the last of them.
-
-    Raises
-    ------
-    UsageError
-        There is no such service.
+    Recordings stay. What all services share goes with the last of them. Raises `UsageError`: there is no such service.
     """
     _check_name(name)
     folder = root / CONFIGURATIONS / name
@@ -176,10 +149,7 @@ def _hidden(path: str) -> str | None:
 def _check_recordings(configuration: Configuration) -> None:
     """Refuse recordings where the service may not write.
 
-    Raises
-    ------
-    UsageError
-        A path of ``recording`` is not relative, nor below the directory of the service's data.
+    Raises `UsageError`: a path of ``recording`` is not relative, nor below the directory of the service's data.
     """
     given = configuration.recording
     for key in () if given is None else ("path", "black_box"):
@@ -194,10 +164,7 @@ def _check_recordings(configuration: Configuration) -> None:
 def _named_files(value: Any, folder: Path) -> Iterator[Path]:
     """Yield the relative paths of files in ``folder`` and below that the values of a configuration name.
 
-    Raises
-    ------
-    UsageError
-        A file lies elsewhere, relative to the configuration: its copy would not find it.
+    Raises `UsageError`: a file lies elsewhere, relative to the configuration: its copy would not find it.
     """
     if isinstance(value, dict):
         for each in value.values():
@@ -272,10 +239,7 @@ def _write(path: Path, text: bytes, *, is_secret: bool) -> None:
 def _carry_out(done: Installation, root: Path, commands: list[str]) -> None:
     """Run ``commands`` if ``root`` is the running system; leave them to the user otherwise.
 
-    Raises
-    ------
-    UsageError
-        A command failed.
+    Raises `UsageError`: a command failed.
     """
     if root != Path("/") or not os.path.isdir(_BOOTED):
         done.to_run += commands

@@ -11,44 +11,20 @@ _PATIENCE_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class ServiceState:
-    """State of a service as systemd reports it.
+    """State of a service as systemd reports it."""
 
-    Attributes
-    ----------
-    is_loaded : bool
-        systemd has read the unit.
-    active, sub : str
-        Its ActiveState (``active``, ``inactive``, ``failed``, ...) and SubState.
-    status : str
-        Text that the daemon has given.
-    pid : int or None
-        Process of the daemon.
-    restarts : int
-        Number of restarts by systemd.
-    result : str
-        Why it ended: ``success``, ``exit-code``, ``watchdog``, ``signal``, ...
-    exit_status : int
-        Exit status, or signal, with which it ended last.
-    """
-
-    is_loaded: bool
-    active: str
-    sub: str
-    status: str
-    pid: int | None
-    restarts: int
-    result: str
-    exit_status: int
+    is_loaded: bool  # systemd has read the unit
+    active: str  # its ActiveState: ``active``, ``inactive``, ``failed``, ...
+    sub: str  # its SubState
+    status: str  # text that the daemon has given
+    pid: int | None  # of the daemon
+    restarts: int  # by systemd
+    result: str  # why it ended: ``success``, ``exit-code``, ``watchdog``, ``signal``, ...
+    exit_status: int  # exit status, or signal, with which it ended last
 
 
 def service_state(name: str) -> ServiceState:
-    """Ask systemd about the service ``name``.
-
-    Raises
-    ------
-    FrictionHilError
-        systemd does not answer here.
-    """
+    """Ask systemd about the service ``name``; a `FrictionHilError`: systemd does not answer here."""
     command = ["systemctl", "show", f"friction-hil@{name}.service", f"--property={','.join(_KEYS)}"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
