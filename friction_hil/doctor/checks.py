@@ -23,19 +23,9 @@ _PERIOD_S = 1e-3  # of a loop, without a configuration
 def examine(path: Path | None, root: Path = _ROOT, *, try_watchdog: bool = False) -> Iterator[Finding]:
     """Check the machine, and everything that the configuration ``path`` needs from it.
 
-    Parameters
-    ----------
-    path : Path, optional
-        A configuration. Without one, or if it has mistakes, each installed driver checks the machine for any drive.
-    root : Path
-        Root of the system files that are read.
-    try_watchdog : bool
-        Also connect to each drive and let its watchdogs lapse, unless a check before has failed.
-
-    Yields
-    ------
-    Finding
-        Findings in the order of the checks, each as soon as it is known.
+    Yields the findings in the order of the checks, each as soon as it is known. Without a configuration, or if it has
+    mistakes, each installed driver checks the machine for any drive. ``root``: of the system files that are read.
+    ``try_watchdog``: also connect to each drive and let its watchdogs lapse, unless a check before has failed.
     """
     if not sys.platform.startswith("linux"):
         yield machine.operating_system()

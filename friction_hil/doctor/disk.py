@@ -20,15 +20,8 @@ _LONGEST_S = 4.0  # to force a piece to the disk: half of what the ring holds me
 def recording_folder(path: Path, rate: float, budget: int | None, series: str | None = None) -> Finding:
     """Check whether a recording can be written to ``path``, whose folder need not exist yet, and for how long.
 
-    Parameters
-    ----------
-    path : Path
-    rate : float
-        Bytes per second, without compression.
-    budget : int or None
-        Bytes that all recordings may take.
-    series : str, optional
-        What all recordings of the daemon have in common.
+    ``rate``: bytes per second, without compression. ``budget``: bytes that all recordings may take. ``series``: what
+    all recordings of the daemon have in common.
     """
     check, folder = "recording", _existing_folder(path)
     if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
@@ -56,13 +49,7 @@ def recording_folder(path: Path, rate: float, budget: int | None, series: str | 
 def recording_speed(path: Path, rate: float, clock: Callable[[], float] = time.monotonic) -> Finding:
     """Write a few megabytes beside ``path``, force them to the disk as the recording does, and remove them.
 
-    Parameters
-    ----------
-    path : Path
-    rate : float
-        Bytes per second of the recording, without compression.
-    clock : callable
-        Monotonic time, s.
+    ``rate``: of the recording, bytes per second, without compression. ``clock``: monotonic time, s.
     """
     check, data, longest_s = "disk", os.urandom(_PIECE_BYTES), 0.0
     began_s = clock()

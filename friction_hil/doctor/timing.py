@@ -21,13 +21,7 @@ _SLOW_CLOCKS = ("hpet", "acpi_pm", "jiffies", "refined-jiffies", "pit", "xen")
 
 
 def parse_cpus(text: str) -> set[int]:
-    """Return the processors of a list of the kernel: ``2-3,7``.
-
-    Raises
-    ------
-    ValueError
-        It is no such list.
-    """
+    """Return the processors of a list of the kernel: ``2-3,7``; a `ValueError`: it is no such list."""
     found: set[int] = set()
     for part in filter(None, text.strip().split(",")):
         first, _, last = part.partition("-")
@@ -38,11 +32,7 @@ def parse_cpus(text: str) -> set[int]:
 def isolation(root: Path, own: set[int]) -> Finding:
     """Check for processors that the scheduler leaves alone, and whether this process may run on one.
 
-    Parameters
-    ----------
-    root : Path
-    own : set of int
-        Processors on which this process may run.
+    ``own``: processors on which this process may run.
     """
     check = "isolated processors"
     isolated = _cpus(root / _CPU / "isolated")
@@ -90,11 +80,7 @@ def interrupts(root: Path) -> Finding:
 def throttling(root: Path, spin_share: float) -> Finding:
     """Check whether the kernel stops real-time processes that take too much of each second.
 
-    Parameters
-    ----------
-    root : Path
-    spin_share : float
-        Share of each period that the loop waits busily.
+    ``spin_share``: share of each period that the loop waits busily.
     """
     check, fix = "real-time throttling", "as root: sysctl -w kernel.sched_rt_runtime_us=-1"
     runtime = _number(root / "proc/sys/kernel/sched_rt_runtime_us")
@@ -114,11 +100,7 @@ def throttling(root: Path, spin_share: float) -> Finding:
 def sleep_states(root: Path, *, is_prevented: bool) -> Finding:
     """Check how long processors need to leave their deepest sleep state (C-state).
 
-    Parameters
-    ----------
-    root : Path
-    is_prevented : bool
-        The daemon keeps processors out of such states (``/dev/cpu_dma_latency``).
+    ``is_prevented``: the daemon keeps processors out of such states (``/dev/cpu_dma_latency``).
     """
     check = "sleep states"
     deepest: tuple[float, str] | None = None
