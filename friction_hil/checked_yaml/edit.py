@@ -20,10 +20,7 @@ _BOM = "\ufeff"
 def edit(path: Path, changes: Mapping[FieldPath, Any]) -> None:
     """Set values of a YAML file; a link stays a link, and a file that cannot be written stays whole.
 
-    Raises
-    ------
-    FrictionHilError
-        The file cannot be written, or a value cannot be changed by itself.
+    Raises `FrictionHilError`: the file cannot be written, or a value cannot be changed by itself.
     """
     read(path)  # refuses what is no YAML, with its line
     path = path.resolve()
@@ -49,10 +46,7 @@ def edit(path: Path, changes: Mapping[FieldPath, Any]) -> None:
 def with_value(text: str, steps: FieldPath, value: Any, path: str = "") -> str:
     """Return YAML ``text`` with one value of its groups of keys set or added.
 
-    Raises
-    ------
-    FrictionHilError
-        Other values would change with it, e.g. because the value stands behind an anchor.
+    Raises `FrictionHilError`: other values would change with it, e.g. because the value stands behind an anchor.
     """
     wanted = parse(text, path).value
     group = wanted

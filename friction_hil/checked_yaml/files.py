@@ -19,10 +19,7 @@ Model = TypeVar("Model", bound=BaseModel)
 def read_section(path: str | Path, model: type[Model]) -> Model:
     """Read a YAML file with the keys of ``model``, e.g. the description of a drive.
 
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be read or has mistakes; ``problems`` lists them with their lines.
+    Raises `ConfigurationError`: the file cannot be read or has mistakes; ``problems`` lists them with their lines.
     """
     document = read_kind(path, keys(model))
     return validated(model, document.value, Origins(document), list(document.problems))
@@ -34,10 +31,7 @@ def read_kind(path: str | Path, names: Collection[str]) -> Document:
     A message about any other file has nothing of its content: a configuration that somebody else wrote may name a file
     that is nobody's business.
 
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be read, is not YAML, or has none of these keys.
+    Raises `ConfigurationError`: the file cannot be read, is not YAML, or has none of these keys.
     """
     expected = f"is not the file that belongs here: it has none of the keys {', '.join(names)}"
     other = ConfigurationError([Problem(str(path), None, "", expected)])
@@ -59,16 +53,11 @@ def _line_of(names: Collection[str]) -> bytes:
 
 
 class Origins:
-    """Map from values to file, line and key, for a file that includes other files.
-
-    Attributes
-    ----------
-    broken : list of FieldPath
-        Values whose file could not be read; further mistakes in them are not reported.
-    """
+    """Map from values to file, line and key, for a file that includes other files."""
 
     def __init__(self, main: Document) -> None:
         self._documents: dict[FieldPath, Document] = {(): main}
+        # values whose file could not be read; further mistakes in them are not reported
         self.broken: list[FieldPath] = []
 
     def add(self, steps: FieldPath, document: Document) -> None:
@@ -89,17 +78,9 @@ def field_name(steps: FieldPath) -> str:
 
 
 def validated(model: type[Model], value: Any, origins: Origins, problems: list[Problem]) -> Model:
-    """Check plain values against ``model``.
+    """Check plain values against ``model``; a `ConfigurationError`: there are mistakes.
 
-    Parameters
-    ----------
-    problems : list of Problem
-        Mistakes found earlier; new ones are appended.
-
-    Raises
-    ------
-    ConfigurationError
-        There are mistakes.
+    ``problems``: mistakes found earlier; new ones are appended.
     """
     known_lines = {(problem.path, problem.line) for problem in problems}
     result: Model | None = None

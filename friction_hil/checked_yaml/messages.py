@@ -44,15 +44,8 @@ _LONGEST_NUMBER = 60  # characters of a text that could be meant as a number
 def validate(model: type[Model], value: Any, known: Collection[str] = ()) -> Model:
     """Create a ``model`` from plain values, without converting text to numbers or numbers to text.
 
-    Parameters
-    ----------
-    known
-        Further keys allowed beside those of the model, for the message about an unknown key.
-
-    Raises
-    ------
-    ValidationError
-        There are mistakes; `mistakes_of` returns their messages.
+    ``known``: further keys allowed beside those of the model, for the message about an unknown key. Raises
+    `ValidationError`: there are mistakes; `mistakes_of` returns their messages.
     """
     try:
         # pydantic's strict mode for JSON converts lists to tuples and text to paths, and nothing else

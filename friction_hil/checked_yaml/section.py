@@ -29,16 +29,8 @@ class Section(BaseModel):
 def key(meaning: str, unit: str | None = None, *, default: Any = ..., **bounds: Any) -> Any:
     """Declare a key with its meaning and unit; it is required if it has no default.
 
-    Parameters
-    ----------
-    meaning : str
-        Description of the key, for messages and the JSON Schema.
-    unit : str, optional
-        Unit of its value; "1" for a dimensionless number.
-    default : optional
-        Value when the key is absent.
-    **bounds
-        Bounds as in pydantic's ``Field``.
+    ``meaning``: description of the key, for messages and the JSON Schema. ``unit``: of its value; "1" for a
+    dimensionless number. ``default``: value when the key is absent. ``bounds``: as in pydantic's ``Field``.
     """
     text = meaning if unit in (None, "1") else f"{meaning} [{unit}]"
     extra = {"unit": unit} if unit is not None else None

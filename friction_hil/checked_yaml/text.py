@@ -35,13 +35,7 @@ _NAN = re.compile(r"\.(?:nan|NaN|NAN)")
 
 
 def resolve(text: str) -> bool | int | float | str | None:
-    """Return the value of the plain scalar ``text``.
-
-    Raises
-    ------
-    OverflowError
-        The number is too large for a double.
-    """
+    """Return the value of the plain scalar ``text``; an `OverflowError`: the number is too large for a double."""
     if _NULL.fullmatch(text):
         return None
     if _BOOL.fullmatch(text):
@@ -105,10 +99,8 @@ class Document:
 def read(path: str | Path) -> Document:
     """Read a YAML file.
 
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be read, or is not YAML. Other mistakes are in ``problems`` of the returned document.
+    Raises `ConfigurationError`: the file cannot be read, or is not YAML. Other mistakes are in ``problems`` of the
+    returned document.
     """
     where = str(path)
     try:
@@ -130,10 +122,7 @@ def read(path: str | Path) -> Document:
 def parse(text: str, path: str) -> Document:
     """Parse YAML ``text``; ``path`` is the file name for messages.
 
-    Raises
-    ------
-    ConfigurationError
-        The text is not YAML. Other mistakes are in ``problems`` of the returned document.
+    Raises `ConfigurationError`: the text is not YAML. Other mistakes are in ``problems`` of the returned document.
     """
     try:
         root, problems = _Builder(yaml.parse(text, Loader=_PARSER), path).build()
