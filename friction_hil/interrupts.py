@@ -17,18 +17,12 @@ _SHELL_OFFSET = 128
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal ends the command.
-
-    Attributes
-    ----------
-    exit_status : int
-        As a shell reports it: 130 after Ctrl-C, 143 after SIGTERM.
-    """
+    """A signal ends the command."""
 
     def __init__(self, number: int = signal.SIGINT) -> None:
         super().__init__(signal.Signals(number).name)
         self.number = number
-        self.exit_status = _SHELL_OFFSET + number
+        self.exit_status = _SHELL_OFFSET + number  # as a shell reports it: 130 after Ctrl-C, 143 after SIGTERM
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:

@@ -55,15 +55,11 @@ class PrintableStream:
     """A text stream that makes all text `printable` before it writes it to ``stream``.
 
     Styles that `own_style` has marked are kept on a terminal, and left out elsewhere.
-
-    Attributes
-    ----------
-    rich_proxied_file : TextIO
-        The stream itself, by rich's name for it: a rich console writes its own colours there, and makes the text
-        printable before (`friction_hil.cli.work.tables.console`).
     """
 
     def __init__(self, stream: TextIO) -> None:
+        # the stream itself, by rich's name for it: a rich console writes its own colours there, and makes the text
+        # printable before (`friction_hil.cli.work.tables.console`)
         self.rich_proxied_file = stream
 
     def write(self, text: str) -> int:

@@ -68,23 +68,13 @@ class Demo:
 def run_demo(folder: Path, pace: str, show: ShowProgress) -> Demo:
     """Let the simulated axes draw the circle without and with compensation and after learning, and write the report.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder for report, picture and recording, created if necessary. Files of an earlier demo are replaced.
-    pace : str
-        ``real``; ``sync``: in simulated time; or ``auto``: real, and sync if the computer does not keep up.
-    show : callable
-        Shows the progress.
+    ``folder``: for report, picture and recording, created if necessary; files of an earlier demo are replaced.
+    ``pace``: ``real``; ``sync``: in simulated time; or ``auto``: real, and sync if the computer does not keep up.
+    ``show`` shows the progress.
 
-    Raises
-    ------
-    UsageError
-        matplotlib is missing, or the folder has files of these names that no demo made.
-    DemoError
-        One of the processes failed; the message includes its output on stderr.
-    RecordingError
-        Too many cycles were missed for a result.
+    Raises `UsageError`: matplotlib is missing, or the folder has files of these names that no demo made; `DemoError`:
+    one of the processes failed; the message includes its output on stderr; `RecordingError`: too many cycles were
+    missed for a result.
     """
     require_matplotlib()
     claim(folder)
@@ -214,15 +204,7 @@ def _compile_learning(configuration: "Configuration") -> None:
 class _Progress:
     """What the daemon does, by its own account.
 
-    Parameters
-    ----------
-    configuration : Configuration
-    moving_s : float
-        Duration of the motion, s.
-    socket : Path
-        Control socket of the daemon.
-    pace : str
-        ``real`` or ``sync``.
+    ``moving_s``: duration of the motion, s. ``socket``: control socket of the daemon. ``pace``: ``real`` or ``sync``.
     """
 
     def __init__(self, configuration: "Configuration", moving_s: float, socket: Path, pace: str) -> None:
