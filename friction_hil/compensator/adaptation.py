@@ -29,12 +29,8 @@ def forget(r: Any) -> None:
 def learn(c: Any, r: Any, model: float, torque: float, load: float, dt: float) -> None:
     """Update the factor of the present direction with one cycle.
 
-    Parameters
-    ----------
-    c, r : record
-        Settings and state of the compensator.
-    model, torque, load : float
-        Friction of the model without any factor, actual torque of the drive, and load torque, N m.
+    ``model``: friction of the model without any factor, ``torque``: actual torque of the drive, ``load``: load torque,
+    all in N m.
     """
     v = r.motion.velocity
     direction = 1.0 if v > 0.0 else -1.0

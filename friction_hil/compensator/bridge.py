@@ -24,14 +24,7 @@ BEGINNING = 2.0  # value of ``bridge_left`` that a change sets
 def cross(c: Any, r: Any, friction: float, wanted: float, dt: float) -> float:
     """Return the torque of this cycle, N m: ``wanted`` and what is left of the difference at the last change.
 
-    Parameters
-    ----------
-    c, r : record
-        Settings and state of the compensator.
-    friction, wanted : float
-        Torque of the model, and that torque with gain and fades, N m.
-    dt : float
-        Time since the last cycle, s.
+    ``friction``: torque of the model; ``wanted``: the same with gain and fades, N m. ``dt``: since the last cycle, s.
     """
     if r.bridge_left <= 0.0 or not math.isfinite(wanted):
         return wanted

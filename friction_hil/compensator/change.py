@@ -13,14 +13,8 @@ def carry_over(old: StructuredArray, new: StructuredArray, state: StructuredArra
     model and adaptation stays on. With another model, its own state takes the place of the former model's, and the gain
     that limit cycles have lowered is whole again. The temperature goes on where both models depend on it.
 
-    Parameters
-    ----------
-    old, new : record
-        Settings before and after.
-    state : record
-        Changed.
-    friction : (n,) array or None
-        State in which another model begins; None: the model stays.
+    ``old`` and ``new`` are settings, ``state`` is changed. ``friction``, (n,): state in which another model begins;
+    None: the model stays.
     """
     r, before, after = state[0], old[0], new[0]
     r["bridge_left"] = BEGINNING

@@ -50,135 +50,71 @@ def input_checksum(*inputs: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ThermalObserver:
-    """Lumped thermal model of motor and transmission; see `friction_hil.compensator.temperature`.
+    """Lumped thermal model of motor and transmission; see `friction_hil.compensator.temperature`."""
 
-    Attributes
-    ----------
-    capacity : float
-        Heat capacity, J/K.
-    resistance : float
-        Thermal resistance to the surroundings, K/W.
-    ambient, initial : float
-        Temperature of the surroundings, and of the axis in the first cycle, deg C.
-    copper_loss : float
-        Heat per square of torque, W/(N m)^2: winding resistance over the square of the torque constant.
-    """
-
-    capacity: float
-    resistance: float
-    ambient: float
-    initial: float
+    capacity: float  # heat capacity, J/K
+    resistance: float  # thermal, to the surroundings, K/W
+    ambient: float  # temperature of the surroundings, deg C
+    initial: float  # temperature of the axis in the first cycle, deg C
+    # heat per square of torque, W/(N m)^2: winding resistance over the square of the torque constant
     copper_loss: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class CompensatorSettings:
-    """Settings of the compensator.
+    """Settings of the compensator."""
 
-    Attributes
-    ----------
-    period_s : float
-        Period of the loop.
-    position_resolution : float
-        Smallest step of the position, SI; sets what counts as noise.
-    torque_limit : float
-        Bound on the absolute compensation, N m.
-    lead_s : float
-        Time from sampling the position until the torque acts; position-dependent friction is that of the
-        position reached by then.
-    inertia : float
-        Inertia for the Kalman observer and for adaptation, kg m^2; 0 where unknown.
-    torque_ratio : float
-        Torque that the drive reports, over the torque commanded, which is that of the model: the reported torque is
-        divided by it.
-    gravity : tuple of float
-        Load torque over position q, constant + sine sin(q) + cosine cos(q), N m, for load-dependent friction.
-    torque_slew : float
-        Bound on the rate of the compensation, N m/s; infinity for none.
-    gain : float
-        Factor on the model's torque; below 1 it guards against over-compensation.
-    gain_negative : float or None
-        Gain for negative torque; None: the same as ``gain``.
-    source : str
-        Velocity that the model is given: ``auto``, ``measured`` or ``demand``.
-    fade_s : float
-        Fade-in and fade-out time, s, above zero.
-    velocity : str
-        Estimator of the measured velocity: ``difference``, ``tracking``, ``kalman`` or ``drive``, see
-        `friction_hil.compensator.velocity`.
-    smoothing : float
-        Coefficient of the one-pole filter of ``difference`` and ``drive``, 0 < smoothing <= 1; 1 filters nothing.
-    acceleration : float
-        Acceleration that ``tracking`` has to follow, SI.
-    max_acceleration : float
-        A position that would need more acceleration than this is ignored as a glitch, SI; infinity: none is, and none
-        is taken for late.
-    dead_band : float
-        Velocity below which the compensation is reduced in proportion, SI; 0 for none.
-    adaptation_s : float
-        Time over which the level is adapted to the measured torque, s, at least 0.1; 0: no adaptation.
-    adaptation_bound : float
-        Largest relative change of the level by adaptation.
-    load_inertia : float or None
-        Part of ``inertia`` behind the transmission, kg m^2; None where it is not known by itself: then all of it
-        loads the transmission.
-    load_friction : float or None
-        Part of the friction level behind the transmission, N m; None where it is not known by itself.
-    thermal : ThermalObserver or None
-        Lumped thermal model, used where no temperature is measured.
-    backlash : float
-        Whole gap of the transmission that the position offset crosses, SI; 0 for none. It needs ``load_friction`` above
-        zero, because the side of contact depends on it.
-    stiffness : float
-        Stiffness of the transmission whose twist the position offset takes up, N m/rad; infinity for none.
-    offset_acceleration, offset_velocity : float
-        Bounds on the motion of that offset, SI; an acceleration of 0: there is no offset.
-    offset_limit : float
-        Bound on its absolute value, SI.
-    velocity_limit : float
-        Velocity that demand and offset together stay below, SI.
-    setpoint_delay_s : float
-        Time from sending a set-point until the drive's demand equals it.
-    """
-
-    period_s: float
-    position_resolution: float
-    torque_limit: float
+    period_s: float  # of the loop
+    position_resolution: float  # smallest step of the position, SI; sets what counts as noise
+    torque_limit: float  # bound on the absolute compensation, N m
+    # from sampling the position until the torque acts; position-dependent friction is that of the position reached by
+    # then
     lead_s: float = 0.0
-    inertia: float = 0.0
+    inertia: float = 0.0  # for the Kalman observer and for adaptation, kg m^2; 0 where unknown
+    # torque that the drive reports, over the torque commanded, which is that of the model: the reported torque is
+    # divided by it
     torque_ratio: float = 1.0
+    # load torque over position q, constant + sine sin(q) + cosine cos(q), N m, for load-dependent friction
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    torque_slew: float = math.inf
-    gain: float = 0.9
-    gain_negative: float | None = None
-    source: str = "auto"
-    fade_s: float = 0.5
+    torque_slew: float = math.inf  # bound on the rate of the compensation, N m/s; infinity for none
+    gain: float = 0.9  # on the model's torque; below 1 it guards against over-compensation
+    gain_negative: float | None = None  # for negative torque; None: the same as `gain`
+    source: str = "auto"  # velocity that the model is given: `auto`, `measured` or `demand`
+    fade_s: float = 0.5  # in and out, above zero
+    # estimator of the measured velocity: `difference`, `tracking`, `kalman` or `drive`, see
+    # `friction_hil.compensator.velocity`
     velocity: str = "difference"
+    # coefficient of the one-pole filter of `difference` and `drive`, 0 < smoothing <= 1; 1 filters nothing
     smoothing: float = 1.0
-    acceleration: float = math.nan
+    acceleration: float = math.nan  # that `tracking` has to follow, SI
+    # a position that would need more than this is ignored as a glitch, SI; infinity: none is, and none is taken for
+    # late
     max_acceleration: float = math.inf
-    dead_band: float = 0.0
-    adaptation_s: float = 0.0
-    adaptation_bound: float = 0.3
+    dead_band: float = 0.0  # velocity below which the compensation is reduced in proportion, SI; 0 for none
+    adaptation_s: float = 0.0  # over which the level is adapted to the measured torque, at least 0.1; 0: no adaptation
+    adaptation_bound: float = 0.3  # largest relative change of the level by adaptation
+    # part of `inertia` behind the transmission, kg m^2; None where it is not known by itself: then all of it loads the
+    # transmission
     load_inertia: float | None = None
+    # part of the friction level behind the transmission, N m; None where it is not known by itself
     load_friction: float | None = None
-    thermal: ThermalObserver | None = None
+    thermal: ThermalObserver | None = None  # used where no temperature is measured
+    # whole gap of the transmission that the position offset crosses, SI; 0 for none; it needs `load_friction` above
+    # zero, because the side of contact depends on it
     backlash: float = 0.0
+    # of the transmission whose twist the position offset takes up, N m/rad; infinity for none
     stiffness: float = math.inf
-    offset_acceleration: float = 0.0
-    offset_velocity: float = math.inf
-    offset_limit: float = math.inf
-    velocity_limit: float = math.inf
-    setpoint_delay_s: float = 0.0
+    offset_acceleration: float = 0.0  # bound on the motion of that offset, SI; 0: there is no offset
+    offset_velocity: float = math.inf  # bound on the same, SI
+    offset_limit: float = math.inf  # bound on its absolute value, SI
+    velocity_limit: float = math.inf  # that demand and offset together stay below, SI
+    setpoint_delay_s: float = 0.0  # from sending a set-point until the drive's demand equals it
 
 
 class Compensator:
     """Compensate the friction of one axis with a model.
 
-    Raises
-    ------
-    UsageError
-        A setting is out of range, or one that another setting needs is missing.
+    Raises `UsageError`: a setting is out of range, or one that another setting needs is missing.
     """
 
     __slots__ = ("_flat", "_former", "_settings", "_state", "_whole_step", "estimator", "model", "settings")
@@ -216,40 +152,21 @@ class Compensator:
 
     def step(
         self,
-        cycle: float,
-        position: float,
+        cycle: float,  # a whole number from zero; a missed cycle leaves a gap
+        position: float,  # feedback, SI; only the Kalman observer and adaptation use the torque
         velocity: float,
         torque: float,
-        position_demand: float,
-        velocity_demand: float,
-        velocity_demand_ahead: float,
-        is_fresh: bool,
+        position_demand: float,  # when the position was sampled; demands are NaN where there is no set-point
+        velocity_demand: float,  # when the position was sampled
+        velocity_demand_ahead: float,  # when this torque will act
+        is_fresh: bool,  # the feedback is of this cycle; otherwise the velocity is predicted
+        # True to fade in, False to fade out; the model runs in both cases, so that its state is right when it is needed
         is_enabled: bool,
+        # when this torque will act: load of load-dependent friction and side of the backlash follow from it
         acceleration_demand_ahead: float = math.nan,
-        temperature: float = math.nan,
+        temperature: float = math.nan,  # measured, deg C; NaN where none is measured
     ) -> float:
-        """Compute one cycle and return the compensation, N m.
-
-        Parameters
-        ----------
-        cycle : float
-            Number of the cycle, a whole number from zero; a missed cycle leaves a gap.
-        position, velocity, torque : float
-            Feedback, SI. Only the Kalman observer and adaptation use the torque.
-        position_demand, velocity_demand, velocity_demand_ahead : float
-            Demanded position and velocity when the position was sampled, and demanded velocity when this torque
-            will act; NaN where there is no set-point.
-        is_fresh : bool
-            True if the feedback is of this cycle; otherwise the velocity is predicted.
-        is_enabled : bool
-            True to fade in, False to fade out. The model runs in both cases, so that its state is right when it is
-            needed.
-        acceleration_demand_ahead : float
-            Demanded acceleration when this torque will act, from which the load of load-dependent friction and the side
-            of the backlash follow; NaN where unknown.
-        temperature : float
-            Measured temperature, deg C; NaN where none is measured.
-        """
+        """Compute one cycle and return the compensation, N m."""
         if self._former is not None:
             self.finish_change(
                 cycle,
@@ -291,12 +208,8 @@ class Compensator:
     def finish_change(self, *inputs: float) -> None:
         """Compute what the former settings command in the first cycle after `adopt`; the new ones begin there.
 
-        `step` does this too. A caller that records the state before a step does it first: then the state is whole.
-
-        Parameters
-        ----------
-        *inputs : float
-            The `INPUTS` of the cycle, in their order.
+        `step` does this too. A caller that records the state before a step does it first: then the state is whole. The
+        inputs are the `INPUTS` of the cycle, in their order.
         """
         if self._former is not None:
             settings, state = self._former
@@ -304,16 +217,9 @@ class Compensator:
             self._state[0]["bridge_fixed"] = kernel.whole_step(settings, state, *map(float, inputs))
 
     def replay(self, inputs: Sequence[Array]) -> tuple[Array, Array]:
-        """Compute many cycles at once.
+        """Compute many cycles at once; return compensation and velocity estimate, (n,).
 
-        Parameters
-        ----------
-        inputs : sequence of (n,) arrays
-            The `INPUTS`, in their order.
-
-        Returns
-        -------
-        compensation, velocity_estimate : (n,) arrays
+        ``inputs``: the `INPUTS`, (n,) each, in their order.
         """
         results = self.replay_all(inputs)
         return results["compensation"], results["velocity_estimate"]
@@ -331,12 +237,8 @@ class Compensator:
 
         ``model``, ``settings`` and ``estimator`` stay those of the start; ``record`` is what counts.
 
-        Parameters
-        ----------
-        record : record
-            Settings and model, as the `record` of a compensator made for them; kept.
-        friction : (n,) array or None
-            State in which another model begins; None: the model stays.
+        ``record``, that of a compensator made for these settings and model, is kept. ``friction``, (n,): state in which
+        another model begins; None: the model stays.
         """
         if self._former is None:
             self._former = self._settings, self._state.copy()

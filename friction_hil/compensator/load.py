@@ -18,12 +18,7 @@ Position = TypeVar("Position", float, Array)
 def gravity_torque(constant: float, sine: float, cosine: float, position: Position) -> Position:
     """Return the torque of gravity at a position or at each of an array, positive if it opposes positive motion.
 
-    Parameters
-    ----------
-    constant, sine, cosine : float
-        Constant part, and factors of sine and cosine of the position, N m or N.
-    position : float or (n,) array
-        rad or m.
+    ``sine`` and ``cosine`` are factors of those of the position, rad or m; all three are N m or N.
     """
     torque: Position = constant + sine * np.sin(position) + cosine * np.cos(position)
     return torque
@@ -46,16 +41,8 @@ def transmitted_torque(
 ) -> float:
     """Return the torque of the load when this cycle's torque acts, N m, positive if it opposes positive motion.
 
-    Parameters
-    ----------
-    c : record
-        Settings of the compensator.
-    reached : float
-        Measured position, advanced to that moment; used where no position is demanded.
-    position_demand : float
-        Demanded position now; NaN where unknown.
-    velocity_ahead, acceleration : float
-        Demanded velocity and acceleration at that moment; NaN where unknown.
+    ``reached``: measured position, advanced to that moment; used where no position is demanded. ``position_demand`` is
+    that of now, ``velocity_ahead`` and ``acceleration`` are demanded at that moment; NaN where unknown.
     """
     if math.isfinite(position_demand) and math.isfinite(velocity_ahead):
         reached = position_demand + c.lead_s * velocity_ahead

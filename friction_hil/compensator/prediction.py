@@ -50,13 +50,7 @@ def _averaged(mean: float, value: float) -> float:
 
 @inlined
 def predicted(c: Any, r: Any) -> float:
-    """Learn from the newest deviation, and return the one expected when the torque acts.
-
-    Parameters
-    ----------
-    c, r : record
-        Settings and state of the compensator.
-    """
+    """Learn from the newest deviation, and return the one expected when the torque acts."""
     d = r.deviations
     noise = c.noise * c.noise  # added to every variance, so that nothing is made of it
     whole = int(c.ahead_cycles)

@@ -1,4 +1,7 @@
-"""Settings and state of the compensator as flat records of float64, as the compiled step takes them."""
+"""Settings and state of the compensator as flat records of float64, as the compiled step takes them.
+
+Kernels call an element of `SETTINGS` ``c``, and an element of `STATE` ``r``.
+"""
 
 from functools import cache
 

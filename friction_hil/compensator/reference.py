@@ -155,14 +155,7 @@ def guided_velocities(c: Any, r: Any, change: float, ratio: float, dt: float) ->
 def model_velocities(c: Any, r: Any, ahead: float, dt: float) -> tuple[float, float]:
     """Return the velocities for the model's state and for its level.
 
-    Parameters
-    ----------
-    c, r : record
-        Settings and state of the compensator.
-    ahead : float
-        Demanded velocity when the torque will act; NaN where there is no demand.
-    dt : float
-        Time since the last cycle, s.
+    ``ahead``: demanded velocity when the torque will act, NaN without a demand; ``dt``: since the last cycle, s.
     """
     measured = r.motion.velocity
     r.guided_velocity += c.guided_coefficient * (measured - r.guided_velocity)

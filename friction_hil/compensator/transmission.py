@@ -85,16 +85,7 @@ def follow(
 ) -> None:
     """Advance the offset by ``cycles`` and find those of the other moments.
 
-    Parameters
-    ----------
-    c, r : record
-        Settings and state of the compensator.
-    cycles : float
-        Since the last step.
-    position, velocity, acceleration : float
-        Demand of the load when this cycle's torque acts.
-    has_demand : bool
-        Without a demand the offset returns to zero.
+    The demand is that of the load when this cycle's torque acts; without it the offset returns to zero.
     """
     target, bound = 0.0, c.offset_velocity
     if has_demand:
@@ -122,16 +113,7 @@ def felt_at_motor(c: Any, r: Any, friction: float, velocity: float, dt: float) -
     itself lets grow more slowly, over its presliding, passes as it is. A gap is left out of this: on which side of it
     the load is, its inertia decides as well.
 
-    Parameters
-    ----------
-    c, r : record
-        Settings and state of the compensator.
-    friction : float
-        Torque of the model, of motor and load, N m.
-    velocity : float
-        Of the motor.
-    dt : float
-        Since the last step, s.
+    ``friction``: torque of the model, of motor and load, N m. ``velocity``: of the motor. ``dt``: since the last, s.
     """
     if math.isfinite(friction):
         most = abs(velocity) * dt / c.compliance

@@ -207,17 +207,10 @@ def _jump(c: Any, r: Any, cycle: float, position: float) -> None:
 def update(c: Any, r: Any, cycle: float, position: float, drive_velocity: float, net_torque: float) -> None:
     """Update the estimate, ``r.velocity``, with one cycle's fresh feedback.
 
-    Parameters
-    ----------
-    c, r : record
-        Elements of `SETTINGS` and `STATE`; a state of zeros has not started.
-    cycle : float
-        Number of the cycle, whole; one that does not follow the last starts anew.
-    position, drive_velocity : float
-        Feedback, SI. A drive velocity that is not finite counts as unknown.
-    net_torque : float
-        ``kalman``: known torque on the inertia over the cycle that ends here, N m: torque of the drive less friction
-        and gravity. If a value that is used is not finite, the cycle counts as one without fresh feedback.
+    ``c``, ``r``: elements of `SETTINGS` and `STATE`; a state of zeros has not started. A ``cycle`` (whole) that does
+    not follow the last starts anew. A drive velocity that is not finite counts as unknown. ``net_torque``, for
+    ``kalman``: known torque on the inertia over the cycle that ends here, N m: torque of the drive less friction and
+    gravity. If a value that is used is not finite, the cycle counts as one without fresh feedback.
     """
     uses_drive = c.uses_drive_velocity > 0.0
     cycles = cycle - r.position_cycle
@@ -249,39 +242,26 @@ class VelocityEstimator:
     """Settings, delay and noise of an estimator; a value that is missing or out of range raises a `UsageError`.
 
     SI; NaN stands for a value that is not given.
-
-    Attributes
-    ----------
-    kind : str
-        One of `KINDS`.
-    period_s, resolution : float
-        Period of the loop; smallest step of the position.
-    smoothing : float
-        ``difference``, ``drive``: coefficient of the one-pole filter, 0 < smoothing <= 1; 1 filters nothing.
-    acceleration, bandwidth_hz : float
-        ``tracking``: acceleration to follow, from which the bandwidth with the least sum of squares of lag and noise is
-        computed; or the natural frequency itself.
-    inertia, torque_uncertainty, uncertainty_time_s : float
-        ``kalman``: inertia, kg m^2, or mass; standard deviation of the unknown torque, N m, and its correlation
-        time. If they are too small, an error of the torque appears as velocity.
-    drive_delay_cycles, drive_noise : float
-        ``drive``: age and rms noise of the drive's own velocity; by default noisy as an encoder difference.
-    max_acceleration : float
-        Largest possible acceleration, torque / inertia: a position beyond it is a glitch, and one off by more than a
-        twentieth of it may be late; infinity disables both checks.
     """
 
-    kind: str
-    period_s: float
-    resolution: float
+    kind: str  # one of `KINDS`
+    period_s: float  # of the loop
+    resolution: float  # smallest step of the position
+    # `difference`, `drive`: coefficient of the one-pole filter, 0 < smoothing <= 1; 1 filters nothing
     smoothing: float = 0.5
+    # `tracking`: acceleration to follow, from which the bandwidth with the least sum of squares of lag and noise is
+    # computed
     acceleration: float = math.nan
-    bandwidth_hz: float = math.nan
-    inertia: float = math.nan
+    bandwidth_hz: float = math.nan  # or the natural frequency itself
+    inertia: float = math.nan  # `kalman`: inertia, kg m^2, or mass
+    # `kalman`: standard deviation of the unknown torque, N m; if it and the next are too small, an error of the torque
+    # appears as velocity
     torque_uncertainty: float = math.nan
-    uncertainty_time_s: float = 0.05
-    drive_delay_cycles: float = 0.0
-    drive_noise: float = math.nan
+    uncertainty_time_s: float = 0.05  # its correlation time
+    drive_delay_cycles: float = 0.0  # `drive`: age of the drive's own velocity
+    drive_noise: float = math.nan  # rms; by default noisy as an encoder difference
+    # largest possible one, torque / inertia: a position beyond it is a glitch, and one off by more than a twentieth of
+    # it may be late; infinity disables both checks
     max_acceleration: float = math.inf
 
     def __post_init__(self) -> None:
