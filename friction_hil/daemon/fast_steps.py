@@ -10,7 +10,9 @@ MOST_FAST_CYCLES = 3  # in a row beyond the velocity limit, of one witness alone
 
 
 class FastSteps:
-    """Steps of one axis; ``reach``: way within a period at the velocity limit; ``resolution``: of the position; SI.
+    """Steps of one axis.
+
+    ``reach``: way within a period at the velocity limit, SI. ``resolution``: smallest step of the position, SI.
 
     Examples
     --------

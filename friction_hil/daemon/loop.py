@@ -21,7 +21,11 @@ from friction_hil.motion.trajectory import PathTime
 
 
 class Loop:
-    """Drive some axes through a run. The drives are connected but not started, the axes in the order of theirs."""
+    """Drive some axes through a run.
+
+    The drives are connected but not started, the axes in the order of theirs. ``path_time`` is that of all axes;
+    ``mailbox`` brings changes while the loop runs.
+    """
 
     def __init__(
         self,

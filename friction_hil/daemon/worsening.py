@@ -71,7 +71,10 @@ class _Errors:
 
 
 class WorseningJudge:
-    """Judge of one axis; ``motion_s``: period of the motion, infinity without one; ``resolution``: of the position."""
+    """Judge of one axis.
+
+    ``motion_s``: period of the motion, s; infinity if it has none. ``resolution``: smallest step of the position, SI.
+    """
 
     __slots__ = ("_before", "_given", "_least_velocity", "_resolution", "_window", "_windows", "_with", "_without")
 
