@@ -15,29 +15,17 @@ _MANY, _LARGE = 16, 16 << 20  # files, bytes: fewer take less time than starting
 
 
 def replay_many(
-    tasks: Sequence[ReplayTask],
+    tasks: Sequence[ReplayTask],  # one per file
     *,
+    # address of a Dask scheduler, `tcp://host:port`, whose workers run the tasks; the results are the same
     scheduler: str | None = None,
-    on_done: Callable[[], None] = lambda: None,
-    on_note: Callable[[str], None] = lambda _: None,
+    on_done: Callable[[], None] = lambda: None,  # called after each file
+    on_note: Callable[[str], None] = lambda _: None,  # called with a sentence if the tasks have to wait for workers
 ) -> list[list[ReplayOutcome]]:
     """Run tasks on all cores or on a cluster; return their outcomes in the order of the tasks.
 
-    Parameters
-    ----------
-    tasks : sequence of ReplayTask
-        One per file.
-    scheduler : str, optional
-        Address of a Dask scheduler, ``tcp://host:port``, whose workers run the tasks; the results are the same.
-    on_done : callable
-        Called after each file.
-    on_note : callable
-        Called with a sentence if the tasks have to wait for workers.
-
-    Raises
-    ------
-    FrictionHilError
-        A worker process of this machine died, or the cluster cannot run the tasks; see `run_on_cluster`.
+    Raises `FrictionHilError`: a worker process of this machine died, or the cluster cannot run the tasks; see
+    `run_on_cluster`.
     """
     outcomes: list[list[ReplayOutcome]] = [[] for _ in tasks]
     results = _map(tasks) if scheduler is None else run_on_cluster(tasks, scheduler, on_note=on_note)

@@ -24,12 +24,7 @@ class RecordedChanges:
     The column ``change`` has the number of the last change in force in each row; the event of that number has the
     settings of every axis after it, with the model where that is another one.
 
-    Parameters
-    ----------
-    recording : Recording
-    configuration : Configuration
-        At the start of the run.
-    facts : AxisFacts
+    ``configuration`` is that at the start of the run.
     """
 
     def __init__(self, recording: Recording, configuration: Configuration, facts: AxisFacts) -> None:
@@ -43,16 +38,8 @@ class RecordedChanges:
     def replay(self, compensator: Compensator, first: int, end: int) -> dict[str, Array]:
         """Compute the rows from ``first`` up to ``end`` with the settings of each; as `Compensator.replay_all`.
 
-        Parameters
-        ----------
-        compensator : Compensator
-            In the state before the row ``first``.
-        first, end : int
-
-        Raises
-        ------
-        RecordingError
-            What the compensator was changed to is not in the recording.
+        ``compensator`` is in the state before the row ``first``. Raises `RecordingError`: what it was changed to is not
+        in the recording.
         """
         numbers = self._numbers[first:end]
         starts = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
@@ -89,18 +76,8 @@ class RecordedChanges:
 def settings_after(recording: Recording, configuration: Configuration, number: int) -> AxisConfig:
     """Return the settings of a recorded axis after a change.
 
-    Parameters
-    ----------
-    recording : Recording
-    configuration : Configuration
-        At the start of the run.
-    number : int
-        As in the column ``change``; 0: before the first one.
-
-    Raises
-    ------
-    RecordingError
-        The change is not in the recording.
+    ``configuration``: at the start of the run. ``number``: as in the column ``change``; 0: before the first one. Raises
+    `RecordingError`: the change is not in the recording.
     """
     return _settings(recording, configuration, _entries(recording), number)
 

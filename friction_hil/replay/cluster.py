@@ -31,22 +31,10 @@ def run_on_cluster(
     Tasks that have not begun are cancelled if the caller stops early. A file at which workers died repeatedly (Dask's
     ``distributed.scheduler.allowed-failures``) becomes an outcome with an error.
 
-    Parameters
-    ----------
-    tasks : sequence of ReplayTask
-        One per file; relative paths start from the current directory of this process, on the workers too.
-    address : str
-        Address of the scheduler, ``tcp://host:port``.
-    on_note : callable
-        Called with a sentence if there is no worker yet.
-
-    Raises
-    ------
-    UsageError
-        distributed is not installed, the address is not valid, or a worker has another version of friction_hil or
-        none.
-    FrictionHilError
-        No scheduler answers, or the connection to it was lost.
+    There is one task per file; relative paths start from the current directory of this process, on the workers too.
+    ``address``: of the scheduler, ``tcp://host:port``. ``on_note`` is called with a sentence if there is no worker yet.
+    Raises `UsageError`: distributed is not installed, the address is not valid, or a worker has another version of
+    friction_hil or none; `FrictionHilError`: no scheduler answers, or the connection to it was lost.
     """
     distributed = _library()
     for name in ("distributed", "distributed.client"):

@@ -24,32 +24,17 @@ from friction_hil.replay.wrong_units import wrong_unit
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Torque that one model predicts for a recording, and its error.
+    """Torque that one model predicts for a recording, and its error."""
 
-    Attributes
-    ----------
-    model : str
-        Name of the model in the results.
-    measured : (m,) array
-        Measured torque: the recorded one over ``mechanics.torque_ratio`` of the model, or the recorded signal times the
-        gain of the model, N m or N.
-    friction, mechanics : (m,) array
-        Predicted torque of friction, and of inertia, offset, gravity and back-EMF, N m or N.
-    rmse : float
-        Root mean square of measured minus predicted, N m or N.
-    relative_error : float
-        norm(measured - predicted) / norm(measured); NaN if all measured torques are zero.
-    unit : str
-        Unit of torque and rmse: ``N m`` or ``N``.
-    """
-
-    model: str
+    model: str  # its name in the results
+    # (m,), N m or N: the recorded torque over `mechanics.torque_ratio` of the model, or the recorded signal times the
+    # gain of the model
     measured: Array
-    friction: Array
-    mechanics: Array
-    rmse: float
-    relative_error: float
-    unit: str
+    friction: Array  # (m,), predicted torque, N m or N
+    mechanics: Array  # (m,), predicted torque of inertia, offset, gravity and back-EMF, N m or N
+    rmse: float  # of measured minus predicted, N m or N
+    relative_error: float  # norm(measured - predicted) / norm(measured); NaN if all measured torques are zero
+    unit: str  # of torque and rmse: `N m` or `N`
 
     @property
     def torque(self) -> Array:
@@ -74,33 +59,21 @@ class Replay:
 
 
 def replay(
+    # with `position` and `torque`; velocity and acceleration are derived where there is no `velocity`
     recording: Recording,
-    models: Mapping[str, ModelFile],
+    models: Mapping[str, ModelFile],  # by their names in the result
     *,
+    # cut-off of a 4th-order Butterworth low-pass, forward and backward, over everything; velocity and acceleration then
+    # come from the position; a tenth of the sampling rate where there is no velocity
     lowpass_hz: float | None = None,
+    # keep each n-th sample, after an 8th-order Chebyshev filter, forward and backward; None: as identification does by
+    # default, so that both have the same error
     decimate: int | None = 1,
 ) -> Replay:
     """Predict the torque of a recording with each model.
 
-    Parameters
-    ----------
-    recording : Recording
-        With ``position`` and ``torque``; velocity and acceleration are derived where there is no ``velocity``.
-    models : dict
-        Model files by their names in the result.
-    lowpass_hz : float, optional
-        Cut-off of a 4th-order Butterworth low-pass, forward and backward, over everything; velocity and
-        acceleration then come from the position. A tenth of the sampling rate where there is no velocity.
-    decimate : int, optional
-        Keep each n-th sample, after an 8th-order Chebyshev filter, forward and backward; None: as identification
-        does by default, so that both have the same error.
-
-    Raises
-    ------
-    RecordingError
-        A column is missing or not finite, there are too few rows, or the load that a model depends on is not known.
-    UsageError
-        A filter does not fit the sampling rate.
+    Raises `RecordingError`: a column is missing or not finite, there are too few rows, or the load that a model depends
+    on is not known; `UsageError`: a filter does not fit the sampling rate.
     """
     if decimate is not None and decimate < 1:
         raise UsageError(f"decimate by a whole number from 1, not {decimate}")
@@ -154,21 +127,10 @@ def _wrong_unit(
 
 
 def predict(model: ModelFile, segment: Segment) -> tuple[Array, Array]:
-    """Compute the torques of friction and of mechanics that a motion takes, low-passed as the segment is.
+    """Compute the torques of friction and of mechanics that a motion takes, N m or N, low-passed as the segment is.
 
     A dynamic model starts from rest. Where no load was recorded, the load of a load-dependent model is what the
     transmission carries, as in the daemon: gravity and the inertia of the load, or all of it where that is not known.
-
-    Parameters
-    ----------
-    model : ModelFile
-    segment : Segment
-        n rows, low-passed (`Segment.lowpassed`).
-
-    Returns
-    -------
-    friction, mechanics : (n,) array
-        N m or N.
     """
     mechanics = model.mechanics
     carried = mechanics.inertia if mechanics.load is None else mechanics.load.inertia
@@ -237,10 +199,7 @@ def _without_repetition(problems: list[str]) -> tuple[str, ...]:
 def _missing_inputs(name: str, model: ModelFile, segment: Segment) -> list[str]:
     """Report inputs that a model needs and the recording lacks.
 
-    Raises
-    ------
-    RecordingError
-        Friction depends on the load, and neither a column nor the model's mechanics gives it.
+    Raises `RecordingError`: friction depends on the load, and neither a column nor the model's mechanics gives it.
     """
     modifiers, mechanics = model.friction.modifiers, model.mechanics
     is_unknown = mechanics.gravity == type(mechanics.gravity)() and mechanics.inertia == 0.0

@@ -29,27 +29,11 @@ from friction_hil.recordings.segments import (
 def replay_segments(
     recording: Recording, lowpass_hz: float | None = None, factor: int | None = 1
 ) -> tuple[list[Segment], int, list[str]]:
-    """Bring a recording to low-passed segments that are long enough for the filters.
+    """Bring a recording to low-passed segments that are long enough for the filters; see `replay` of `comparison`.
 
-    Parameters
-    ----------
-    recording, lowpass_hz
-        As of `friction_hil.replay.comparison.replay`.
-    factor : int, optional
-        Decimation that is to follow; that of identification by default.
-
-    Returns
-    -------
-    segments : list of Segment
-    settling : int
-        Rows at either end of each segment in which the low-pass has not settled.
-    problems : list of str
-        Messages about defects of the recording and their treatment.
-
-    Raises
-    ------
-    RecordingError, UsageError
-        See `friction_hil.replay.comparison.replay`.
+    Returns the segments, the rows at either end of each in which the low-pass has not settled, and messages about
+    defects of the recording and their treatment. ``factor``: decimation that is to follow; that of identification by
+    default. Raises what `friction_hil.replay.comparison.replay` does.
     """
     recording = with_position(recording)
     recording.require("torque")

@@ -23,22 +23,10 @@ _NEEDED = ("time_s", "cycle", "position", "velocity", "torque", "load_torque", "
 
 @dataclass(frozen=True, slots=True)
 class ReplayTask:
-    """One file to replay; the options are those of ``friction-hil replay``.
-
-    Attributes
-    ----------
-    models : tuple of str
-        Arguments of ``--model``; without any, the model in the recording is used.
-    picture : str or None
-        Picture to draw. ``name`` and the axis are added to its name unless the file ``is_only`` and has one axis.
-    draw : callable or None
-        Function that draws a replay into ``picture``; at module level, so that other processes can import it.
-    folder : str
-        Directory that relative paths of input files start from; empty: the current one.
-    """
+    """One file to replay; the options are those of ``friction-hil replay``."""
 
     source: str
-    models: tuple[str, ...] = ()
+    models: tuple[str, ...] = ()  # arguments of `--model`; without any, the model in the recording is used
     is_verifying: bool = False
     config: str | None = None
     axis: str | None = None
@@ -48,30 +36,22 @@ class ReplayTask:
     rate_hz: float | None = None
     lowpass_hz: float | None = None
     decimate: int | None = None
+    # picture to draw; `name` and the axis are added to its name unless the file `is_only` and has one axis
     picture: str | None = None
+    # draws a replay into `picture`; at module level, so that other processes can import it
     draw: Callable[[Replay, Path], None] | None = None
     name: str = ""
     is_only: bool = True
-    folder: str = ""
+    folder: str = ""  # that relative paths of input files start from; empty: the current one
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayOutcome:
-    """Result of replaying one axis of a file, or the error if the file could not be read.
+    """Result of replaying one axis of a file, or the error if the file could not be read."""
 
-    Attributes
-    ----------
-    facts : dict
-        Entry of the JSON of ``replay``; if it failed, with ``error`` and without models.
-    exit_status : int
-        0; 1 if a verification failed; else that of the error.
-    picture : str or None
-        Path of the picture that was drawn.
-    """
-
-    facts: dict[str, Any]
-    exit_status: int = 0
-    picture: str | None = None
+    facts: dict[str, Any]  # entry of the JSON of `replay`; if it failed, with `error` and without models
+    exit_status: int = 0  # 0; 1 if a verification failed; else that of the error
+    picture: str | None = None  # that was drawn
 
 
 def run(task: ReplayTask) -> list[ReplayOutcome]:

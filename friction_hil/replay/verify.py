@@ -20,28 +20,14 @@ _RELATIVE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """Result of running the compensator of one axis again.
-
-    Attributes
-    ----------
-    is_verified : bool
-        True if no difference was found.
-    rows : int
-        Rows that were compared.
-    tolerance : float
-        Allowed difference, N m; 0 if all bits must be equal.
-    differences : tuple of str
-        Differences of machine and software from those of the recording.
-    reason : str
-        Cycle and values of the first difference; empty if there is none.
-    """
+    """Result of running the compensator of one axis again."""
 
     axis: str
-    is_verified: bool
-    rows: int
-    tolerance: float
-    differences: tuple[str, ...]
-    reason: str
+    is_verified: bool  # no difference was found
+    rows: int  # that were compared
+    tolerance: float  # allowed difference, N m; 0 if all bits must be equal
+    differences: tuple[str, ...]  # of machine and software from those of the recording
+    reason: str  # cycle and values of the first difference; empty if there is none
 
 
 def verify(recording: Recording, configuration: Configuration | None = None) -> Verification:
@@ -50,17 +36,8 @@ def verify(recording: Recording, configuration: Configuration | None = None) -> 
     The run starts from the recorded state, and anew from each further one: the daemon writes one at the start of every
     chunk and after every gap.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording of the daemon.
-    configuration : Configuration, optional
-        Replaces the one inside the recording.
-
-    Raises
-    ------
-    RecordingError
-        Configuration, states or columns are missing: it is not a recording of the daemon.
+    ``configuration`` replaces the one inside the recording. Raises `RecordingError`: configuration, states or columns
+    are missing: it is not a recording of the daemon.
     """
     metadata = recording.metadata
     has_inputs = all(name in recording.columns for name in (*INPUTS, *RESULTS)) and "checksum" in recording
@@ -109,10 +86,7 @@ def verify(recording: Recording, configuration: Configuration | None = None) -> 
 def facts_of(metadata: Mapping[str, Any], recording: Recording) -> AxisFacts:
     """Return what the driver stated about the drive of a recording of the daemon.
 
-    Raises
-    ------
-    RecordingError
-        Another version made the recording, or another program did.
+    Raises `RecordingError`: another version made the recording, or another program did.
     """
     known = fields(AxisFacts)
     needed = [field.name for field in known if field.default is MISSING]

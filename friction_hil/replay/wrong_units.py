@@ -33,16 +33,7 @@ def wrong_unit(
 ) -> str:
     """Return which unit or sign of the recording would explain the error of a model; empty if none does.
 
-    Parameters
-    ----------
-    name : str
-        Name of the model.
-    recording : Recording
-    segments : sequence of Segment
-    measured, predicted : (m,) array
-        Torques, N m or N.
-    predict : callable
-        Returns the torques (m,) that the model predicts for other segments.
+    Torques are (m,), N m or N; ``predict`` returns those that the model predicts for other segments.
     """
     size = float(np.linalg.norm(measured))
     if not size > 0.0:
