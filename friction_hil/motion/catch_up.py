@@ -19,13 +19,8 @@ def smooth_step(x: float) -> tuple[float, float, float]:
 class _Bump:
     """Excess of the rate that catches up a lag: it rises, is held and falls.
 
-    Parameters
-    ----------
-    begin_s : float
-    lag_s : float
-        Time to catch up, above zero.
-    excess, change : float
-        Largest excess of the rate, and largest derivative of the rate, 1/s.
+    ``lag_s`` is to be caught up, above zero. ``excess``: largest one of the rate; ``change``: largest derivative of the
+    rate, 1/s.
     """
 
     __slots__ = ("_excess", "_ramp_s", "begin_s", "end_s", "lag_s")
@@ -59,15 +54,9 @@ class HeldTime:
 
     A hold during a catch-up leaves that one as it is; its own lag is caught up after it.
 
-    Parameters
-    ----------
-    excess : float
-        Largest excess of the rate over 1; below 1e-4 nothing is caught up, and the lag remains.
-    change : float
-        Largest derivative of the rate, 1/s.
+    ``excess``: largest excess of the rate over 1; below 1e-4 nothing is caught up, and the lag remains. ``change``:
+    largest derivative of the rate, 1/s.
 
-    Examples
-    --------
     >>> time = HeldTime(excess=0.1, change=1.0)
     >>> time.hold(now_s=2.0, missed_s=0.005, later_s=2.0)
     >>> [round(time.lag_s(t), 5) for t in (2.0, 2.1, 3.0)]
@@ -84,12 +73,7 @@ class HeldTime:
     def hold(self, now_s: float, missed_s: float, later_s: float) -> None:
         """Let the motion go on at ``now_s`` from where it was ``missed_s`` before, and catch up from ``later_s`` on.
 
-        Parameters
-        ----------
-        now_s, missed_s : float
-            Present time, and time for which the motion was held up, s.
-        later_s : float
-            Set-points up to this time were sent already: until then the rate is the one before.
+        Set-points up to ``later_s`` were sent already: until then the rate is the one before.
         """
         for bump in self._bumps:  # they belong to the motion, which is later now
             bump.begin_s += missed_s

@@ -19,37 +19,21 @@ CONTROLLER = np.dtype(
 
 @compiled
 def cascade(
-    c: StructuredArray,
-    integral: float,
-    position_error: float,
+    c: StructuredArray,  # `CONTROLLER` record array of length 1
+    integral: float,  # I before this sample, rad/s
+    position_error: float,  # SI of the axis, as the next three; a velocity loop without position loop passes zero
     velocity_demand: float,
     acceleration_demand: float,
     velocity: float,
-    dt: float,
-    limit: float,
+    dt: float,  # period of the controller, s
+    limit: float,  # torque that the axis can give, N m; the integral stops where it alone would exceed it
 ) -> tuple[float, float]:
     """Return the torque of one controller sample.
 
     P position control over PI velocity control, with feed-forward of velocity and inertia:
     e = kp (q_d - q) + v_d - v;  tau = kv (e + I) + J a_d;  dI/dt = 2 pi f_i e.
 
-    Parameters
-    ----------
-    c
-        `CONTROLLER` record array of length 1.
-    integral
-        The integral I before this sample, rad/s.
-    position_error, velocity_demand, acceleration_demand, velocity
-        SI of the axis; a velocity loop without position loop passes a ``position_error`` of zero.
-    dt
-        Controller period, s.
-    limit
-        Torque that the axis can give, N m; the integral stops where it alone would exceed it.
-
-    Returns
-    -------
-    torque, integral
-        Torque before limiting, N m, and the integral after this sample, rad/s.
+    Returns the torque before limiting, N m, and the integral after this sample, rad/s.
     """
     r = c[0]
     error = r.position_gain * position_error + r.velocity_feedforward * velocity_demand - velocity

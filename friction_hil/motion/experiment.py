@@ -64,38 +64,19 @@ def is_fast(rate_hz: float) -> bool:
 
 
 def plan(
-    rated_velocity: float,
-    travel: float,
-    resolution: float,
-    duration_s: float = 60.0,
+    rated_velocity: float,  # highest speed wanted, rad/s or m/s
+    travel: float,  # largest distance from the start, to either side, rad or m; 85 % of it are used
+    resolution: float,  # one count of the encoder, rad or m; fast sweeps of fewer than 50 counts are left out
+    duration_s: float = 60.0,  # of all sweeps together, at least 10 s; each is rounded to whole periods
     *,
-    acceleration: float = math.inf,
-    period_s: float = 0.0,
+    acceleration: float = math.inf,  # largest one wanted, rad/s^2 or m/s^2
+    period_s: float = 0.0,  # of sampling; where it is too long to see presliding, the slow sweeps take all the time
 ) -> tuple[Sweep, ...]:
     """Return sweeps for an axis of which little is known: two slow ones, then the fast ones that can be shown.
 
-    The top speed is below ``rated_velocity`` if ``travel`` or ``acceleration`` leaves no room for it.
-
-    Parameters
-    ----------
-    rated_velocity : float
-        Highest speed wanted, rad/s or m/s.
-    travel : float
-        Largest distance from the start, to either side, rad or m; 85 % of it are used.
-    resolution : float
-        One count of the encoder, rad or m. Fast sweeps of fewer than 50 counts are left out.
-    duration_s : float
-        Length of all sweeps together, at least 10 s; each is rounded to whole periods.
-    acceleration : float
-        Largest one wanted, rad/s^2 or m/s^2.
-    period_s : float
-        Of sampling, s. Where it is too long to see presliding, the slow sweeps take all the time.
-
-    Raises
-    ------
-    UsageError
-        A value is not above zero, or the time too short; or even the largest amplitude is less than four counts of
-        the encoder.
+    The top speed is below ``rated_velocity`` if ``travel`` or ``acceleration`` leaves no room for it. Raises
+    `UsageError`: a value is not above zero, or the time too short; or even the largest amplitude is less than four
+    counts of the encoder.
     """
     given = {"rated_velocity": rated_velocity, "travel": travel, "resolution": resolution, "acceleration": acceleration}
     for name, value in given.items():
@@ -211,12 +192,7 @@ def coarsest(
 def not_shown(sweeps: tuple[Sweep, ...], resolution: float, period_s: float = 0.0) -> str:
     """Return a sentence on what a plan leaves out and what that costs; empty if it leaves nothing out.
 
-    Parameters
-    ----------
-    sweeps : tuple of Sweep
-        From `plan`.
-    resolution, period_s : float
-        As given to it.
+    ``resolution`` and ``period_s`` are those that `plan` was given.
     """
     shown = [sweep.frequency for sweep in fast(sweeps)]
     if not _is_sampled(period_s):
@@ -254,17 +230,7 @@ def fastest_acceleration(rated_velocity: float) -> float:
 def demand(time_s: ArrayLike, sweeps: tuple[Sweep, ...]) -> tuple[Array, Array]:
     """Return position and velocity of the motion relative to its start; both are zero before and after it.
 
-    Parameters
-    ----------
-    time_s : (n,) array_like
-        Time from the beginning of the motion, s.
-    sweeps : tuple of Sweep
-        From `plan`.
-
-    Returns
-    -------
-    position, velocity : (n,) array
-        rad and rad/s, or m and m/s.
+    They are (n,), rad and rad/s, or m and m/s. ``time_s``: from the beginning of the motion.
     """
     path = sweeps_path(sweeps)
     points = np.array([path(t)[:2] for t in np.asarray(time_s, dtype=np.float64).ravel().tolist()]).reshape(-1, 2)

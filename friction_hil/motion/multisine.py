@@ -43,27 +43,15 @@ _CLIPPINGS, _CLIP = 100, 1.4  # rounds, and the level over the RMS at which each
 
 
 class MultisinePlan(NamedTuple):
-    """Strokes and the multisine on top of them.
+    """Strokes and the multisine on top of them."""
 
-    Attributes
-    ----------
-    amplitude, frequency : float
-        Distance of the corners of the strokes from the start, rad or m, and strokes to and fro per second, Hz.
-    sine_velocity, sine_acceleration : float
-        Bounds of the multisine, SI.
-    low_hz, high_hz : float
-        Its band, Hz.
-    duration_s : float
-        Whole strokes and whole periods of the multisine, s.
-    """
-
-    amplitude: float
-    frequency: float
-    sine_velocity: float
-    sine_acceleration: float
-    low_hz: float
+    amplitude: float  # distance of the corners of the strokes from the start, rad or m
+    frequency: float  # strokes to and fro per second, Hz
+    sine_velocity: float  # bound of the multisine, rad/s or m/s
+    sine_acceleration: float  # bound of the multisine, rad/s^2 or m/s^2
+    low_hz: float  # band of the multisine
     high_hz: float
-    duration_s: float
+    duration_s: float  # whole strokes and whole periods of the multisine
 
 
 def highest_hz(high_hz: float | None, period_s: float) -> float:
@@ -72,36 +60,21 @@ def highest_hz(high_hz: float | None, period_s: float) -> float:
 
 
 def plan(
-    velocity: float,
-    travel: float,
+    velocity: float,  # highest speed of strokes and multisine together, rad/s or m/s
+    travel: float,  # largest distance from the start, to either side, rad or m; 85 % of it are used for the strokes
     *,
-    period_s: float,
+    period_s: float,  # of the loop
+    # highest frequency of the multisine; by default 250 Hz, but at most 0.4 of the loop rate
     high_hz: float | None = None,
+    # largest one, rad/s^2 or m/s^2; a quarter of that of an experiment of the same velocity is enough, and is not
+    # exceeded
     acceleration: float | None = None,
-    duration_s: float = DURATION_S,
+    duration_s: float = DURATION_S,  # longest; it is rounded down to periods of the multisine, 8 s
 ) -> MultisinePlan:
     """Plan the motion within bounds.
 
-    Parameters
-    ----------
-    velocity : float
-        Highest speed of strokes and multisine together, rad/s or m/s.
-    travel : float
-        Largest distance from the start, to either side, rad or m; 85 % of it are used for the strokes.
-    period_s : float
-        Of the loop, s.
-    high_hz : float, optional
-        Highest frequency of the multisine, Hz; by default 250 Hz, but at most 0.4 of the loop rate.
-    acceleration : float, optional
-        Highest one, rad/s^2 or m/s^2. A quarter of that of an experiment of the same velocity is enough, and is not
-        exceeded.
-    duration_s : float
-        Longest duration, s; it is rounded down to periods of the multisine, 8 s.
-
-    Raises
-    ------
-    UsageError
-        A bound is not above zero, the band is empty or reaches half of the loop rate, or the time is too short.
+    Raises `UsageError`: a bound is not above zero, the band is empty or reaches half of the loop rate, or the time is
+    too short.
     """
     acceleration = min(_GENTLE * fastest_acceleration(velocity), math.inf if acceleration is None else acceleration)
     for name, value in (("velocity", velocity), ("travel", travel), ("acceleration", acceleration)):
@@ -167,12 +140,7 @@ def multisine_table(low_hz: float, high_hz: float, velocity: float, acceleration
 
     Its spectrum is flat in velocity at low frequencies and flat in acceleration at high ones.
 
-    Parameters
-    ----------
-    low_hz, high_hz : float
-        Band, Hz.
-    velocity, acceleration : float
-        Largest ones; the smaller multisine counts, SI.
+    Of ``velocity`` and ``acceleration``, its largest ones, SI, that which gives the smaller multisine counts.
     """
     count = 2 ** math.ceil(math.log2(_KNOTS * high_hz * REPEAT_S))
     numbers = np.arange(math.ceil(low_hz * REPEAT_S), math.floor(high_hz * REPEAT_S) + 1)

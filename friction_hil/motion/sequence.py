@@ -18,14 +18,8 @@ def strokes_path(stroke: float, frequency: float, rest: float) -> Path:
     A stroke has the least jerk: x = 10 u^3 - 15 u^4 + 6 u^5 (Flash and Hogan 1985, "The coordination of arm
     movements"), so that velocity and acceleration are zero at its ends.
 
-    Parameters
-    ----------
-    stroke : float
-        Distance between the ends, rad or m.
-    frequency : float
-        Strokes to and fro per second, Hz.
-    rest : float
-        Fraction of the time at rest, 0 <= rest < 1.
+    ``stroke``: distance between the ends, rad or m. ``frequency``: strokes to and fro per second, Hz. ``rest``:
+    fraction of the time at rest, 0 <= rest < 1.
     """
     half = 0.5 / frequency
     length = (1.0 - rest) * half

@@ -162,11 +162,7 @@ class PathTime:
         below its velocity limit as on its path. The rate changes no faster than while the axis starts, and so slowly
         that this adds no more than a fifth to the largest acceleration of the path.
 
-        Parameters
-        ----------
-        velocity_limit : float
-        speed, acceleration : float
-            Largest ones of the path at a rate of 1, SI; 0 for an axis that stands.
+        ``speed``, ``acceleration``: largest ones of the path at a rate of 1, SI; 0 for an axis that stands.
         """
         if speed > 0.0 and acceleration > 0.0:
             self._excess = min(self._excess, max(_HEADROOM * (velocity_limit / speed - 1.0), 0.0))
@@ -195,14 +191,8 @@ class PathTime:
     def hold(self, now_s: float, missed_s: float, later_s: float) -> None:
         """Go on at ``now_s`` from where path time was ``missed_s`` before, and catch up from ``later_s`` on.
 
-        Before the start there is nothing to hold.
-
-        Parameters
-        ----------
-        now_s, missed_s : float
-            Present time, and time of the periods that were missed before it, s.
-        later_s : float
-            Set-points up to this time were sent already.
+        Before the start there is nothing to hold. ``missed_s``: of the periods that were missed; set-points up to
+        ``later_s`` were sent already.
         """
         if self._start_s >= later_s:
             return
@@ -247,21 +237,13 @@ class PathTime:
 
 
 class Trajectory:
-    """Set-points of one axis over time: its path, shifted to begin where the axis stands.
-
-    Parameters
-    ----------
-    path : callable
-        Position, velocity and acceleration over path time.
-    time : PathTime
-        Shared by the axes of a machine.
-    """
+    """Set-points of one axis over time: its path, shifted to begin where the axis stands."""
 
     __slots__ = ("_offset", "_path", "_time")
 
     def __init__(self, path: Path, time: PathTime) -> None:
-        self._path = path
-        self._time = time
+        self._path = path  # position, velocity and acceleration over path time
+        self._time = time  # shared by the axes of a machine
         self._offset = 0.0
 
     def begin_at(self, position: float) -> None:
