@@ -93,16 +93,8 @@ def controller_record(config: ServoConfig, inertia: float | None = None) -> Stru
 def external_table(config: ServoConfig, content: Array | None) -> Array | None:
     """Return the load torque over time as the kernel takes it, (n, 2), or None.
 
-    Parameters
-    ----------
-    config : ServoConfig
-    content : (n, 2) array or None
-        Content of ``mechanics.external.file``, if there is one.
-
-    Raises
-    ------
-    UsageError
-        The content of the file is missing, or no table of rising times and finite torques.
+    ``content``, (n, 2): of ``mechanics.external.file``, if there is one. Raises `UsageError`: it is missing, or no
+    table of rising times and finite torques.
     """
     external = config.mechanics.external
     if external is None or external.file is None:

@@ -66,32 +66,18 @@ def _turned(sine: float, cosine: float, angle: float) -> tuple[float, float]:
 
 @compiled
 def _arm(
-    mechanism: StructuredArray,
-    v1: float,
+    mechanism: StructuredArray,  # the `MECHANISM` record
+    v1: float,  # velocities before the step, rad/s
     v2: float,
-    d1: float,
+    d1: float,  # mean velocities less these
     d2: float,
-    s1: float,
+    s1: float,  # sines and cosines of the angles in the middle of the step
     c1: float,
     s2: float,
     c2: float,
-    dt: float,
+    dt: float,  # step, s
 ) -> tuple[float, float, float, float, float]:
-    """Return the inertia matrix M11, M12, M22 and the forces N1, N2 of the arm for a step.
-
-    Parameters
-    ----------
-    mechanism
-        The `MECHANISM` record.
-    v1, v2
-        Velocities before the step, rad/s.
-    d1, d2
-        Mean velocities less these.
-    s1, c1, s2, c2
-        Sines and cosines of the angles in the middle of the step.
-    dt
-        Step, s.
-    """
+    """Return the inertia matrix M11, M12, M22 and the forces N1, N2 of the arm for a step."""
     k = mechanism[0]
     w1, w2 = v1 + d1, v2 + d2
     half1, half2 = 0.5 * dt * w1, 0.5 * dt * w2
@@ -177,14 +163,8 @@ def move(
 ) -> None:
     """Advance both axes and their mechanism by one step.
 
-    Parameters
-    ----------
-    mechanism, m
-        `MECHANISM` and `MECHANISM_STATE` records.
-    plant1, s1, plant2, s2
-        `MACHINE` and `MACHINE_STATE` records of the axes.
-    torque1, torque2
-        Torques of the motors, held over the step, N m.
+    Records are `MECHANISM` and `MECHANISM_STATE`, and `MACHINE` and `MACHINE_STATE` of each axis. Torques of the motors
+    are held over the step, N m.
     """
     k, a, b = mechanism[0], s1[0], s2[0]
     dt, v1, v2 = plant1[0].step_s, a.velocity, b.velocity

@@ -44,13 +44,7 @@ class _CoupledServo(Servo):
 
     @property
     def energy(self) -> Energy:
-        """Not kept for one axis.
-
-        Raises
-        ------
-        UsageError
-            Always: the mechanism is shared.
-        """
+        """Not kept for one axis: always raises a `UsageError`, because the mechanism is shared."""
         raise UsageError("an axis of a mechanism keeps no account of its own: ask CoupledServos.energy")
 
 
@@ -60,31 +54,16 @@ class CoupledServos:
     Each of `servos` is a `Servo` like any other: it has set-points, and `Servo.advance` lets its time pass. The
     mechanism, and the other servo with it, moves up to the latest time that any of them has reached; the other one's
     calls then take it there without moving anything again. So it makes no difference which of two drives is served
-    first at a SYNC, as long as both have their set-points before the next one.
-
-    Parameters
-    ----------
-    mechanism : Gantry or TwoLinkArm
-        Its ``axes`` name the servos, in messages.
-    configs : sequence of two ServoConfig
-        In the order of ``axes``, with one ``integration_hz``.
-    positions : sequence of two float
-        Initial positions, at rest, rad or m.
-    externals : sequence of two (n, 2) arrays or None
-        See `Servo`.
-
-    Raises
-    ------
-    UsageError
-        A servo does not go with the mechanism.
+    first at a SYNC, as long as both have their set-points before the next one. Raises `UsageError`: a servo does not go
+    with the mechanism.
     """
 
     def __init__(
         self,
-        mechanism: Gantry | TwoLinkArm,
-        configs: Sequence[ServoConfig],
-        positions: Sequence[float] = (0.0, 0.0),
-        externals: Sequence[Array | None] = (None, None),
+        mechanism: Gantry | TwoLinkArm,  # its `axes` name the servos, in messages
+        configs: Sequence[ServoConfig],  # two, in the order of `axes`, with one `integration_hz`
+        positions: Sequence[float] = (0.0, 0.0),  # initial ones, at rest, rad or m
+        externals: Sequence[Array | None] = (None, None),  # see `Servo`
     ) -> None:
         for name, config in zip(mechanism.axes, configs, strict=True):
             for key, text in axis_mistakes(mechanism, name, config):
@@ -142,11 +121,8 @@ class CoupledServos:
     def tool(self) -> tuple[float, float]:
         """What the motors move.
 
-        Returns
-        -------
-        tuple of float
-            Arm: position of the tool from the shoulder, x to the right and y upwards, m. Gantry: position of the
-            payload, m, and yaw of the beam, rad.
+        Arm: position of the tool from the shoulder, x to the right and y upwards, m. Gantry: position of the payload,
+        m, and yaw of the beam, rad.
         """
         q1, q2 = (servo.true_position for servo in self.servos)
         if isinstance(self.mechanism, Gantry):

@@ -117,19 +117,9 @@ def coupling_torque(
 ) -> float:
     """Return the mean torque of the coupling over a step, from motor to load, N m.
 
-    Parameters
-    ----------
-    stiffness, damping, gap
-        Of the coupling; ``gap`` is the whole backlash. Without it the coupling pulls and pushes, with it its faces
-        only push.
-    twist
-        At the beginning of the step, rad.
-    free
-        Mean rate of twist over the step that there would be without the coupling, rad/s.
-    give
-        By how much a unit of torque reduces that rate.
-    dt
-        Step, s.
+    ``gap`` is the whole backlash; without it the coupling pulls and pushes, with it its faces only push. ``twist``: at
+    the beginning of the step, rad. ``free``: mean rate of twist over the step that there would be without the coupling,
+    rad/s. ``give``: by how much a unit of torque reduces that rate. ``dt``: step, s.
     """
     implicit = 0.5 * dt * stiffness + damping
     if gap == 0.0:
@@ -189,25 +179,15 @@ def velocity_ahead(velocity: float, before: float) -> float:
 
 @inlined
 def finish_rigid(
-    plant: StructuredArray,
-    s: StructuredArray,
-    torque: float,
-    velocity: float,
+    plant: StructuredArray,  # a `MACHINE` record
+    s: StructuredArray,  # a `MACHINE_STATE` record
+    torque: float,  # of the motor; torques are over the step, N m
+    velocity: float,  # at the end of the step, rad/s
     friction: float,
-    outside: float,
-    transmitted: float,
+    outside: float,  # load torque from outside
+    transmitted: float,  # by the gear
 ) -> None:
-    """Move a rigid axis to the end of a step, and keep its account.
-
-    Parameters
-    ----------
-    plant, s
-        `MACHINE` and `MACHINE_STATE` records.
-    torque, friction, outside, transmitted
-        Torques over the step, N m: of the motor, of friction, load torque from outside, and what the gear transmits.
-    velocity
-        At the end of the step, rad/s.
-    """
+    """Move a rigid axis to the end of a step, and keep its account."""
     r, dt = s[0], plant[0].step_s
     mean = 0.5 * (r.velocity + velocity)
     r.friction_torque, r.transmitted_torque = friction, transmitted
@@ -398,14 +378,8 @@ def _move_two_masses(plant: StructuredArray, s: StructuredArray, torque: float, 
 def move(plant: StructuredArray, s: StructuredArray, torque: float, is_braked: bool) -> None:
     """Advance mechanics by one step.
 
-    Parameters
-    ----------
-    plant, s
-        `MACHINE` and `MACHINE_STATE` records.
-    torque
-        Torque of the motor, held over the step, N m.
-    is_braked
-        A brake holds the motor.
+    Records are `MACHINE` and `MACHINE_STATE`. ``torque``: of the motor, held over the step, N m; a brake may hold the
+    motor.
     """
     if plant[0].load_inertia > 0.0:
         _move_two_masses(plant, s, torque, is_braked)

@@ -35,13 +35,8 @@ OFF, QUICK_STOP, CSP, CSV, CST = 0, 2, 8, 9, 10
 def interpolate_position(s: StructuredArray, u: float, period: float) -> tuple[float, float, float]:
     """Evaluate the quadratic B-spline of the last three targets, 1.5 periods behind the newest, smooth in velocity.
 
-    ``u`` is the time since the last set-point, in periods. Missing targets are extrapolated at constant velocity for
-    up to `BRIDGED_PERIODS`; after that the demand is constant.
-
-    Returns
-    -------
-    tuple
-        Position, velocity and acceleration.
+    ``u`` is the time since the last set-point, in periods. Missing targets are extrapolated at constant velocity for up
+    to `BRIDGED_PERIODS`; after that the demand is constant. Returns position, velocity and acceleration.
     """
     r = s[0]
     bend = r.target0 - 2.0 * r.target1 + r.target2
@@ -300,12 +295,7 @@ def _advance_machine(plant: StructuredArray, controller: StructuredArray, s: Str
 def advance(plant: StructuredArray, controller: StructuredArray, s: StructuredArray, steps: int) -> None:
     """Simulate ``steps`` integration steps.
 
-    Parameters
-    ----------
-    plant, controller, s
-        Records of length 1: `PLANT`, `CONTROLLER` and `STATE`, or `MACHINE`, `CONTROLLER` and `MACHINE_STATE`.
-    steps
-        Integration steps.
+    Records of length 1: `PLANT`, `CONTROLLER` and `STATE`, or `MACHINE`, `CONTROLLER` and `MACHINE_STATE`.
     """
     (_advance_machine if _is_machine(plant) else _advance_rigid)(plant, controller, s, steps)
 

@@ -48,24 +48,15 @@ _VELOCITY_ESTIMATE = _field_index("velocity_estimate")
 
 @dataclass(frozen=True, slots=True)
 class Energy:
-    """Energy balance of a simulated servo, J: ``stored`` changes by the works less the heats.
+    """Energy balance of a simulated servo, J: ``stored`` changes by the works less the heats."""
 
-    Attributes
-    ----------
-    stored : float
-        Kinetic, and in coupling, gravity, spring and hysteresis of the gear; not in the bristles of dynamic friction.
-    motor_work, load_work : float
-        Work of the motor's torque, and of constant and external load torque.
-    friction_heat, load_friction_heat, coupling_heat : float
-        Dissipated by friction at motor and load and by the coupling. Friction with bristles stores a part of it.
-    """
-
+    # kinetic, and in coupling, gravity, spring and hysteresis of the gear; not in the bristles of dynamic friction
     stored: float
-    motor_work: float
-    load_work: float
-    friction_heat: float
-    load_friction_heat: float
-    coupling_heat: float
+    motor_work: float  # of the motor's torque
+    load_work: float  # of constant and external load torque
+    friction_heat: float  # of friction at the motor; friction with bristles stores a part of it
+    load_friction_heat: float  # of friction at the load; likewise
+    coupling_heat: float  # dissipated by the coupling
 
 
 class Temperatures(NamedTuple):
@@ -80,20 +71,9 @@ class Temperatures(NamedTuple):
 class Servo:
     """Motor, load, encoder and drive loops of one simulated axis.
 
-    Parameters
-    ----------
-    config : ServoConfig
-        Mechanics, friction, encoder, motor and loops.
-    position : float
-        Initial position of motor and load, at rest, rad or m.
-    external : (n, 2) array, optional
-        Content of the file that ``mechanics.external.file`` names: times, s, that rise, and load torque, N m. This
-        room reads no files.
-
-    Raises
-    ------
-    UsageError
-        The configuration names a file with an external torque, and ``external`` is missing or invalid.
+    ``position``: initial one of motor and load, at rest, rad or m. ``external``, (n, 2): content of the file that
+    ``mechanics.external.file`` names: times, s, that rise, and load torque, N m; this room reads no files. Raises
+    `UsageError`: the configuration names such a file, and ``external`` is missing or invalid.
     """
 
     def __init__(self, config: ServoConfig, position: float = 0.0, external: Array | None = None) -> None:
@@ -133,14 +113,8 @@ class Servo:
     def command(self, mode: int, target: float, velocity_offset: float = 0.0, torque_offset: float = 0.0) -> None:
         """Set the set-point of the next period.
 
-        Parameters
-        ----------
-        mode : int
-            8 (CSP): position; 9 (CSV): velocity; 10 (CST): torque; 0: power off, no torque, loops reset.
-        target : float
-            Position, velocity or torque, SI; ignored in mode 0.
-        velocity_offset, torque_offset : float
-            Offsets added to the demands (60B1h, 60B2h).
+        ``mode`` 8 (CSP): ``target`` is a position; 9 (CSV): a velocity; 10 (CST): a torque, SI; 0: power off, no
+        torque, loops reset, the target is ignored. Offsets are added to the demands (60B1h, 60B2h).
         """
         s, get = self._s, self._get
         if mode != get(_MODE):
@@ -225,13 +199,7 @@ class Servo:
 
     @property
     def energy(self) -> Energy:
-        """Energies since the start, J.
-
-        Raises
-        ------
-        UsageError
-            The servo is rigid, and its kernel keeps no account.
-        """
+        """Energies since the start, J. Raises a `UsageError` if the servo is rigid: its kernel keeps no account."""
         if self._is_rigid:
             raise UsageError("a rigid servo keeps no account of its energy; give it a load, gravity or a spring")
         r = self._state[0]
