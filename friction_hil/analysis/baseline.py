@@ -14,23 +14,13 @@ from friction_hil.recordings.recording import Array, Recording
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Phase:
-    """Settled part of a run, either without or with compensation.
+    """Settled part of a run, either without or with compensation."""
 
-    Attributes
-    ----------
-    intervals_s : list of (float, float)
-        Begin and end of the rows that count, in the recording's time; several if the drive was off in between.
-    figures : Figures
-        Following error in these rows, rad or m.
-    time_s : (m,) array
-        Time within a period of the motion, or of a motion that has none within the phase.
-    error : (m,) array
-        Last following error at each of these times, rad or m; NaN if the computer was always late there.
-    """
-
+    # of the rows that count, in the recording's time; several if the drive was off in between
     intervals_s: list[tuple[float, float]]
-    figures: Figures
-    time_s: Array
+    figures: Figures  # following error in these rows, rad or m
+    time_s: Array  # (m,), within a period of the motion, or of a motion that has none within the phase
+    # (m,), last following error at each of these times, rad or m; NaN if the computer was always late there
     error: Array
 
 
@@ -39,26 +29,10 @@ def without_and_with(
 ) -> tuple[Phase | None, Phase | None]:
     """Return what counts of a run without and with compensation, by `friction_hil.daemon.figures.FollowingErrors`.
 
-    Parameters
-    ----------
-    recording : Recording
-        With ``cycle`` and the columns of `friction_hil.analysis.following`.
-    cycle_s : float
-        Period of the loop, s.
-    motion_s : float
-        Period of the motion, s; infinity if it has none.
-    start_s, fade_s : float
-        Time that the axis takes to start, and that the compensation takes to fade in, s.
-
-    Returns
-    -------
-    without, compensated : Phase or None
-        None where there is no steady motion.
-
-    Raises
-    ------
-    RecordingError
-        A column is missing, or fewer than half of the rows of a phase can be used.
+    Either is None where there is no steady motion. ``recording`` has ``cycle`` and the columns of
+    `friction_hil.analysis.following`. ``cycle_s``: period of the loop. ``motion_s``: period of the motion, infinity if
+    it has none. ``start_s``: that the axis takes to start; ``fade_s``: that the compensation takes to fade in. Raises
+    `RecordingError`: a column is missing, or fewer than half of the rows of a phase can be used.
     """
     recording.require("cycle", *following.COLUMNS)
     running = recording["state"] == LoopState.RUNNING

@@ -28,49 +28,24 @@ _COLUMNS = (*following.COLUMNS, "velocity_estimate", "compensation")
 
 @dataclass(frozen=True, slots=True)
 class RingScale:
-    """Scale of a picture of radius errors: rings about the nominal circle, which is drawn with radius 1.
+    """Scale of a picture of radius errors: rings about the nominal circle, which is drawn with radius 1."""
 
-    Attributes
-    ----------
-    ring : float
-        Error from ring to ring, rad or m; 1, 2 or 5 times a power of ten.
-    magnification : float
-        Factor by which an error is drawn larger than the circle.
-    inner, outer : int
-        Number of rings inside and outside of the nominal circle, at least 1.
-    """
-
-    ring: float
-    magnification: float
-    inner: int
-    outer: int
+    ring: float  # error from ring to ring, rad or m; 1, 2 or 5 times a power of ten
+    magnification: float  # by which an error is drawn larger than the circle
+    inner: int  # rings inside of the nominal circle, at least 1
+    outer: int  # rings outside of it, at least 1
 
 
 @dataclass(frozen=True, slots=True)
 class Laps:
-    """Whole laps in steady motion with the same settings, either all without or all with compensation.
-
-    Attributes
-    ----------
-    count : int
-    interval_s : (float, float)
-        Begin and end, in the recording's time.
-    rows : int
-        Number of periods of the laps, used or not.
-    angle : (n,) array
-        Angle of each used row on the circle, rad; -pi to pi, from the first axis towards the second.
-    radius_error : (n,) array
-        Measured minus nominal radius, about the nominal centre, rad or m.
-    figures : dict
-        Following error by axis.
-    """
+    """Whole laps in steady motion with the same settings, either all without or all with compensation."""
 
     count: int
-    interval_s: tuple[float, float]
-    rows: int
-    angle: Array
-    radius_error: Array
-    figures: dict[str, Figures]
+    interval_s: tuple[float, float]  # in the recording's time
+    rows: int  # periods of the laps, used or not
+    angle: Array  # (n,), of each used row on the circle, rad; -pi to pi, from the first axis towards the second
+    radius_error: Array  # (n,), measured minus nominal radius, about the nominal centre, rad or m
+    figures: dict[str, Figures]  # following error by axis
 
     @property
     def left_out(self) -> int:
@@ -85,37 +60,19 @@ class Laps:
 
 @dataclass(frozen=True, slots=True)
 class Circularity:
-    """Analysis of a circle without and with compensation, and with what was learned.
-
-    Attributes
-    ----------
-    configuration : Configuration
-        Configuration of the run.
-    axes : (str, str)
-        Names of the axes; the first is drawn to the right, the second upwards.
-    radius : float
-        Nominal radius, rad or m.
-    unit : str
-        Unit of the position: rad or m.
-    uncompensated, compensated : Laps
-        Compensated: with the settings of the configuration.
-    learned : Laps or None
-        With the settings that learning has kept; None if it has kept none, or so late that there are not as many laps.
-    learned_axes : dict of AxisConfig
-        Axes by name with these settings; empty without such laps.
-    columns : dict of dict of (n,) arrays
-        Columns of the recording by axis, in the rows that both axes have; in addition ``time_s``, the following
-        ``error`` (NaN without fresh feedback), and ``is_usable``: 0 where the computer was late.
-    """
+    """Analysis of a circle without and with compensation, and with what was learned."""
 
     configuration: Configuration
-    axes: tuple[str, str]
-    radius: float
-    unit: str
+    axes: tuple[str, str]  # the first is drawn to the right, the second upwards
+    radius: float  # nominal, rad or m
+    unit: str  # of the position: rad or m
     uncompensated: Laps
-    compensated: Laps
+    compensated: Laps  # with the settings of the configuration
+    # with the settings that learning has kept; None if it has kept none, or so late that there are not as many laps
     learned: Laps | None
-    learned_axes: dict[str, AxisConfig]
+    learned_axes: dict[str, AxisConfig]  # with these settings; empty without such laps
+    # (n,) arrays of the recording by axis, in the rows that both axes have; in addition `time_s`, the following `error`
+    # (NaN without fresh feedback), and `is_usable`: 0 where the computer was late
     columns: dict[str, dict[str, Array]]
 
     @property
@@ -184,15 +141,8 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
     that was still on trial has been taken back. After a missed period or late feedback, rows are left out until the
     drives have recovered: their error is not due to friction.
 
-    Parameters
-    ----------
-    recordings : dict
-        The two axes of a run by name, with its configuration.
-
-    Raises
-    ------
-    RecordingError
-        The run is not a circle of two axes, a lap is missing, or too few rows of the laps can be used.
+    ``recordings``: the two axes of a run by name, with its configuration. Raises `RecordingError`: the run is not a
+    circle of two axes, a lap is missing, or too few rows of the laps can be used.
     """
     configuration, circle = _circle(recordings)
     first, second = recordings
@@ -338,14 +288,8 @@ def deviation(columns: Mapping[str, Array], turn: Array, in_steady_motion: Any) 
 
     The centre is fitted to the demand, which is exact in steady motion whichever rows are missing.
 
-    Parameters
-    ----------
-    columns : dict of (n,) arrays
-        ``position`` and ``position_demand`` of an axis.
-    turn : (n,) array
-        Angle that the path has turned, from any beginning, rad.
-    in_steady_motion : (n,) array of bool
-        Rows to which the centre is fitted.
+    ``columns``: ``position`` and ``position_demand`` of an axis, (n,). ``turn``: angle that the path has turned, from
+    any beginning, rad. ``in_steady_motion``: rows to which the centre is fitted.
     """
     angle = turn[in_steady_motion]
     design = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], axis=1)

@@ -37,13 +37,7 @@ def error(columns: Mapping[str, Array]) -> Array:
 def settled(cycle: Array, mask: Any, settle_cycles: float) -> tuple[float, float]:
     """Return the first cycle and the end of ``mask`` after ``settle_cycles``; zeros if it is empty.
 
-    Parameters
-    ----------
-    cycle : (n,) array
-    mask : (n,) array of bool
-        True in one contiguous range.
-    settle_cycles : float
-        Cycles at the beginning of the range that are left out.
+    ``mask``, (n,), is true in one contiguous range.
     """
     inside = cycle[mask]
     return (float(inside[0]) + settle_cycles, float(inside[-1]) + 1.0) if inside.size else (0.0, 0.0)
@@ -59,13 +53,7 @@ def is_recovering(cycle: Array, axes: Sequence[Mapping[str, Array]], period_s: f
 def recovery(missed: Array, is_fresh: Any, period_s: float) -> Array:
     """Return for how many cycles from each row on (n,) errors do not count.
 
-    Parameters
-    ----------
-    missed : (n,) array
-        Periods that were missed before each row.
-    is_fresh : (n,) array of bool
-    period_s : float
-        Period of the loop, s.
+    ``missed``: periods of the loop that were missed before each row.
     """
     after_missed = np.where(missed > 0.0, RECOVERY_S / period_s + RECOVERY_OF_MISSED * missed, 0.0)
     return np.maximum(after_missed, np.where(is_fresh, 0.0, RECOVERY_OF_LATE))
