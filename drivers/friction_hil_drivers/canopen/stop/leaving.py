@@ -44,7 +44,7 @@ def watchdog_frames(bus: "FrameBus", frames: "LastFrames", clock: Clock) -> Call
 
 def switch_off(
     bus: "FrameBus",
-    axes: Sequence[tuple[str, int, int]],
+    axes: Sequence[tuple[str, int, int]],  # as for `disable`
     meanwhile: Callable[[], float] | None,
     frames: "LastFrames | None",  # that the drives wait for meanwhile
     # as the TPDOs have just shown; counts where a node is still there, and only its SDO server is too slow
