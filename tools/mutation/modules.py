@@ -10,6 +10,13 @@ MODULES: dict[str, tuple[str, ...]] = {
     "friction_hil/drive/stop.py": ("drive/test_stop", "canopen/test_canopen_axis_lost"),
     f"{_CANOPEN}/cycle/side_channel.py": ("canopen/test_canopen_axis_lost",),
     f"{_CANOPEN}/cycle/exchange.py": ("canopen/test_canopen_cycle",),
+    f"{_CANOPEN}/cycle/listener.py": (
+        "canopen/test_canopen_cycle",
+        "canopen/test_passive_axis",
+        "canopen/test_sidecar_exchange",
+    ),
+    f"{_CANOPEN}/cycle/health.py": ("canopen/test_canopen_axis", "canopen/test_canopen_axis_lost"),
+    f"{_CANOPEN}/cycle/answer_set.py": ("canopen/test_canopen_axis", "canopen/test_canopen_axis_lost"),
     f"{_SERIAL}/scheduler.py": ("serial_line/test_serial_ahead", "serial_line/test_serial_scheduler"),
 }
 

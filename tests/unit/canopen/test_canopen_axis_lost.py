@@ -335,10 +335,13 @@ def test_a_node_that_answers_no_sdo_is_started_unless_it_restarted(is_restarted)
     bench.heard(mode=9)
     if is_restarted:
         bench.axis.handlers[HEARTBEAT](BOOT_UP)
-    sent = []
-    for _ in range(150):
+    sent, starts_ms = [], []
+    for _ in range(350):
         bench.cycle()
-        sent += bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns)
+        frames = bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns)
+        sent += frames
+        starts_ms += [bench.now_ns // MS] * (NMT_START in frames)
+    assert {after - before for before, after in itertools.pairwise(starts_ms)} <= {50}
     asked = [frame for frame in sent if frame != NMT_START]
     assert asked == [QUICK_STOP_BY_SDO] * len(asked)
     assert (NMT_START in sent) is not is_restarted
@@ -474,3 +477,60 @@ def test_tpdos_that_come_after_their_cycle_say_so():
     bench.axis.handlers[TPDO2](struct.pack("<ib", 0, 8))
     feedback = cycle_of(bench, [])
     assert feedback.missing.endswith("it arrived too late in its cycle [FH-235]")
+
+
+# --- health of the node, and what belongs to a SYNC
+
+
+def test_an_empty_heartbeat_says_nothing():
+    bench = Bench()
+    bench.heard()
+    bench.axis.handlers[HEARTBEAT](b"")
+    assert bench.axis.state is DriveState.OPERATION_ENABLED
+    bench.axis.handlers[HEARTBEAT](PRE_OPERATIONAL)  # nor does one before the first in Operational
+    assert bench.axis.state is DriveState.OPERATION_ENABLED
+    assert bench.heard().message == ""
+
+
+def test_a_node_whose_heartbeat_is_lost_is_out_of_reach_with_its_first_missing_answer():
+    bench = Bench(heartbeat_s=0.02)
+    bench.axis.handlers[HEARTBEAT](OPERATIONAL)
+    for _ in range(70):
+        feedback = bench.heard()
+    assert (feedback.is_reachable, "FH-230" in feedback.message) == (True, True)
+    assert not bench.cycle().is_reachable
+
+
+def test_what_comes_in_a_cycle_without_sync_answers_no_sync():
+    bench = Bench()
+    for _ in range(3):
+        bench.heard()
+    bench.now_ns += MS
+    bench.axis.begin_cycle(bench.now_ns, "no SYNC was sent")
+    for can_id, data in ((TPDO1, struct.pack("<Hih", 0x0637, 9, 0)), (TPDO2, bytes(5))):
+        bench.axis.handlers[can_id](data)
+    feedback = Feedback()
+    bench.axis.report(feedback, bench.now_ns)
+    assert (feedback.is_fresh, feedback.missing) == (False, "no SYNC was sent")
+
+
+def test_a_tpdo_that_is_lost_after_another_was_is_not_said_to_come_late():
+    bench = Bench()
+    assert "too late" not in bench.cycle().missing
+    bench.heard()
+    tpdo1 = (TPDO1, struct.pack("<Hih", 0x0637, 0, 0))
+    for _ in range(2):
+        assert bench.cycle(tpdo1).missing == "TPDO 2 of node 5 did not arrive in time"
+
+
+def test_a_late_tpdo_and_that_of_this_sync_complete_the_set():
+    bench = Bench()
+    bench.heard()
+    tpdo1, tpdo2 = (TPDO1, struct.pack("<Hih", 0x0637, 7, 0)), (TPDO2, bytes(5))
+    assert not bench.cycle(tpdo1).is_fresh
+    bench.axis.begin_cycle(bench.now_ns + MS)
+    for can_id, data in (tpdo1, tpdo2):
+        bench.axis.handlers[can_id](data)
+    assert not bench.axis.answers.is_complete
+    bench.axis.handlers[TPDO2](tpdo2[1])
+    assert bench.axis.answers.is_complete

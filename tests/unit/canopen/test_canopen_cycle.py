@@ -305,7 +305,6 @@ def test_a_command_that_gives_power_is_sent_up_to_an_age_of_as_many_periods_as_a
 
 def test_commands_that_the_bus_does_not_take_are_lost_and_a_fault_when_they_are_more_than_is_bridged():
     cycles = Cycles()
-    cycles.cycle()
     for missed in (4, 4, 5):
         cycles.wire.is_full = lambda can_id: can_id == 0x205
         for number in range(missed):

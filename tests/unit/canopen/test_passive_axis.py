@@ -5,13 +5,16 @@ import struct
 import pytest
 from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.connect.mapping import MappedPdo
-from friction_hil_drivers.canopen.cycle.passive import PassiveAxis
+from friction_hil_drivers.canopen.cycle.listener import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
+from friction_hil_drivers.canopen.cycle.passive import PassiveAxis, PassiveExchange
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.codec import FEEDBACK
 from hypothesis import given
 from hypothesis import strategies as st
 
+from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import AxisFacts, DriveState, Feedback, Mode
+from friction_hil.errors import DriveError
 from tests.canopen_axis_bench import EMCY, HEARTBEAT, NODE, TPDO1, TPDO2, UNITS
 
 MS = 1_000_000
@@ -116,3 +119,24 @@ def test_emergencies_and_a_restart_are_noticed_and_are_no_fault():
     assert heard.error == "8611h following error"
     assert heard.message == ""
     assert heard.state is DriveState.UNKNOWN
+
+
+class SilentBus:
+    """A bus on which nothing comes; the times for which it was waited for."""
+
+    def __init__(self):
+        self.waited_s = []
+
+    def receive(self, timeout):
+        if timeout:
+            self.waited_s.append(timeout)
+
+
+def test_a_master_that_has_ended_ends_a_dry_run_in_simulated_time():
+    bus = SilentBus()
+    exchange = PassiveExchange(bus, [axis_of()], SteppedClock(), period_s=1e-3, sync_id=0x80)
+    for _ in range(STEPPED_TIMEOUTS - 1):
+        exchange.receive([Feedback()], 0)
+    with pytest.raises(DriveError, match="FH-221"):
+        exchange.receive([Feedback()], 0)
+    assert bus.waited_s == [STEPPED_TIMEOUT_S] * STEPPED_TIMEOUTS

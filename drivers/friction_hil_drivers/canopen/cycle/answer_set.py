@@ -92,21 +92,20 @@ class AnswerSet(FeedbackSet):
         """Count a TPDO; return True if it answers a SYNC and can be decoded."""
         if not self._is_counted:
             self._count()
-        is_too_short = len(data) != size and self._is_too_short(number, size, data)
+        if len(data) != size:
+            self._note_length(number, size, data)
         if self._answers.take(number):
             self._comes_late = self._is_reported
-            return not is_too_short
+            return len(data) >= size
         self._health.twin.take(self.names[number])
         return False
 
-    def _is_too_short(self, number: int, size: int, data: bytes) -> bool:
-        """Tell of a TPDO that has not the bytes of its mapping; return True if it has too few."""
+    def _note_length(self, number: int, size: int, data: bytes) -> None:
+        """Tell of a TPDO that has not the bytes of its mapping; one that has more is used."""
         text = f"{self.names[number]} of node {self._health.node} has {len(data)} bytes instead of {size}"
         self._health.notices.add(coded(text, codes.PDO_LENGTH))
-        if len(data) >= size:
-            return False
-        self.wrong = text
-        return True
+        if len(data) < size:
+            self.wrong = text
 
     def why_missing(self) -> str:
         """Return why the set of this cycle is not complete."""

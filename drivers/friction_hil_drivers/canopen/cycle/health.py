@@ -110,19 +110,19 @@ class NodeHealth:
             return False
         self.nmt_state = state
         is_boot_up = state == NmtState.BOOT_UP
-        if not self._is_supervised:
-            if is_boot_up:
-                self.notices.tell(f"node {self.node} restarted (boot-up message)")
-            return is_boot_up
-        if not is_boot_up and self.lost_ns == _NEVER_NS and state != NmtState.OPERATIONAL:
-            return False  # not yet in Operational
-        self.lost_ns = self.now_ns + self.patience_ns
-        if is_boot_up:
-            self.condition, self._left_ns = NodeCondition.RESTARTED, self.now_ns
+        text = f"node {self.node} restarted (boot-up message)"
+        has_been_operational = self.lost_ns != _NEVER_NS or state == NmtState.OPERATIONAL
+        if is_boot_up and not self._is_supervised:
+            self.notices.tell(text)
+        elif is_boot_up:
+            self.lost_ns, self._left_ns = self.now_ns + self.patience_ns, self.now_ns
+            self.condition = NodeCondition.RESTARTED
             self.twin.booted(is_answering=is_answering)
-            self.note_fault(coded(f"node {self.node} restarted (boot-up message)", codes.NODE_RESTARTED))
-        elif self.condition is not NodeCondition.RESTARTED:
-            self._take_state(state)
+            self.note_fault(coded(text, codes.NODE_RESTARTED))
+        elif self._is_supervised and has_been_operational:
+            self.lost_ns = self.now_ns + self.patience_ns
+            if self.condition is not NodeCondition.RESTARTED:
+                self._take_state(state)
         return is_boot_up
 
     def _take_state(self, state: int) -> None:

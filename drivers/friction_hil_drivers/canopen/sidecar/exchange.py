@@ -251,5 +251,6 @@ class SidecarExchange(Listener):
                 self._take(*frame)
         self._has_next = False
         self._begin_cycle()
-        is_complete = self._collect(0) and all(axis.feedback.is_complete for axis in self._axes)
+        self._collect(0)
+        is_complete = all(axis.feedback.is_complete for axis in self._axes)
         self._require_frames(is_complete or self._has_next, text, codes.SYNC_LOST)
