@@ -33,6 +33,8 @@ from tools.benchmarks.compensation.simulation import (
     simulate,
 )
 
+pytestmark = pytest.mark.deep  # of the tools, not of the product
+
 PROJECT = Path(__file__).parents[3]
 SLOW = PROJECT / "tools/benchmarks/compensation/slow.yaml"
 FRICTIONLESS = {"model": "dahl", "parameters": {"sigma0": 1e-12, "coulomb": 1e-12}}

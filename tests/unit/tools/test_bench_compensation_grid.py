@@ -10,6 +10,8 @@ from tools.benchmarks.compensation import REFERENCE, load
 from tools.benchmarks.compensation.belief import changed, converted
 from tools.benchmarks.compensation.simulation import Simulation
 
+pytestmark = pytest.mark.deep  # of the tools, not of the product
+
 # what the compensator believes
 
 

@@ -15,6 +15,8 @@ from tools.benchmarks.learning import command, rows
 from tools.benchmarks.learning.axis import Axis
 from tools.benchmarks.learning.case import follow, setup
 
+pytestmark = pytest.mark.deep  # of the tools, not of the product
+
 
 @pytest.fixture
 def short(tmp_path, monkeypatch):

@@ -10,6 +10,8 @@ import friction_hil as fh
 from friction_hil.errors import FrictionHilError
 from tools.benchmarks import models as bench
 
+pytestmark = pytest.mark.deep  # of the tools, not of the product
+
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc here to compile the C loops")
 
 # what a family can be besides its example: other branches of the same loop

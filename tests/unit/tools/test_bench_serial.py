@@ -2,7 +2,11 @@
 
 import math
 
+import pytest
+
 from tools.benchmarks import serial
+
+pytestmark = pytest.mark.deep  # of the tools, not of the product
 
 
 class SlowDrives:

@@ -13,6 +13,8 @@ from tools.benchmarks.tune.judge import OTHERS, AxisResult, Rehearsals, judged_m
 from tools.benchmarks.tune.judge import OWN as OWN_MOTION
 from tools.benchmarks.tune.report import summary
 
+pytestmark = pytest.mark.deep  # of the tools, not of the product
+
 
 def test_every_axis_of_the_benchmark_is_a_configuration_that_tune_takes(tmp_path) -> None:
     for name, content in read_axes((OWN,)).items():

@@ -431,6 +431,7 @@ def test_benchmark_of_recordings_has_every_format(
     assert [row["unit"] for row in result["rows"][-3:]] == ["M rows/s", "M rows/s", "M samples/s"]
 
 
+@pytest.mark.deep
 def test_the_benchmark_of_networks_measures_an_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(neural, "ROUNDS", 1)
     rows = neural.iterations()
