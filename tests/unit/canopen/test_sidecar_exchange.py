@@ -270,6 +270,21 @@ def test_offset_is_wanted_only_in_the_configured_mode_and_while_the_master_wants
     assert not wanted(8, 0x07)
 
 
+@pytest.mark.parametrize("bits", [8, 16, 32])
+def test_before_its_tpdo_came_the_state_of_a_drive_is_unknown(bits):
+    tpdos = [{"cob_id": 0x181, "entries": [0x6064]}, {"cob_id": 0x281, "entries": [0x60410000 | bits]}]
+    tpdos[1]["is_synchronous"] = False
+    options = SidecarOptions.model_validate({"tpdos": tpdos, "offset": {"cob_id": 0x501, "entries": [0x60B2]}})
+    facts = AxisFacts("x", "node 1", 1e-4, 1e-3, 1.5e-3, 0.75e-3)
+    axis, heard = SidecarAxis(facts, 1, Mode.CSP, DriveUnits(1e5, 1e5, 0.5), 1e-3, options), Feedback()
+    for state in (DriveState.UNKNOWN, DriveState.OPERATION_ENABLED):
+        axis.begin_cycle()
+        axis.handlers[0x181](bytes(4))
+        axis.report(heard, 1)
+        assert (heard.is_fresh, heard.state) == (True, state)
+        axis.handlers[0x281]((0x37).to_bytes(bits // 8, "little"))
+
+
 def test_emergencies_and_reboots_are_noticed_and_are_no_fault():
     axis = Sidecar(_quiet()).axis
     heard = Feedback()

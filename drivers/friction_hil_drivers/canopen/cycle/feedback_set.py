@@ -8,7 +8,7 @@ from friction_hil_drivers.canopen.cycle.health import Handler, NodeHealth
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.objects import Object
 
-_NO_STATE = 0xFFFF  # statusword that shows no state
+_NO_STATE = 0x6F  # statusword that shows no state, of 8 bits too
 
 
 class FeedbackSet:
