@@ -161,8 +161,9 @@ def test_the_death_of_the_supervisor_stops_nothing(companion: Companion) -> None
 
 def kill_both(companion: Companion) -> None:
     """Kill supervisor and worker, as ``pkill -9 -f companion`` does."""
-    os.kill(companion.process.pid, signal.SIGKILL)
-    os.kill(companion.worker_pid, signal.SIGKILL)
+    for pid in (companion.process.pid, companion.worker_pid):
+        with contextlib.suppress(ProcessLookupError):  # one of them may have ended with the other
+            os.kill(pid, signal.SIGKILL)
 
 
 def tend(companion: Companion) -> list[str]:
