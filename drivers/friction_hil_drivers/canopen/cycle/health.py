@@ -13,11 +13,11 @@ from friction_hil_drivers.canopen.wire.cia301 import NmtState, decode_heartbeat
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.cia402.notices import Notices
 from friction_hil_drivers.cia402.profile import emergency_code, emergency_text
+from friction_hil_drivers.cia402.temperature import NEVER_NS
 
 Handler = Callable[[bytes], object]  # takes the data of a frame
 
 _STATE_NAMES = {state.value: state.name.lower().replace("_", "-") for state in NmtState}
-_NEVER_NS = 1 << 62
 
 
 class NodeCondition(IntEnum):
@@ -65,7 +65,7 @@ class NodeHealth:
         self.nmt_state: int | None = None  # as the last heartbeat has it
         self._is_supervised = heartbeat_s is not None
         self.patience_ns = round(HEARTBEATS_TO_LOSS * (heartbeat_s or 0.0) * 1e9)
-        self.lost_ns = _NEVER_NS  # after which a missing heartbeat is a loss
+        self.lost_ns = NEVER_NS  # after which a missing heartbeat is a loss
         self.now_ns = 0  # of the cycle
         self._left_ns = 0  # when it was last heard outside of Operational
 
@@ -111,7 +111,7 @@ class NodeHealth:
         self.nmt_state = state
         is_boot_up = state == NmtState.BOOT_UP
         text = f"node {self.node} restarted (boot-up message)"
-        has_been_operational = self.lost_ns != _NEVER_NS or state == NmtState.OPERATIONAL
+        has_been_operational = self.lost_ns != NEVER_NS or state == NmtState.OPERATIONAL
         if is_boot_up and not self._is_supervised:
             self.notices.tell(text)
         elif is_boot_up:
