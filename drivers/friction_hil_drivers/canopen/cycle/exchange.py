@@ -9,7 +9,7 @@ from friction_hil_drivers.canopen.connect.listening import MasterAlarm
 from friction_hil_drivers.canopen.connect.watchdogs import feeders
 from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
 from friction_hil_drivers.canopen.cycle.listener import STEPPED_TIMEOUT_S, Listener
-from friction_hil_drivers.canopen.stop.by_sdo import HeartbeatLapse
+from friction_hil_drivers.canopen.stop.heartbeat_lapse import HeartbeatLapse
 from friction_hil_drivers.canopen.stop.last_frames import LastFrames, Timer
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.canopen.wire.queue_full import QueueFullError

@@ -6,8 +6,8 @@ from enum import IntEnum
 from friction_hil.drive import Feedback
 from friction_hil.drive.codes import coded
 from friction_hil_drivers.canopen import codes
-from friction_hil_drivers.canopen.connect.twins import TwinWatch
 from friction_hil_drivers.canopen.connect.watchdog_times import HEARTBEATS_TO_LOSS
+from friction_hil_drivers.canopen.cycle.twin_watch import TwinWatch
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.canopen.wire.cia301 import NmtState, decode_heartbeat
 from friction_hil_drivers.cia402 import profile
