@@ -22,8 +22,11 @@ from friction_hil.export.c_printer import Printer
 from friction_hil.export.ir import Variable
 from friction_hil.export.translator import Translator
 from friction_hil.export.values import State, StateRecord, TranslationError
+from friction_hil.models.model_file import ModelFile
 from tests.c_exports import check, compensator_steps, compiled, model_steps, shared, subject, write
 from tests.export_subjects import COMPENSATORS, EVERY_MODEL, compensations, cycles, model_torques, steps
+
+GOLDEN = Path(__file__).parent / "golden"
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
@@ -36,6 +39,14 @@ def library(tmp_path_factory):
     folder = tmp_path_factory.mktemp("c")
     write(folder, subjects)
     return {single: compiled(folder, subjects, single=single) for single in (False, True)}
+
+
+@pytest.mark.parametrize("name", fh.models.names())
+def test_the_source_of_each_family_is_the_one_that_stands_here(name):
+    """Whoever moves a kernel or the translation without meaning to change what users compile notices it here."""
+    friction = {"model": name, "parameters": dict(fh.models.describe(name).example)}
+    model = ModelFile.model_validate({"axis": "rotary", "friction": friction})
+    assert fh.export.files(model, to="c", name=name)[f"{name}.c"] == (GOLDEN / f"{name}.c").read_text()
 
 
 @pytest.mark.deep

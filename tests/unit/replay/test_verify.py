@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_hil import recordings
+from friction_hil import __version__, recordings
 from friction_hil.compensator import INPUTS, RESULTS, input_checksum
 from friction_hil.config import from_dict, self_contained
 from friction_hil.daemon.axis import AxisLoop
@@ -28,6 +28,9 @@ from tests.loop_run import LateClock
 from tests.servo_drives import TRUE_FRICTION, Rows, ServoDrives, axis_dict, configuration
 
 CHECKED = (*RESULTS, "shadow_dahl")
+# Written by real runs against simulated drives with --pace sync: one axis with Kalman filter, load, temperature,
+# ripple, transmission, adaptation and a shadow, and one axis of the first version.
+GOLDEN = Path(__file__).parent / "golden"
 MODEL = axis_dict()["model"]
 MODIFIED = MODEL | {
     "friction": MODEL["friction"]
@@ -273,4 +276,22 @@ def test_a_recording_of_a_version_with_other_columns_says_so(made, tmp_path):
     recording = made.write(tmp_path / "run.mcap")["x"]
     del recording.columns["load_estimate"]
     with pytest.raises(RecordingError, match="no column load_estimate; another version of friction_hil made it"):
+        verify(recording)
+
+
+def test_a_recording_of_an_earlier_build_comes_out_bit_for_bit():
+    """Its states are laid out as that build laid them out, and its torque was computed by that build's code."""
+    recording = recordings.read_all(GOLDEN / "0.3.0.dev0.mcap")["x"]
+    recording.metadata["fingerprint"]["friction_hil"] = __version__  # a later version allows no difference, either
+    result = verify(recording)
+    assert (result.is_verified, result.reason, result.rows) == (True, "", 285)
+    assert (result.tolerance == 0.0) is (result.differences == ())  # on another machine, a billionth
+
+
+def test_a_recording_of_the_first_version_is_read_and_only_that_version_verifies_it():
+    """It has neither the columns nor the states of what the compensator has learned to do since."""
+    recording = recordings.read_all(GOLDEN / "0.1.0.mcap")["x"]
+    assert len(recording) == 161
+    assert np.abs(recording["compensation"]).max() == pytest.approx(0.08, abs=0.01)
+    with pytest.raises(RecordingError, match="no column acceleration_demand_ahead, .*another version of friction_hil"):
         verify(recording)
