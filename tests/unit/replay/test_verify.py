@@ -293,5 +293,5 @@ def test_a_recording_of_the_first_version_is_read_and_only_that_version_verifies
     recording = recordings.read_all(GOLDEN / "0.1.0.mcap")["x"]
     assert len(recording) == 161
     assert np.abs(recording["compensation"]).max() == pytest.approx(0.08, abs=0.01)
-    with pytest.raises(RecordingError, match="no column acceleration_demand_ahead, .*another version of friction_hil"):
+    with pytest.raises(RecordingError, match=r"no column acceleration_demand_ahead, .*another version of friction_hil"):
         verify(recording)
