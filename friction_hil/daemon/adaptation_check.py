@@ -7,7 +7,7 @@ import numpy as np
 
 from friction_hil.compensator import adaptation
 from friction_hil.daemon.assembly import make_compensator, make_path, ramp_s
-from friction_hil.daemon.figures import adaptation_needs
+from friction_hil.daemon.notices import adaptation_needs
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import UsageError
 from friction_hil.motion.trajectory import PathTime, Trajectory

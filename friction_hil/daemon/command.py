@@ -7,7 +7,7 @@ from friction_hil.compensator.limiter import limit_torque
 from friction_hil.daemon.assembly import make_controller
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
-from friction_hil.daemon.static_torque import StaticTorque, static_torque
+from friction_hil.daemon.static_torque import Fade, StaticTorque, static_torque
 from friction_hil.drive import Command, DriveState, Feedback, Mode
 from friction_hil.motion.controller import cascade
 from friction_hil.motion.trajectory import Setpoint
@@ -34,15 +34,12 @@ class CommandWriter:
 
     __slots__ = (
         "_controller",
-        "_difference",
         "_error_left",
-        "_fade_left_s",
-        "_fade_s",
+        "_fade",
         "_highest",
         "_integral",
         "_is_held_by_loop",
         "_largest_step",
-        "_last_static",
         "_lead_s",
         "_limits",
         "_lowest",
@@ -66,8 +63,7 @@ class CommandWriter:
         self._period_s = period_s
         self._lead_s = lead_s  # from sampling the position until the torque acts
         self._static = static_torque(config)
-        self._last_static = 0.0
-        self._difference = self._fade_s = self._fade_left_s = 0.0  # from the torque before the last change
+        self._fade = Fade(period_s)  # from the feed-forward before the last change
         self._largest_step = limits.torque_slew * period_s
         self._controller, self._integral = make_controller(config), 0.0
         self._is_held_by_loop = False  # the loop's own controller (cst) has carried the axis up to now
@@ -89,8 +85,7 @@ class CommandWriter:
     def adopt(self, static: StaticTorque, fade_s: float, lead_s: float) -> None:
         """Go on with another feed-forward of gravity and offset; what it differs by vanishes over ``fade_s``."""
         self._static, self._lead_s = static, lead_s
-        self._fade_s = fade_s
-        self._fade_left_s = math.inf
+        self._fade.begin(fade_s)
 
     def write(
         self,
@@ -179,15 +174,7 @@ class CommandWriter:
         """Return the feed-forward of gravity and offset, N m: on the demanded path, without one at the axis."""
         if now is not None:
             position, velocity = now.position, now.velocity
-        wanted = self._static.at(position + self._lead_s * velocity)
-        if self._fade_left_s > 0.0:
-            if self._fade_left_s == math.inf:
-                self._difference, self._fade_left_s = self._last_static - wanted, self._fade_s
-            else:
-                self._fade_left_s = max(self._fade_left_s - self._period_s, 0.0)
-            wanted += self._difference * self._fade_left_s / self._fade_s
-        self._last_static = wanted
-        return wanted
+        return self._fade.next(self._static.at(position + self._lead_s * velocity))
 
     def _bounded(self, wanted: float) -> float:
         """Return the torque within `most`, and keep it as `effort`."""

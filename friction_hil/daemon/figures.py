@@ -1,4 +1,4 @@
-"""Figures of an axis in a run: its following error without and with compensation, its feedback, and warnings."""
+"""Figures of an axis in a run: its following error without and with compensation, and its feedback."""
 
 import math
 from collections import deque
@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from friction_hil.compensator import Compensator, adaptation
 from friction_hil.daemon.delay_fit import DelaySums
-from friction_hil.friction.network_model import beyond_speed
 
 _LONGEST_GAP = 10_000  # cycles; a longer one is a fault in any configuration
 _MOST_REASONS = 20
@@ -324,10 +322,11 @@ class FeedbackGaps:
     A gap counts when feedback is there again; one that ends the run, and what is missing after that, was not bridged.
     """
 
-    __slots__ = ("_gap", "_last_missing", "bridged", "is_open", "reasons")
+    __slots__ = ("_gap", "_last_missing", "bridged", "is_open", "reasons", "stale")
 
     def __init__(self) -> None:
         self._last_missing: deque[int] = deque(maxlen=_NAMED_WITHIN)  # cycles
+        self.stale = 0  # cycles without usable feedback, bridged or not
         self.bridged = 0  # cycles
         self.reasons: dict[str, int] = {}  # number of these cycles by the reason that the driver gave
         self.is_open = False  # feedback is missing; no property: it is read in every cycle
@@ -355,61 +354,3 @@ class FeedbackGaps:
         missing = sum(cycle - _NAMED_WITHIN <= each < cycle for each in self._last_missing)
         few = missing < _NAMED_SHARE * _NAMED_WITHIN
         return "" if few else f"; feedback was missing in {missing} of the {_NAMED_WITHIN} cycles before"
-
-
-_OVER_COMPENSATED = "the axis oscillates by its own compensation (limit cycle, over-compensation)"
-
-
-def is_limit_cycle(warning: str, name: str) -> bool:
-    """Return True if a warning of a run says that the compensation of this axis made it oscillate."""
-    return warning.startswith(f"{name}: {_OVER_COMPENSATED}")
-
-
-class CompensationNotices:
-    """Warnings about the compensation of one axis: lowered gain, and a network beyond its trained speed."""
-
-    __slots__ = (
-        "_beyond",
-        "_gain_factor",
-        "_name",
-        "_trained_speed",
-        "_unit",
-    )
-
-    def __init__(self, name: str, unit: str, compensator: Compensator) -> None:
-        self._name, self._unit = name, unit  # unit of the position, ``rad`` or ``m``
-        self.renew(compensator)
-
-    def renew(self, compensator: Compensator) -> None:
-        """Begin anew with the present model of the compensator."""
-        self._trained_speed, self._beyond = compensator.trained_speed, beyond_speed(compensator.has_residual)
-        self._gain_factor = compensator.gain_factor
-
-    def next(self, compensator: Compensator, velocity: float) -> str | None:
-        """Return the warning of this cycle, given the estimated velocity; each once, and None in most cycles."""
-        if compensator.gain_factor != self._gain_factor:
-            self._gain_factor = compensator.gain_factor
-            return f"{self._name}: {_OVER_COMPENSATED}: the gain is now {self._gain_factor:.0%} of the configured one"
-        if abs(velocity) > self._trained_speed:
-            limit, self._trained_speed = self._trained_speed, math.inf
-            return (
-                f"{self._name}: faster than the {limit:g} {self._unit}/s that the network was trained for; beyond, "
-                f"{self._beyond}"
-            )
-        return None
-
-
-def adaptation_notice(name: str, unit: str, compensator: Compensator) -> str | None:
-    """Return the notice that adaptation learned nothing in a whole run, and what it needs; None if it did."""
-    if compensator.record[0]["adaptation_s"] == 0.0 or compensator.learned_s > 0.0:
-        return None
-    return f"{name}: compensation.adaptation learned nothing: {adaptation_needs(unit, compensator)}"
-
-
-def adaptation_needs(unit: str, compensator: Compensator) -> str:
-    """Return what adaptation needs in order to learn; ``unit`` is that of the position, ``rad`` or ``m``."""
-    return (
-        "it needs the drive's torque and an axis that slides in one direction for more than "
-        f"{adaptation.SETTLED_S:g} s and {compensator.sliding_travel:.2g} {unit}, faster than "
-        f"{compensator.slowest_learning:.2g} {unit}/s (four times the noise of the velocity estimate)"
-    )

@@ -24,24 +24,9 @@ import math
 from enum import IntEnum
 
 from friction_hil.daemon.safety import SafetyLimits
+from friction_hil.daemon.start_numbers import First
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import UsageError
-
-_TAU_S = 0.1  # time in which the target grows by e
-_REST_S, _LONGEST_REST_S = 0.1, 1.0
-_SETTLE_S, _WINDOW_S = 0.06, 0.1
-_STUCK_S = 1.5  # at the largest target: friction may need that long to be overcome
-_LONGEST_RETURN_S = 2.0
-_SHORTEST_CYCLES = 10  # for each of these times
-
-_BOUND_S = 5e-3  # bound of the motion: the way at the velocity limit in this time,
-_BOUND_SPAN = 0.01  # or this part of the range between the position limits
-_PARTS = 8.0  # the bound is so many times the distance d
-_LEAST_STEPS = 12.0  # steps of the position in d
-_FASTEST = 3.0  # largest target, times d / tau
-_TOLERANCE = 0.3  # of the velocity: slip-stick, filters, drives that settle slowly
-_OVERSHOOT, _REPEATS = 2.5, 3  # an axis that broke loose may overshoot: windows that are repeated
-_STANDING = 0.05  # part of the target: slower does not count as motion
 
 # Units that drives are known to have: rad/s, or m/s, for one increment
 _ROTARY = {
@@ -52,7 +37,6 @@ _ROTARY = {
 }
 _LINEAR = {"m/s": 1.0, "mm/s": 1e-3}
 _PREFIXES = (1.0, 0.1, 0.01, 1e-3, 1e-4)
-_LIKENESS = 0.12  # tolerated error of a guess
 
 
 class Phase(IntEnum):
@@ -112,17 +96,18 @@ class FirstMotion:
         self._position_step, self._velocity_step = position_resolution, velocity_resolution
         span = limits.position_high - limits.position_low
         self._distance = max(
-            min(_BOUND_S * limits.velocity, _BOUND_SPAN * span) / _PARTS, _LEAST_STEPS * position_resolution
+            min(First.BOUND_S * limits.velocity, First.BOUND_SPAN * span) / First.PARTS,
+            First.LEAST_STEPS * position_resolution,
         )
         # distance beyond which the motion ends in any case, SI; stopping takes a little more
-        self.bound = _PARTS * self._distance
+        self.bound = First.PARTS * self._distance
         if self.bound > 0.5 * span:
             raise UsageError(
                 f"{name}: the position is too coarse (steps of {position_resolution:.3g} {unit}) for the first motion "
                 f"of mode csv within the position limits: it needs {self.bound:.3g} {unit}"
             )
-        self._tau_s = max(_TAU_S, _SHORTEST_CYCLES * period_s)
-        self._fastest = min(_FASTEST * self._distance / self._tau_s, limits.velocity)
+        self._tau_s = max(First.TAU_S, First.SHORTEST_CYCLES * period_s)
+        self._fastest = min(First.FASTEST * self._distance / self._tau_s, limits.velocity)
         self._phase = Phase.REST
         self._cycles = 0  # in this phase
         self._total = 0  # cycles since the axis began to rest
@@ -132,7 +117,7 @@ class FirstMotion:
         self._integral = 0.0  # of the reported velocity, in the window
         self._direction = 1.0
         self._steps = 0  # the target, in increments
-        self._repeats = _REPEATS
+        self._repeats = First.REPEATS
         self.target = 0.0  # velocity of this cycle, SI
         # set at the end where the axis moves slower than its target although its unit is right
         self.warning: str | None = None
@@ -177,18 +162,21 @@ class FirstMotion:
         if self._phase is Phase.RAMP:
             return self._ramp(position, moved)
         if self._phase is Phase.SETTLE:
-            if self._is_over(_SETTLE_S):
+            if self._is_over(First.SETTLE_S):
                 self._enter(Phase.WINDOW, position)
                 self._integral = 0.0
-        elif self._is_over(_WINDOW_S):
+        elif self._is_over(First.WINDOW_S):
             return self._judge(position, moved)
         return None
 
     def _rest(self, position: float) -> str | None:
         """Wait until the axis stands: a load may still settle on a drive that was just enabled."""
-        if abs(position - self._mark) > 0.25 * self._distance and self._total * self._period_s < _LONGEST_REST_S:
+        if (
+            abs(position - self._mark) > First.RESTING * self._distance
+            and self._total * self._period_s < First.LONGEST_REST_S
+        ):
             self._enter(Phase.REST, position)
-        elif self._is_over(_REST_S):
+        elif self._is_over(First.REST_S):
             if self._velocity_step > self._limits.velocity:
                 text = (
                     f"one increment of the velocity target is {self._velocity_step:.4g} {self._unit}/s by its unit, "
@@ -209,7 +197,7 @@ class FirstMotion:
         self._steps = min(int(grown), most)
         if moved >= self._distance:
             self._enter(Phase.SETTLE, position)
-        elif self._cycles * self._period_s >= self._tau_s * math.log(most + 1.0) + _STUCK_S:
+        elif self._cycles * self._period_s >= self._tau_s * math.log(most + 1.0) + First.STUCK_S:
             if moved <= 2.0 * self._position_step:
                 text = (
                     f"the axis does not move although {self._steps * self._velocity_step:.3g} {self._unit}/s is "
@@ -225,7 +213,7 @@ class FirstMotion:
         if self._phase is Phase.WINDOW and self._cycles >= 3:
             duration_s, way = self._cycles * self._period_s, self._direction * (position - self._mark)
             reported = self._integral
-            tolerance = _TOLERANCE * abs(way) + self._velocity_step * duration_s + 4.0 * self._position_step
+            tolerance = First.TOLERANCE * abs(way) + self._velocity_step * duration_s + 4.0 * self._position_step
             is_consistent = abs(reported - way) <= tolerance
         else:  # beyond the bound already: much too fast, the velocity is that of the whole motion
             way, reported, is_consistent = self._direction * (position - self._mark), math.nan, False
@@ -234,13 +222,19 @@ class FirstMotion:
                 duration_s = self._tau_s  # the integral of an exponential
         found = way / duration_s
         slack = 2.0 * self._position_step / duration_s
-        is_too_fast = found > (1.0 + _TOLERANCE) * asked + slack
-        if is_too_fast and is_consistent and self._repeats > 0 and found < _OVERSHOOT * asked and moved < self.bound:
+        is_too_fast = found > (1.0 + First.TOLERANCE) * asked + slack
+        if (
+            is_too_fast
+            and is_consistent
+            and self._repeats > 0
+            and found < First.OVERSHOOT * asked
+            and moved < self.bound
+        ):
             self._repeats -= 1
             self._integral = 0.0
             self._enter(Phase.WINDOW, position)
             return None
-        if is_too_fast or (not is_consistent and found < (1.0 - _TOLERANCE) * asked):
+        if is_too_fast or (not is_consistent and found < (1.0 - First.TOLERANCE) * asked):
             return self._wrong_unit(found / asked)
         if not is_consistent and math.isfinite(reported):
             text = (
@@ -248,10 +242,10 @@ class FirstMotion:
                 "reported velocity, or frozen or slipping encoder"
             )
             return self._fault(FaultCode.VELOCITY_UNIT_WRONG, text)
-        if found < _STANDING * asked:
+        if found < First.STANDING * asked:
             text = f"the axis does not move although {asked:.3g} {self._unit}/s is demanded: brake, or blocked axis"
             return self._fault(FaultCode.AXIS_DOES_NOT_MOVE, text)
-        if found < (1.0 - _TOLERANCE) * asked - slack:
+        if found < (1.0 - First.TOLERANCE) * asked - slack:
             self.warning = (
                 f"{self._name}: the first motion: the axis reaches only {found / asked:.0%} of a velocity target of "
                 f"{asked:.3g} {self._unit}/s, though its unit is right: friction, or a velocity loop without integral"
@@ -263,10 +257,10 @@ class FirstMotion:
     def _return(self, position: float) -> str | None:
         """Go back to where the motion began, as far as the axis follows."""
         moved = self._direction * (position - self._start)
-        if self._steps and (moved <= 0.0 or self._is_over(_LONGEST_RETURN_S)):
+        if self._steps and (moved <= 0.0 or self._is_over(First.LONGEST_RETURN_S)):
             self._steps = 0
             self._cycles = 0
-        elif not self._steps and self._is_over(_SETTLE_S):
+        elif not self._steps and self._is_over(First.SETTLE_S):
             self._enter(Phase.DONE, position)
         return None
 
@@ -274,7 +268,7 @@ class FirstMotion:
         self._phase, self._cycles, self._mark = phase, 0, position
 
     def _is_over(self, time_s: float) -> bool:
-        return self._cycles >= max(time_s / self._period_s - 1e-9, _SHORTEST_CYCLES)
+        return self._cycles >= max(time_s / self._period_s - 1e-9, First.SHORTEST_CYCLES)
 
     def _wrong_direction(self, moved: float) -> str:
         text = (
@@ -313,4 +307,4 @@ def likely_unit(size: float, unit: str, position_resolution: float) -> str:
     if not size > 0.0:
         return ""
     best = min(sizes, key=lambda name: (round(abs(math.log(sizes[name] / size)), 6), len(name)))
-    return best if abs(math.log(sizes[best] / size)) <= _LIKENESS else ""
+    return best if abs(math.log(sizes[best] / size)) <= First.LIKENESS else ""

@@ -14,20 +14,8 @@ Once the axis has followed a part of its path, the check ends for this run; late
 import math
 
 from friction_hil.daemon.safety import SafetyLimits
+from friction_hil.daemon.start_numbers import Follow
 from friction_hil.drive.codes import FaultCode
-
-_PATH_PART = 0.5
-_ERROR_PART = 0.8
-_LEAST_STEPS = 100.0  # of the position, in X
-_MOVED = 0.05  # part of the demand's range that counts as motion
-_PATIENCE_S = 0.3
-_PATIENCE_CYCLES = 20
-
-_FOLLOWED = 0.1  # part of the path after which the axis counts as following, if its error is less than half of that
-_RUNAWAY_S = 5e-3  # largest distance of a runaway, times the velocity limit
-_DOUBLINGS = 3  # of the distance up to that one
-_GROWTH = 2.7  # of v^2, when the distance doubles
-_LEAST_RUNAWAY_STEPS = 80.0
 
 
 class FollowCheck:
@@ -74,12 +62,13 @@ class FollowCheck:
     ) -> None:
         self._name, self._unit, self._extent, self._is_torque_ours = name, unit, extent, is_torque_ours
         self._distance = max(
-            min(_PATH_PART * extent, _ERROR_PART * limits.following_error), _LEAST_STEPS * position_resolution
+            min(Follow.PATH_PART * extent, Follow.ERROR_PART * limits.following_error),
+            Follow.LEAST_STEPS * position_resolution,
         )
-        self._patience = max(_PATIENCE_S / period_s, _PATIENCE_CYCLES)
+        self._patience = max(Follow.PATIENCE_S / period_s, Follow.PATIENCE_CYCLES)
         self._runaway = max(
-            min(_RUNAWAY_S * limits.velocity, _ERROR_PART * limits.following_error),
-            _LEAST_RUNAWAY_STEPS * position_resolution,
+            min(Follow.RUNAWAY_S * limits.velocity, Follow.ERROR_PART * limits.following_error),
+            Follow.LEAST_RUNAWAY_STEPS * position_resolution,
         )
         self._period_s = period_s
         self._waited = 0
@@ -88,7 +77,7 @@ class FollowCheck:
         self._demanded = 0.0  # in the last cycle with feedback
         self._unheard = 0  # periods since then
         self._origin = 0.0  # where the axis began to leave its set-point
-        self._next = self._runaway / 2.0**_DOUBLINGS  # distance at which the speed is noted next
+        self._next = self._runaway / 2.0**Follow.DOUBLINGS  # distance at which the speed is noted next
         self._speed = math.nan  # at half of that distance
         self.is_confirmed = False  # the axis has followed its path: nothing more is to be checked
 
@@ -111,7 +100,9 @@ class FollowCheck:
         self._demand_low, self._demand_high = min(self._demand_low, demanded), max(self._demand_high, demanded)
         error = demanded - moved
         demand_rate, self._demanded = (demanded - self._demanded) / elapsed_s, demanded
-        if abs(moved) >= max(_FOLLOWED * self._extent, 0.25 * self._distance) and abs(error) < 0.5 * abs(moved):
+        if abs(moved) >= max(Follow.FOLLOWED * self._extent, Follow.FOLLOWED_DISTANCE * self._distance) and abs(
+            error
+        ) < Follow.FOLLOWED_ERROR * abs(moved):
             self.is_confirmed = moved * demanded > 0.0
             return None
         if self._is_torque_ours and (
@@ -120,7 +111,7 @@ class FollowCheck:
             return fault
         demand_range, moved_range = self._demand_high - self._demand_low, self._high - self._low
         self._waited = self._waited + 1 if demand_range >= self._distance else 0
-        if self._waited >= self._patience and moved_range < _MOVED * demand_range:
+        if self._waited >= self._patience and moved_range < Follow.MOVED * demand_range:
             text = (
                 f"{self._name}: the axis does not move although its set-point has moved by {demand_range:.3g} "
                 f"{self._unit}: brake, blocked axis, torque limit, or wrong unit of the position"
@@ -135,7 +126,7 @@ class FollowCheck:
         """
         is_outside = moved * error < 0.0 and torque * error > 0.0
         if not (is_outside and velocity * error < 0.0 and leaving * error < 0.0):
-            if abs(moved) >= self._runaway / 2.0**_DOUBLINGS:
+            if abs(moved) >= self._runaway / 2.0**Follow.DOUBLINGS:
                 self._next = math.inf  # a load may oscillate until the torque holds it; only a first departure counts
             self._origin = moved
             return None
@@ -143,7 +134,7 @@ class FollowCheck:
             return None
         before, self._speed = self._speed, abs(velocity)
         distance, self._next = self._next, 2.0 * self._next
-        if distance <= self._runaway and self._speed**2 >= _GROWTH * before**2:
+        if distance <= self._runaway and self._speed**2 >= Follow.GROWTH * before**2:
             text = (
                 f"{self._name}: the axis moves in the wrong direction: {moved:.3g} {self._unit} away from its "
                 f"set-point, faster and faster, against a torque of {torque:.3g}: sign of the encoder or of the motor "

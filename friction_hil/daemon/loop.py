@@ -11,9 +11,10 @@ from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.failure import Reserve
 from friction_hil.daemon.log import LoopResult, RunLog, Sink
 from friction_hil.daemon.pacing import CacheWarmer, make_pacer
+from friction_hil.daemon.path_hold import PathHold
 from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.run import LoopSettings, RunControl
-from friction_hil.daemon.safety import REQUESTS, REQUESTS_AFTER_FAULT, LoopState
+from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import Clock, Command, Drives, DriveState, Feedback, Request
 from friction_hil.drive.codes import FaultCode
@@ -40,7 +41,6 @@ class Loop:
     ) -> None:
         self._drives, self._axes, self._clock, self._sink, self._settings = drives, axes, clock, sink, settings
         self._feedback = [Feedback() for _ in axes]
-        self._is_commanded = False  # something but LISTEN was sent
         self._states_while_disabling = [DriveState.UNKNOWN] * len(axes)
         self._commands = [Command() for _ in axes]
         width = columns_width(axes)
@@ -49,6 +49,9 @@ class Loop:
         self._parts = [AxisRow(part, axis.shadow_names) for part, axis in zip(parts, axes, strict=True)]
         self._log = RunLog(sink, settings.period_s)
         self._run = RunControl(axes, path_time, settings, stop, self._log)
+        is_needed = any(axis.motion.stops_without_setpoints for axis in axes) and not settings.is_follower
+        delay_s = max(axis.facts.setpoint_delay_s for axis in axes)
+        self._path = PathHold(path_time, settings.period_s, delay_s, self._log, is_needed=is_needed)
         self._warmer = CacheWarmer(drives, axes[0], self._parts[0])
         self._changes = None if mailbox is None else Changes(mailbox, axes, self._log, self._run)
         self.reserve = Reserve()
@@ -68,7 +71,7 @@ class Loop:
                 cycle = self._pacer.wait(cycle)
                 if self._pacer.skipped and not (self._run.is_idle or self._run.state is LoopState.WAITING):
                     self._log.missed(cycle, self._pacer.skipped, self._pacer.overslept_ns, self._settings.max_missed)
-                    self._run.hold_path(cycle, self._pacer.skipped)
+                    self._path.after_missed(cycle, self._run.state, self._pacer.skipped)
                 self._cycle(cycle)
                 cycle += 1
         except Exception as error:  # noqa: BLE001 - whatever it is, the drives must be stopped
@@ -89,14 +92,14 @@ class Loop:
         if not self._run.begin(self._feedback, time_s):
             return
         if any([feedback.is_setpoint_lost for feedback in self._feedback]):  # noqa: C419 - quicker than a generator
-            self._run.hold_path_for_lost(cycle)
+            self._path.after_lost(cycle, self._run.state)
         if self._changes is not None and self._changes.has_news:
             self._changes.take(cycle, self._run.running_s(time_s), self._feedback)
         self._note_states(cycle)
         updates = self._update_axes(cycle, self._run.state, self._run.running_s(time_s))
         self._drives.send(self._commands)
         exchange_us = (self._clock.now_ns() - began_ns) * 1e-3
-        path_lag_s = self._run.path_lag_s(time_s)
+        path_lag_s = math.nan if self._settings.is_follower else self._path.lag_s(time_s, self._run.state)
         change = 0.0 if self._changes is None else self._changes.last
         for part in self._parts:
             part.write_timing(self._pacer.late_us, exchange_us, path_lag_s, change)
@@ -106,27 +109,24 @@ class Loop:
 
     def _update_axes(self, cycle: int, state: LoopState, running_s: float) -> list[AxisUpdate]:
         """Compute all axes and fill their commands; a fault of one of them changes the requests to all."""
-        updates = []
-        for axis, feedback, command, part in zip(self._axes, self._feedback, self._commands, self._parts, strict=True):
-            update = axis.update(cycle, state, running_s, feedback, command, part)
+        updates, is_covered, time_s = [], [], cycle * self._settings.period_s
+        requests, log = self._run.requests, self._log
+        for index, axis in enumerate(self._axes):
+            feedback = self._feedback[index]
+            update = axis.update(cycle, state, running_s, feedback, self._commands[index], self._parts[index])
             updates.append(update)
+            has_fault = update.fault is not None
+            # what `--reset-fault` covers is the drive's: a computation that failed is not
+            is_reset = not axis.is_broken and requests.covers(index, feedback, state, time_s, has_fault=has_fault)
+            is_covered.append(is_reset)
             if update.warning is not None:
-                self._log.warn(cycle, update.warning)
-            if (text := axis.take_error_without()) is not None:
-                self._log.error_without(cycle, axis.name, text)
-            if update.fault is not None and state is not LoopState.WAITING:  # without power nothing has to be stopped
-                self._log.fault(cycle, update.fault, axis.gaps.before(cycle))
-        request = (REQUESTS_AFTER_FAULT if self._log.has_fault else REQUESTS)[state]
-        if state is LoopState.WAITING and not (self._is_commanded or self._run.is_stop_asked):
-            request = Request.LISTEN  # nothing was enabled so far, and nobody has asked to take the power of a drive
-        if self._settings.is_follower:
-            request = Request.LISTEN  # another controller enables and stops the drives
-        is_resetting = self._run.is_resetting(cycle)
-        for command, update, feedback in zip(self._commands, updates, self._feedback, strict=True):
-            is_reset = state is LoopState.ENABLING and update.is_reset_due
-            is_reset = is_reset or (is_resetting and feedback.state is DriveState.FAULT)
-            command.request = Request.RESET_FAULT if is_reset else request
-        self._is_commanded = self._is_commanded or request is not Request.LISTEN or is_resetting
+                log.warn(cycle, update.warning)
+            if (text := axis.following.take_error_without()) is not None:
+                log.error_without(cycle, axis.name, text)
+            # while the run waits there is no power, and nothing has to be stopped
+            if update.fault is not None and not is_reset and state is not LoopState.WAITING:
+                log.fault(cycle, update.fault, axis.gaps.before(cycle))
+        requests.fill(self._commands, self._feedback, is_covered, state, time_s, has_fault=log.has_fault)
         return updates
 
     def _note_states(self, cycle: int) -> None:
@@ -176,7 +176,7 @@ class Loop:
             self._fail(cycle, error)
         for text in self._drives.leftovers:
             self._log.leftover(cycle, text)
-        if self._settings.dry_run or not self._is_commanded:
+        if self._settings.dry_run or not self._run.requests.is_commanded:
             return
         states = self._states_while_disabling if read_back is None else read_back
         for axis, state in zip(self._axes, states, strict=True):

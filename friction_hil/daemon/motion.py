@@ -30,6 +30,7 @@ class AxisMotion:
 
     __slots__ = (
         "_extent",
+        "_is_path_of_positions",
         "_limits",
         "_name",
         "_setpoint_delay_s",
@@ -53,6 +54,7 @@ class AxisMotion:
         self._name, self._unit, self._limits = name, unit, limits
         self.lead_s = lead_s  # from sampling the position until the torque acts; another model may need another one
         self._setpoint_delay_s = facts.setpoint_delay_s
+        self._is_path_of_positions = config.mode == "csp"
         given = config.trajectory
         self.has_setpoint = given.kind != "none"  # False with ``trajectory: {kind: none}``
         try:
@@ -69,6 +71,11 @@ class AxisMotion:
         self._extent = (self._extent[0] - offset, self._extent[1] + offset, self._extent[2])
         path_time.keep_within(limits.velocity, self._extent[2], largest_acceleration(path, duration_s))
         self._trajectory = Trajectory(path, path_time)
+
+    @property
+    def stops_without_setpoints(self) -> bool:
+        """True if the drive stops where set-points are missing (csp); velocity or torque would be kept."""
+        return self._is_path_of_positions and self.distance > 0.0
 
     @property
     def distance(self) -> float:

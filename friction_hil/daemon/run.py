@@ -1,7 +1,6 @@
 """The run around the cycles: when it begins, which state it is in, and what a change of state brings about."""
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,8 +8,8 @@ from friction_hil.daemon.axis import AxisLoop, AxisUpdate
 from friction_hil.daemon.follower import FollowerStateMachine
 from friction_hil.daemon.log import RunLog
 from friction_hil.daemon.pacing import ExchangeTimes
-from friction_hil.daemon.safety import MOVING, LoopState, why_unusable
-from friction_hil.daemon.sequence import ENABLE_TIMEOUT_S, RunInputs, RunStateMachine, timeout_faults
+from friction_hil.daemon.safety import LoopState, why_unusable
+from friction_hil.daemon.sequence import ENABLE_TIMEOUT_S, Requests, RunInputs, RunStateMachine, timeout_faults
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Feedback
 from friction_hil.drive.codes import FaultCode
@@ -18,9 +17,6 @@ from friction_hil.errors import DriveError, UsageError
 from friction_hil.motion.trajectory import PathTime
 
 _FIRST_FEEDBACK_S = 1.0
-_REGULAR_TIMES, _REGULAR_PERIODS = 10, 200  # so often in so many: the loop is too slow for its period
-_RESET_S = 1.0  # for which the reset of a drive's fault is tried
-_BRIDGED_PERIODS = 1  # without a set-point, which a drive bridges; after more, going on with time would be a step
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,19 +48,13 @@ class RunControl:
         machine = FollowerStateMachine if settings.is_follower else RunStateMachine
         self._machine = machine(is_listening=settings.dry_run, enable_timeout_s=settings.enable_timeout_s)
         self._idle_exchanges = ExchangeTimes(settings.period_s)
+        self.requests = Requests(
+            len(axes), is_follower=settings.is_follower, is_fault_reset_wanted=settings.is_fault_reset_wanted
+        )
         self._has_begun = False
-        self._setpoint_delay_s = max(axis.setpoint_delay_s for axis in axes)
-        self._is_stopped_by_gaps = any(axis.is_stopped_by_gaps for axis in axes)
-        self._missed_before: deque[tuple[int, int]] = deque(maxlen=_REGULAR_TIMES)  # cycle, and periods missed before
-        self._is_slowness_told = False
+        self._setpoint_delay_s = max(axis.facts.setpoint_delay_s for axis in axes)
         self._running_since_s = 0.0 if settings.dry_run else math.nan
         self._is_paused = settings.is_waiting and not settings.dry_run
-        self._reset_until_s = -math.inf
-        # somebody has asked to stop since the start: drives that are found with power are disabled too
-        self.is_stop_asked = False
-        if settings.is_fault_reset_wanted:
-            for axis in axes:
-                axis.allow_fault_reset()
 
     @property
     def state(self) -> LoopState:
@@ -99,10 +89,10 @@ class RunControl:
 
     def _obstacle(self, feedback: Sequence[Feedback]) -> str:
         """Return why an axis cannot be enabled now; empty if all can."""
-        for axis, heard in zip(self._axes, feedback, strict=True):
+        for index, (axis, heard) in enumerate(zip(self._axes, feedback, strict=True)):
             if not heard.is_fresh or not heard.is_reachable:
                 return f"{axis.name}: the state of the drive is unknown: nothing was read back in this cycle"
-            is_reset = heard.state is DriveState.FAULT and axis.may_reset_fault
+            is_reset = heard.state is DriveState.FAULT and self.requests.may_reset(index)
             if heard.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE) and not is_reset:
                 reason = heard.error or "it reports no error code"
                 return f"{axis.name}: the drive is in fault: {reason}; remove the cause and reset it first"
@@ -116,7 +106,7 @@ class RunControl:
         """Let the axes come to rest and be disabled, and wait; return why that is not possible, empty if it is."""
         if self._settings.dry_run:
             return "a dry run has enabled nothing"
-        self._is_paused = self.is_stop_asked = True
+        self._is_paused = self.requests.is_stop_asked = True
         return ""
 
     def reset(self, cycle: int) -> str:
@@ -126,56 +116,8 @@ class RunControl:
         if self._machine.state is not LoopState.WAITING:
             return "it has not stopped: faults are reset once it waits without power"
         self._log.reset(cycle)
-        self._reset_until_s = cycle * self._settings.period_s + _RESET_S
+        self.requests.reset_faults(cycle * self._settings.period_s)
         return ""
-
-    def is_resetting(self, cycle: int) -> bool:
-        """Return True while faults of drives are to be reset."""
-        return self._machine.state is LoopState.WAITING and cycle * self._settings.period_s < self._reset_until_s
-
-    def hold_path(self, cycle: int, missed: int) -> None:
-        """Let the path go on in ``cycle`` from where it was ``missed`` periods before, in which nothing was sent.
-
-        Where no axis has stopped meanwhile (csv, cst), the path goes on with time, as the axes have. A loop that misses
-        periods regularly has a longer period in truth: the path then does not wait for single ones, which drives
-        bridge.
-        """
-        if not self._is_path_to_wait:
-            return
-        before = self._missed_before
-        before.append((cycle, missed))
-        if len(before) == _REGULAR_TIMES and cycle - before[0][0] < _REGULAR_PERIODS:
-            missed = 0 if missed <= _BRIDGED_PERIODS else missed
-            if not self._is_slowness_told:
-                self._is_slowness_told = True
-                text = (
-                    f"the computer is too slow for {1e3 * self._settings.period_s:g} ms: it missed periods "
-                    f"{_REGULAR_TIMES} times in {cycle - before[0][0] + 1}, so set-points no longer wait for a missed "
-                    "one; take a longer period_s"
-                )
-                self._log.warn(cycle, text)
-        if missed > 0:
-            self._hold(cycle, missed)
-
-    def hold_path_for_lost(self, cycle: int) -> None:
-        """Let the path wait for the period before ``cycle``, whose set-point did not get to a drive."""
-        if self._is_path_to_wait:
-            self._hold(cycle, 1)
-
-    @property
-    def _is_path_to_wait(self) -> bool:
-        """True while an axis moves that stops where set-points are missing."""
-        return self._is_stopped_by_gaps and self._machine.state in MOVING and not self._settings.is_follower
-
-    def _hold(self, cycle: int, periods: int) -> None:
-        time_s, held_s = cycle * self._settings.period_s, periods * self._settings.period_s
-        self._path_time.hold(time_s, held_s, time_s + self._setpoint_delay_s)
-
-    def path_lag_s(self, time_s: float) -> float:
-        """Return by how much the path is behind after missed periods, s; NaN while the daemon moves nothing."""
-        if self._machine.state not in MOVING or self._settings.is_follower:
-            return math.nan
-        return self._path_time.lag_s(time_s)
 
     def begin(self, feedback: Sequence[Feedback], time_s: float) -> bool:
         """Return True once every axis has reported its position and its path has been checked from there.

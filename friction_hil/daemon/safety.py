@@ -12,13 +12,15 @@ from enum import IntEnum
 from friction_hil.daemon.fast_steps import MOST_FAST_CYCLES, FastSteps
 from friction_hil.daemon.velocity_check import VelocityCheck
 from friction_hil.daemon.velocity_trust import VelocityTrust
-from friction_hil.drive import DriveState, Feedback, Request
+from friction_hil.drive import DriveState, Feedback
 from friction_hil.drive.codes import FaultCode
 
 MAX_STALE_CYCLES = 10
+STANDSTILL_S = 0.05  # without motion; in a single cycle an axis seems to stand at each reversal
 SPEED_MARGIN = 1.5  # times the speed that a motion may reach: faster is a fault, overshoot is not
 _JUMP_MARGIN = 2.0
-_FAULT_RESET_S = 1.0
+_STANDSTILL_RATIO = 1e-3  # of the velocity limit
+_HELD_S, _MOST_HELD = 0.5 * STANDSTILL_S, 10  # for so long, and cycles, one without usable feedback changes nothing
 _NOISE_STEPS = 2.0  # steps of the encoder by which the displacement over a period may be wrong
 
 
@@ -38,27 +40,8 @@ class LoopState(IntEnum):
 
 MOVING = (LoopState.RUNNING, LoopState.STOPPING)
 LIMITED = (LoopState.FIRST_MOTION, *MOVING)
-_NOT_YET_ENABLED = (LoopState.IDLE, LoopState.ENABLING)
+NOT_YET_ENABLED = (LoopState.IDLE, LoopState.ENABLING)
 ENDING = (LoopState.FAULT_STOPPING, LoopState.DISABLING, LoopState.DONE, LoopState.WAITING)
-
-REQUESTS = {
-    LoopState.IDLE: Request.LISTEN,
-    LoopState.ENABLING: Request.ENABLE,
-    LoopState.FIRST_MOTION: Request.ENABLE,
-    LoopState.RUNNING: Request.ENABLE,
-    LoopState.STOPPING: Request.ENABLE,
-    LoopState.FAULT_STOPPING: Request.QUICK_STOP,
-    LoopState.DISABLING: Request.DISABLE,
-    LoopState.DONE: Request.DISABLE,
-    LoopState.WAITING: Request.DISABLE,
-}
-# in the very cycle in which a fault is found, before the state follows
-REQUESTS_AFTER_FAULT = REQUESTS | {
-    LoopState.ENABLING: Request.DISABLE,
-    LoopState.FIRST_MOTION: Request.QUICK_STOP,
-    LoopState.RUNNING: Request.QUICK_STOP,
-    LoopState.STOPPING: Request.QUICK_STOP,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +80,7 @@ class Supervisor:
         "_fast_cycles",
         "_fast_estimates",
         "_fastest",
+        "_is_doubt_told",
         "_jump",
         "_last_position",
         "_limits",
@@ -113,6 +97,9 @@ class Supervisor:
         "_unit",
         "_velocity_check",
     )
+
+    # of an axis that the daemon enables and moves, its state alone is enough to judge it
+    is_operating = is_torque_taken = True
 
     def __init__(
         self,
@@ -140,6 +127,7 @@ class Supervisor:
         self._max_stale_cycles = max_stale_cycles
         self._velocity_check = VelocityCheck(period_s, limits.velocity, position_resolution, velocity_resolution)
         self._trust = None if is_velocity_trusted else VelocityTrust(period_s, position_resolution, velocity_resolution)
+        self._is_doubt_told = False
         self._fast_cycles = 0  # in a row in which the drive reported more than the velocity limit
         self._fast_estimates = 0  # in a row beyond the limit: if the drive reports less, a frame may have been late
         self._steps = FastSteps(limits.velocity * period_s, position_resolution)
@@ -168,10 +156,16 @@ class Supervisor:
         """Return the velocity of usable feedback: as reported, or by the position until a motion has confirmed that."""
         return feedback.velocity if self._trust is None else self._trust.velocity
 
-    @property
-    def velocity_contradiction(self) -> float:
-        """Reported velocity over that of the position if they contradict each other and it is not used; else NaN."""
-        return math.nan if self._trust is None else self._trust.contradiction
+    def take_doubt(self) -> str | None:
+        """Return a warning, once, that the velocity which the drive reports is not that of its position."""
+        if self._is_doubt_told or self._trust is None or math.isnan(self._trust.contradiction):
+            return None
+        self._is_doubt_told = True
+        return (
+            f"{self._name}: the drive reports a velocity {self._trust.contradiction:.3g} times the derivative of its "
+            "position: it is not used, speed follows from the position alone; compare the unit of its velocity with "
+            "its manual"
+        )
 
     @property
     def has_position(self) -> bool:
@@ -235,7 +229,7 @@ class Supervisor:
         self._missing = ""
         if feedback.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             text = f"{self._name}: the drive is in fault: {feedback.error or 'it reports no error code'}"
-            advice = "; --reset-fault leaves it" if state in _NOT_YET_ENABLED else ""
+            advice = "; --reset-fault leaves it" if state in NOT_YET_ENABLED else ""
             return FaultCode.DRIVE_IN_FAULT.append_to(text + advice)
         return self._find_motion_fault(feedback, velocity, position_demand) if state in LIMITED else None
 
@@ -329,37 +323,21 @@ class Supervisor:
         )
 
 
-class FaultReset:
-    """Reset of the fault in which a drive is found at the start, on the user's request; no later fault is reset.
+class Standstill:
+    """Standstill of one axis; a lost cycle now and then says nothing, and changes nothing."""
 
-    ``is_wanted``: the user asked for it (``--reset-fault``).
-    """
+    __slots__ = ("_held", "_is_slow", "_most_held", "_slowest")
 
-    __slots__ = ("_until_s", "is_open")
+    def __init__(self, velocity_limit: float, position_resolution: float, period_s: float) -> None:
+        # speed below which an axis counts as standing, SI
+        self._slowest = max(_STANDSTILL_RATIO * velocity_limit, 2.0 * position_resolution / period_s)
+        self._most_held = min(_MOST_HELD, max(1, int(_HELD_S / period_s)))
+        self._is_slow, self._held = False, 0  # in the last cycle with usable feedback, and cycles since then
 
-    def __init__(self, is_wanted: bool) -> None:
-        self.is_open = is_wanted  # the permission is still given
-        self._until_s = _FAULT_RESET_S
-
-    def take(self, feedback: Feedback) -> None:
-        """Take one cycle's feedback: once the drive has no fault, the permission ends."""
-        if feedback.is_fresh and feedback.state in _WITHOUT_FAULT:
-            self.is_open = False
-
-    def is_due(self, feedback: Feedback, state: LoopState, time_s: float) -> bool:
-        """Return True if the drive's fault is to be reset in this cycle."""
-        if state not in _NOT_YET_ENABLED:  # `run --wait`: its time begins once somebody starts the axes
-            self._until_s = math.nan
-            return False
-        if math.isnan(self._until_s):
-            self._until_s = time_s + _FAULT_RESET_S
-        return self.is_open and feedback.state is DriveState.FAULT and time_s < self._until_s
-
-
-_WITHOUT_FAULT = (
-    DriveState.SWITCH_ON_DISABLED,
-    DriveState.READY_TO_SWITCH_ON,
-    DriveState.SWITCHED_ON,
-    DriveState.OPERATION_ENABLED,
-    DriveState.QUICK_STOP_ACTIVE,
-)
+    def take(self, velocity: float, *, is_usable: bool) -> bool:
+        """Take the velocity of a cycle, SI; return True if the axis stands. One that is not finite proves nothing."""
+        if is_usable:
+            self._is_slow, self._held = abs(velocity) <= self._slowest, 0
+        else:
+            self._held += 1
+        return self._is_slow and self._held <= self._most_held

@@ -1,10 +1,14 @@
-"""State machine of a run: enabling, running, coming to rest, disabling. Pure: inputs of a cycle, next state."""
+"""State machine of a run (enabling, running, coming to rest, disabling), and what is asked of the drives in each state.
 
+Pure: inputs of a cycle, next state and requests.
+"""
+
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from friction_hil.daemon.safety import LoopState
-from friction_hil.drive import DriveState, Feedback
+from friction_hil.daemon.safety import NOT_YET_ENABLED, STANDSTILL_S, LoopState
+from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.drive.codes import FaultCode
 
 SETTLE_S = 0.05  # idle cycles at the start, in which everything runs once
@@ -15,7 +19,34 @@ QUICK_STOP_TIMEOUT_S = 5.0
 DISABLE_TIMEOUT_S = 2.0
 LOST_POWERED_TIMEOUT_S = 5.0  # for the driver to stop a drive that commands do not reach, if that still tells its state
 LOST_UNKNOWN_TIMEOUT_S = 1.0  # the same for a drive whose state is unknown: its own watchdog has acted by then
-STANDSTILL_S = 0.05  # without motion; in a single cycle an axis seems to stand at each reversal
+FAULT_RESET_S = 1.0  # for which the reset of a drive's fault is tried
+
+REQUESTS = {
+    LoopState.IDLE: Request.LISTEN,
+    LoopState.ENABLING: Request.ENABLE,
+    LoopState.FIRST_MOTION: Request.ENABLE,
+    LoopState.RUNNING: Request.ENABLE,
+    LoopState.STOPPING: Request.ENABLE,
+    LoopState.FAULT_STOPPING: Request.QUICK_STOP,
+    LoopState.DISABLING: Request.DISABLE,
+    LoopState.DONE: Request.DISABLE,
+    LoopState.WAITING: Request.DISABLE,
+}
+# in the very cycle in which a fault is found, before the state follows
+REQUESTS_AFTER_FAULT = REQUESTS | {
+    LoopState.ENABLING: Request.DISABLE,
+    LoopState.FIRST_MOTION: Request.QUICK_STOP,
+    LoopState.RUNNING: Request.QUICK_STOP,
+    LoopState.STOPPING: Request.QUICK_STOP,
+}
+
+_WITHOUT_FAULT = (
+    DriveState.SWITCH_ON_DISABLED,
+    DriveState.READY_TO_SWITCH_ON,
+    DriveState.SWITCHED_ON,
+    DriveState.OPERATION_ENABLED,
+    DriveState.QUICK_STOP_ACTIVE,
+)
 
 
 @dataclass(slots=True)
@@ -193,3 +224,83 @@ def _is_awaited(state: LoopState, drive_state: DriveState, is_standing: bool) ->
     if state is LoopState.DISABLING:
         return drive_state.is_powered
     return not is_standing
+
+
+class FaultReset:
+    """Reset of the fault in which a drive is found at the start, on the user's request; no later fault is reset.
+
+    ``is_wanted``: the user asked for it (``--reset-fault``).
+    """
+
+    __slots__ = ("_until_s", "is_open")
+
+    def __init__(self, is_wanted: bool) -> None:
+        self.is_open = is_wanted  # the permission is still given
+        self._until_s = FAULT_RESET_S
+
+    def take(self, feedback: Feedback) -> None:
+        """Take one cycle's feedback: once the drive has no fault, the permission ends."""
+        if feedback.is_fresh and feedback.state in _WITHOUT_FAULT:
+            self.is_open = False
+
+    def is_due(self, feedback: Feedback, state: LoopState, time_s: float) -> bool:
+        """Return True if the drive's fault is to be reset in this cycle."""
+        if state not in NOT_YET_ENABLED:  # `run --wait`: its time begins once somebody starts the axes
+            self._until_s = math.nan
+            return False
+        if math.isnan(self._until_s):
+            self._until_s = time_s + FAULT_RESET_S
+        return self.is_open and feedback.state is DriveState.FAULT and time_s < self._until_s
+
+
+class Requests:
+    """What is asked of each drive in a cycle.
+
+    ``drives``: their number. ``is_follower``: another controller enables and stops them. ``is_fault_reset_wanted``: the
+    fault in which a drive is found at the start is to be reset.
+    """
+
+    __slots__ = ("_is_follower", "_reset_until_s", "_resets", "is_commanded", "is_stop_asked")
+
+    def __init__(self, drives: int, *, is_follower: bool = False, is_fault_reset_wanted: bool = False) -> None:
+        self._is_follower = is_follower
+        self._resets = [FaultReset(is_fault_reset_wanted) for _ in range(drives)]
+        self._reset_until_s = -math.inf
+        self.is_commanded = False  # something but LISTEN was asked
+        # somebody has asked to stop since the start: drives that are found with power are disabled too
+        self.is_stop_asked = False
+
+    def may_reset(self, index: int) -> bool:
+        """Return True if the fault in which this drive is found is to be reset when it is enabled."""
+        return self._resets[index].is_open
+
+    def reset_faults(self, time_s: float) -> None:
+        """Reset the faults that drives have while the run waits, from now on for `FAULT_RESET_S`."""
+        self._reset_until_s = time_s + FAULT_RESET_S
+
+    def covers(self, index: int, feedback: Feedback, state: LoopState, time_s: float, *, has_fault: bool) -> bool:
+        """Take one cycle of a drive; return True if it is in the fault that is to be reset, which ends no run."""
+        reset = self._resets[index]
+        if has_fault or state is LoopState.ENABLING:
+            reset.take(feedback)
+        return reset.is_due(feedback, state, time_s)
+
+    def fill(
+        self,
+        commands: Sequence[Command],
+        feedback: Sequence[Feedback],
+        is_covered: Sequence[bool],
+        state: LoopState,
+        time_s: float,
+        *,
+        has_fault: bool,
+    ) -> None:
+        """Write the request of a cycle into the command of each drive; ``is_covered``: `covers` of each."""
+        request = (REQUESTS_AFTER_FAULT if has_fault else REQUESTS)[state]
+        if self._is_follower or (state is LoopState.WAITING and not (self.is_commanded or self.is_stop_asked)):
+            request = Request.LISTEN  # nothing was enabled so far, and nobody has asked to take the power of a drive
+        is_resetting = state is LoopState.WAITING and time_s < self._reset_until_s
+        for command, heard, is_due in zip(commands, feedback, is_covered, strict=True):
+            is_reset = (state is LoopState.ENABLING and is_due) or (is_resetting and heard.state is DriveState.FAULT)
+            command.request = Request.RESET_FAULT if is_reset else request
+        self.is_commanded = self.is_commanded or request is not Request.LISTEN or is_resetting

@@ -22,13 +22,14 @@ from friction_hil.daemon.control.journal import make_journal
 from friction_hil.daemon.control.lock import ControlSocket
 from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.control.service import ControlService, Memories
-from friction_hil.daemon.figures import AxisFigures, Condition, FollowingErrors, adaptation_notice
+from friction_hil.daemon.figures import AxisFigures, Condition, FollowingErrors
 from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.learning_board import LearningBoard, first_report
 from friction_hil.daemon.learning_service import LearningService
 from friction_hil.daemon.live_service import LiveService
 from friction_hil.daemon.log import LoopResult, Sink
 from friction_hil.daemon.loop import Loop
+from friction_hil.daemon.notices import adaptation_notice
 from friction_hil.daemon.notify import NotifyingSink, ServiceManager
 from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
 from friction_hil.daemon.run import LoopSettings
@@ -355,16 +356,16 @@ def _close(drives: Drives, report: Callable[[str], None]) -> None:
 def _figures(axis: AxisLoop, config: "AxisConfig", period_s: float) -> AxisFigures:
     """Return the figures of the axis, with those of its load where that has an encoder."""
     return replace(
-        _figures_of(axis.following_errors, axis, config, period_s),
+        _figures_of(axis.following.errors, axis, config, period_s),
         bridged=axis.gaps.bridged,
         bridged_reasons=axis.gaps.reasons,
-        load=None if axis.load_errors is None else _figures_of(axis.load_errors, axis, config, period_s),
+        load=None if axis.load is None else _figures_of(axis.load.errors, axis, config, period_s),
     )
 
 
 def _figures_of(errors: FollowingErrors, axis: AxisLoop, config: "AxisConfig", period_s: float) -> AxisFigures:
-    age_s = axis.setpoint_age_s
-    configured = (axis.setpoint_delay_s + (age_s or 0.0)) / period_s
+    age_s = axis.facts.setpoint_age_s
+    configured = (axis.facts.setpoint_delay_s + (age_s or 0.0)) / period_s
     # in cst no set-point is sent
     later = 0.0 if config.mode == "cst" or age_s is None else errors.delay(configured)
     return AxisFigures(
@@ -372,8 +373,8 @@ def _figures_of(errors: FollowingErrors, axis: AxisLoop, config: "AxisConfig", p
         without=errors.figures(Condition.WITHOUT, later),
         compensated=errors.figures(Condition.WITH, later),
         is_comparable=config.trajectory.kind not in ("experiment", "multisine", "sequence"),
-        stale=axis.stale_cycles,
-        taken_back=axis.taken_back,
+        stale=axis.gaps.stale,
+        taken_back=axis.following.taken_back,
         configured_delay=configured,
         delay=configured + later if later else math.nan,
         lacks_demand=axis.lacks_demand,

@@ -37,6 +37,32 @@ class StaticTorque(NamedTuple):
         return abs(self.offset + self.constant) + math.hypot(self.sine, self.cosine)
 
 
+class Fade:
+    """Lets what a value differs by from the one before it vanish, linearly, instead of a step."""
+
+    __slots__ = ("_difference", "_duration_s", "_is_due", "_last", "_left_s", "_period_s")
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._last = self._difference = self._duration_s = self._left_s = 0.0
+        self._is_due = False  # the next value is the first of the new ones
+
+    def begin(self, duration_s: float) -> None:
+        """Fade from the last value to those that come now."""
+        self._duration_s, self._is_due = duration_s, True
+
+    def next(self, wanted: float) -> float:
+        """Return the value of a cycle."""
+        if self._is_due:
+            self._is_due, self._difference, self._left_s = False, self._last - wanted, self._duration_s
+        elif self._left_s > 0.0:
+            self._left_s = max(self._left_s - self._period_s, 0.0)
+        if self._left_s > 0.0:
+            wanted += self._difference * self._left_s / self._duration_s
+        self._last = wanted
+        return wanted
+
+
 def static_torque(config: "AxisConfig") -> StaticTorque:
     """Return the feed-forward of gravity and offset of an axis.
 

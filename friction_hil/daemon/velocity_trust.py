@@ -8,19 +8,8 @@ until the position moves: an axis that sticks comes loose, and none is thrown by
 
 import math
 
+from friction_hil.daemon.start_numbers import Trust
 from friction_hil.drive.encoder import derived_velocity
-
-_WINDOW_S, _FEWEST_CYCLES, _LEAST_STEPS = 0.02, 10, 12.0  # of a comparison, at least
-_LONGEST_S = 1.0  # of a comparison; in a longer one, offsets would count
-_TOLERANCE = 0.3  # of displacement or integral: filters, slip-stick
-_LAG_S = 0.01  # tolerated delay between the two
-_ROUNDING_STEPS = 4.0
-_CLEAR = 0.5  # tolerance, as part of the displacement, above which a comparison shows nothing
-_CONTRADICTIONS = 5  # in a row, before it is told
-_RISE_S = 0.1  # from no torque to all of it
-_MOVED_S, _MOVED_STEPS = 1e-3, 4.0  # motion: the way at the velocity limit in this time, or steps of the position
-_AGAINST_S = 1e-4  # the same, against the torque: a load that falls needs all of it at once
-_HELD_S = 0.03  # without such a motion, until the torque rises on
 
 
 class VelocityTrust:
@@ -83,8 +72,12 @@ class VelocityTrust:
         self._periods += periods
         self._low, self._high = min(self._low, reported), max(self._high, reported)
         duration_s, moved = self._periods * self._period_s, position - self._start
-        if abs(moved) < _LEAST_STEPS * self._resolution or self._periods < _FEWEST_CYCLES or duration_s < _WINDOW_S:
-            if duration_s > _LONGEST_S:
+        if (
+            abs(moved) < Trust.LEAST_STEPS * self._resolution
+            or self._periods < Trust.FEWEST_CYCLES
+            or duration_s < Trust.WINDOW_S
+        ):
+            if duration_s > Trust.LONGEST_S:
                 self._begin()
             return
         self._compare(moved, duration_s)
@@ -92,13 +85,13 @@ class VelocityTrust:
 
     def _compare(self, moved: float, duration_s: float) -> None:
         larger = max(abs(moved), abs(self._integral))
-        tolerance = _TOLERANCE * larger + (_LAG_S + 2.0 * self._period_s) * (self._high - self._low)
-        tolerance += self._velocity_resolution * duration_s + _ROUNDING_STEPS * self._resolution
+        tolerance = Trust.TOLERANCE * larger + (Trust.LAG_S + 2.0 * self._period_s) * (self._high - self._low)
+        tolerance += self._velocity_resolution * duration_s + Trust.ROUNDING_STEPS * self._resolution
         if abs(moved - self._integral) > tolerance:
             self._contradictions += 1
-            if self._contradictions >= _CONTRADICTIONS:
+            if self._contradictions >= Trust.CONTRADICTIONS:
                 self.contradiction = self._integral / moved
-        elif tolerance < _CLEAR * larger:
+        elif tolerance < Trust.CLEAR * larger:
             self.is_confirmed, self.velocity = True, self._reported
 
 
@@ -123,8 +116,10 @@ class FirstTorque:
 
     def __init__(self, torque: float, velocity: float, period_s: float, position_resolution: float) -> None:
         self._limit, self._period_s = torque, period_s
-        self._step = max(_MOVED_S * velocity, _MOVED_STEPS * position_resolution)  # the spring of a friction is shorter
-        self._against = max(_AGAINST_S * velocity, _MOVED_STEPS * position_resolution)
+        self._step = max(
+            Trust.MOVED_S * velocity, Trust.MOVED_STEPS * position_resolution
+        )  # the spring of a friction is shorter
+        self._against = max(Trust.AGAINST_S * velocity, Trust.MOVED_STEPS * position_resolution)
         self._bound = self._held_s = 0.0
         self._mark = math.nan
 
@@ -137,7 +132,7 @@ class FirstTorque:
         if not abs(moved) < self._step:
             self._mark = position
             if moved * torque > 0.0:
-                self._held_s = _HELD_S
+                self._held_s = Trust.HELD_S
         if self._held_s <= 0.0:  # one period's step, whatever was missed: nobody looked at the axis meanwhile
-            self._bound = min(self._bound + self._limit * self._period_s / _RISE_S, self._limit)
+            self._bound = min(self._bound + self._limit * self._period_s / Trust.RISE_S, self._limit)
         return self._bound

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from friction_hil.config import Configuration
-from friction_hil.daemon.figures import is_limit_cycle
+from friction_hil.daemon.notices import is_limit_cycle
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.session import SessionResult, SessionSettings, run_session
 from friction_hil.daemon.stop import stop_on_signals

@@ -10,7 +10,7 @@ import numpy as np
 from friction_hil.analysis import following
 from friction_hil.analysis.following import Figures
 from friction_hil.config import AxisConfig, MotionSequence
-from friction_hil.daemon.figures import is_limit_cycle
+from friction_hil.daemon.notices import is_limit_cycle
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
 from friction_hil.numerics.jit import Array

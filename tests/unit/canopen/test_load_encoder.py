@@ -153,8 +153,8 @@ def test_it_is_recorded_and_the_error_of_the_load_is_reported():
     moving = column("state") == LoopState.RUNNING
     load, position, velocity = (column(name)[moving] for name in ("load_position", "position", "velocity"))
     np.testing.assert_allclose(load, position - 2e-4 * velocity, atol=2e-4)
-    without, compensated = (axis.load_errors.figures(each) for each in (1, 2))
-    motor = axis.following_errors.figures(2)
+    without, compensated = (axis.load.errors.figures(each) for each in (1, 2))
+    motor = axis.following.errors.figures(2)
     lag = 2e-4 * 0.3 * 2.0 * math.pi / math.sqrt(2.0)
     assert compensated.rms == pytest.approx(lag, rel=0.2)
     assert compensated.rms > 3.0 * motor.rms

@@ -16,8 +16,8 @@ from pydantic import ValidationError
 
 import friction_hil as fh
 from friction_hil.compensator import Compensator, CompensatorSettings, ThermalObserver
+from friction_hil.daemon.notices import TemperatureNotices
 from friction_hil.daemon.realtime import SteppedClock
-from friction_hil.daemon.temperature import TemperatureNotices
 from friction_hil.drive import Command, Feedback, Request
 from friction_hil.errors import ConfigurationError, DriveError
 from tests.canopen_bench import NODE, Bench, BenchBus

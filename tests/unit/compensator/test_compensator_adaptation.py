@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import friction_hil as fh
-from friction_hil.daemon.figures import adaptation_notice
+from friction_hil.daemon.notices import adaptation_notice
 from tests.compensators import (
     EVERY_VELOCITY,
     INERTIA,

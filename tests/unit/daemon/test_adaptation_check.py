@@ -7,7 +7,7 @@ import yaml
 
 from friction_hil.cli import main
 from friction_hil.daemon.adaptation_check import adaptation_problem
-from friction_hil.daemon.figures import adaptation_notice
+from friction_hil.daemon.notices import adaptation_notice
 from friction_hil.servo.config import Encoder, ServoConfig
 from tests.servo_drives import PERIOD_S, ServoDrives, axis_dict, configuration, make_loop
 

@@ -407,7 +407,7 @@ def test_a_stop_before_the_last_start_proves_nothing_about_the_power_now():
 
 def test_figures_are_those_of_the_last_motion_also_when_the_run_ends_while_it_waits():
     run = Changed(configuration(x=quick()), {3000: Action.STOP}, until=3600)
-    figures = run.axes[0].following_errors.figures(Condition.WITH)
+    figures = run.axes[0].following.errors.figures(Condition.WITH)
     assert figures is not None
     assert figures.counted >= 500
 

@@ -175,7 +175,7 @@ def test_a_sidecar_that_is_started_again_begins_without_compensation_again():
     assert max(map(abs, machine.sent[800:900])) > 0.05
     assert set(machine.sent[1100:2000]) == {0.0}  # 0.7 s from the start on
     assert max(map(abs, machine.sent[2100:2500])) > 0.05
-    again = axis.following_errors.figures(Condition.WITHOUT)
+    again = axis.following.errors.figures(Condition.WITHOUT)
     assert again.counted > 0.1 / PERIOD_S
     told = Messages()
     for name, text in [each[1:] for each in sink.events if each[1] == "error_without"]:
@@ -204,7 +204,7 @@ def test_compensation_reduces_the_following_error():
     config = configuration(compensation={"fade_s": 0.1, "baseline_s": 2.0})
     result, _, axis = run(machine, config=config, duration_s=5.0)
     assert result.faults == []
-    without, compensated = (axis.following_errors.figures(each) for each in (Condition.WITHOUT, Condition.WITH))
+    without, compensated = (axis.following.errors.figures(each) for each in (Condition.WITHOUT, Condition.WITH))
     assert compensated.rms < 0.4 * without.rms
     settled = SETTLE_S / PERIOD_S
     assert without.counted == pytest.approx(2.0 / PERIOD_S - settled, abs=3)

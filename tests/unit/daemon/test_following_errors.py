@@ -156,7 +156,7 @@ def test_a_run_has_the_figures_that_its_recording_shows(mode):
     found = without_and_with(recording, cycle_s=run.config.period_s, motion_s=1.0, start_s=SINE["ramp_s"], fade_s=0.1)
     lap = round(1.0 / run.config.period_s)
     for phase, condition in zip(found, (WITHOUT, WITH), strict=True):
-        figures = one.following_errors.figures(condition)
+        figures = one.following.errors.figures(condition)
         assert figures.counted == lap  # 1.25 s of steady motion without compensation: one period of each
         assert (phase.figures.rms, phase.figures.peak) == (figures.rms, figures.peak)
         error = recording["position_demand"] - recording["position"]

@@ -193,7 +193,7 @@ def test_only_gaps_that_ended_count_as_bridged_and_the_reasons_are_named():
     assert "the line is gone" in run.result.faults[0]
     (one,) = run.axes
     assert (one.gaps.bridged, one.gaps.reasons) == (14, {busy: 4, "no reply in time": 10})
-    assert one.stale_cycles > 5000
+    assert one.gaps.stale > 5000
 
 
 # --- a drive out of reach

@@ -101,15 +101,15 @@ def test_a_position_after_missed_periods_is_no_jump():
     for cycle in (0, 1, 2, 6, 7, 11):
         feedback.position, feedback.velocity = velocity * PERIOD_S * cycle, velocity
         assert axis.update(cycle, LoopState.IDLE, math.nan, feedback, Command(), row).fault is None
-    assert axis.stale_cycles == 0
+    assert axis.gaps.stale == 0
 
 
 def test_warming_changes_nothing_of_the_real_axis():
     drives, axis, row = made()
-    before = copy.deepcopy((axis.compensator.state, axis.supervisor.position, axis.stale_cycles))
+    before = copy.deepcopy((axis.compensator.state, axis.supervisor.position, axis.gaps.stale))
     warmer = CacheWarmer(drives, axis, row)
     assert [warmer.warm(cycle) for cycle in range(5)] == [None] * 5
-    np.testing.assert_equal((axis.compensator.state, axis.supervisor.position, axis.stale_cycles), before)
+    np.testing.assert_equal((axis.compensator.state, axis.supervisor.position, axis.gaps.stale), before)
     assert np.isnan(row.values).all()
     assert drives.sent == [[]]
 

@@ -6,15 +6,15 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from friction_hil.daemon.safety import REQUESTS, LoopState
+from friction_hil.daemon.safety import STANDSTILL_S, LoopState
 from friction_hil.daemon.sequence import (
     DISABLE_TIMEOUT_S,
     ENABLE_TIMEOUT_S,
     FADE_TIMEOUT_S,
     LOST_POWERED_TIMEOUT_S,
     QUICK_STOP_TIMEOUT_S,
+    REQUESTS,
     SETTLE_S,
-    STANDSTILL_S,
     STANDSTILL_TIMEOUT_S,
     RunInputs,
     RunStateMachine,

@@ -113,12 +113,12 @@ def test_a_run_takes_a_torque_of_the_wrong_sign_back_and_goes_on(is_reversed):
         duration_s=5.5,
     )
     assert run.result.faults == []
-    assert bool(run.axes[0].taken_back) == is_reversed
-    assert run.events("warning") == run.result.warnings == [run.axes[0].taken_back] * is_reversed
+    assert bool(run.axes[0].following.taken_back) == is_reversed
+    assert run.events("warning") == run.result.warnings == [run.axes[0].following.taken_back] * is_reversed
     compensation, enabled = run.column("compensation"), run.column("is_enabled")
     assert np.abs(compensation[round(4.0 / T)]) > 0.03
     if is_reversed:
-        assert "inverted_torque" in run.axes[0].taken_back
+        assert "inverted_torque" in run.axes[0].following.taken_back
         assert np.all(compensation[-300:] == 0.0)
         assert not enabled[-300:].any()
     else:
@@ -137,6 +137,6 @@ def test_a_sidecar_takes_it_back_too():
     config = test_follower.configuration(compensation={"fade_s": 0.1, "baseline_s": 2.0})
     result, _sink, one = test_follower.run(machine, config=config, duration_s=6.0)
     assert result.faults == []
-    assert result.warnings == [one.taken_back]
+    assert result.warnings == [one.following.taken_back]
     assert max(map(abs, machine.sent[3000:4000])) > 0.03
     assert machine.sent[-300:] == [0.0] * 300

@@ -16,7 +16,7 @@ from friction_hil.analysis.following import RECOVERY_S, SETTLE_S, Figures
 from friction_hil.cli.work.tables import lines
 from friction_hil.cli.work.tune import _as_dict, _motions_table, _table
 from friction_hil.daemon.assembly import make_path
-from friction_hil.daemon.figures import CompensationNotices
+from friction_hil.daemon.notices import CompensationNotices
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
 from friction_hil.motion.trajectory import PathTime, Trajectory
