@@ -19,8 +19,8 @@ from friction_hil.daemon.control import journal
 from friction_hil.daemon.control.ask import DaemonGoneError, Question
 from friction_hil.daemon.control.names import candidates, find, is_live
 from friction_hil.daemon.control.state import STANDS_S
-from friction_hil.daemon.learning_board import read_report
 from friction_hil.daemon.ring import RingObserver
+from friction_hil.daemon.shared_document import read_document
 from friction_hil.drive.codes import code_of
 from friction_hil.errors import FrictionHilError
 from friction_hil.live.reading import AxisSettings, LiveEvent, LiveFacts, Reading, Rows, Settings
@@ -192,7 +192,7 @@ class Live:
         values = rows.reshape(len(rows), len(facts.axes), len(facts.columns))
         found = Rows(facts, values)
         self._settings = self._settings_of(found)
-        learning = {} if self._learning is None else read_report(self._learning).get("axes", {})
+        learning = {} if self._learning is None else read_document(self._learning).get("axes", {})
         return Reading(found, lost, events, self._settings, stands, self.is_over, learning)
 
     def close(self) -> None:

@@ -15,11 +15,11 @@ from friction_hil.daemon.companion.job import (
     Job,
     Lives,
     die_with_parent,
-    read_job,
     signal_text,
     warn,
 )
 from friction_hil.daemon.companion.memory import allocate
+from friction_hil.daemon.shared_document import read_document
 
 
 def main(ring_descriptor: int, job_descriptor: int, journal_descriptor: int, number: int, death: str) -> int:
@@ -36,7 +36,7 @@ def main(ring_descriptor: int, job_descriptor: int, journal_descriptor: int, num
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     if death:
         warn(f"the companion process died ({death}); the next one takes over")
-    job, lives = read_job(job_descriptor), Lives()
+    job, lives = Job(**read_document(job_descriptor)), Lives()
     memory = None if job.black_box is None else allocate(job)
     while True:
         lives.begin()

@@ -7,13 +7,14 @@ import os
 import select
 import signal
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from friction_hil.daemon.companion.job import MOST_SHORT_LIVES, Job, Lives, job_memory, signal_text
+from friction_hil.daemon.companion.job import MOST_SHORT_LIVES, Job, Lives, signal_text
 from friction_hil.daemon.companion.paths import prepare
 from friction_hil.daemon.ring import RingWriter
+from friction_hil.daemon.shared_document import make_document
 from friction_hil.daemon.spawner.client import Process, Spawn, spawn_directly
 from friction_hil.errors import RecordingError
 
@@ -46,7 +47,7 @@ class Companion:
         self._spawn = spawn
         self._journal_descriptor = journal_descriptor
         self._ring = RingWriter(job.row_width, max(_RING_ROWS_MIN, math.ceil(_RING_S / job.period_s)))
-        self._job_descriptor = job_memory(job)
+        self._job_descriptor = make_document("job", asdict(job))
         self._lives = Lives()
         self._received = b""
         self._paths: list[str] = []

@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.printable import printable
@@ -76,21 +76,6 @@ class Lives:
         """Note a death; return True if it was one short life too many."""
         self._short = self._short + 1 if time.monotonic() - self._born_s < _SHORT_LIFE_S else 0
         return self._short >= MOST_SHORT_LIVES
-
-
-def job_memory(job: Job) -> int:
-    """Write the job to memory without a name; return its descriptor, which each supervisor gets."""
-    descriptor = os.memfd_create("friction_hil-job")
-    with os.fdopen(os.dup(descriptor), "wb") as file:
-        file.write(json.dumps(asdict(job)).encode())
-    return descriptor
-
-
-def read_job(descriptor: int) -> Job:
-    """Read the job from the memory that `job_memory` has made."""
-    with os.fdopen(os.dup(descriptor), "rb") as file:
-        file.seek(0)
-        return Job(**json.loads(file.read()))
 
 
 def die_with_parent(*, is_wanted: bool) -> None:

@@ -1,6 +1,5 @@
 """Process of the control socket. It imports nothing heavy before somebody asks for something that needs it."""
 
-import json
 import os
 import signal
 import sys
@@ -9,6 +8,7 @@ from typing import Any
 
 from friction_hil.daemon.control.journal import entries
 from friction_hil.daemon.control.server import serve
+from friction_hil.daemon.shared_document import read_document
 
 _INPUT = 0
 
@@ -43,10 +43,7 @@ class _LazyDesk:
         from friction_hil.daemon.control.desk import Desk
         from friction_hil.daemon.control.job import ControlJob
 
-        with os.fdopen(os.dup(self._job), "rb") as file:
-            file.seek(0)
-            job = ControlJob(**json.loads(file.read()))
-        return Desk(job, *self._descriptors)
+        return Desk(ControlJob(**read_document(self._job)), *self._descriptors)
 
 
 def main(descriptor: int, ring: int, mailbox: int, journal: int, job: int, learning: int | None = None) -> None:

@@ -19,8 +19,8 @@ from friction_hil.daemon.control.mailbox import MailboxWriter
 from friction_hil.daemon.control.message import Action, Change, pack
 from friction_hil.daemon.control.on_trial import OnTrial, RefusedError, on_trial, settle, values_before
 from friction_hil.daemon.control.state import DaemonState
-from friction_hil.daemon.learning_board import read_done_cycle, read_report
 from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.shared_document import cycle_of, read_document
 from friction_hil.drive import AxisFacts, DriveState
 from friction_hil.errors import FrictionHilError, choices
 from friction_hil.numerics.readable import POSITION_UNITS
@@ -112,7 +112,7 @@ class Desk:
             if self._state.stands:
                 warnings.append("the loop has written no row for a second: it stands, and the drives are unknown")
         configuration, _, files = self._present()
-        learning = {} if self._learning is None else read_report(self._learning).get("axes", {})
+        learning = {} if self._learning is None else read_document(self._learning).get("axes", {})
         if self._judge_hangs():
             learning = {name: {**report, "doing": "waiting", "reason": _HANGS} for name, report in learning.items()}
         axes = {}
@@ -218,7 +218,7 @@ class Desk:
         Before its first row it compiles, and has nothing on trial.
         """
         rows = self._state.rows(1)
-        if self._learning is None or not len(rows) or (done := read_done_cycle(self._learning)) < 0:
+        if self._learning is None or not len(rows) or (done := cycle_of(self._learning)) < 0:
             return False
         behind = self._cycle(rows) - done
         return behind * float(self._job.configuration["period_s"]) > _HANGS_S

@@ -1,6 +1,5 @@
 """Control process's side of the control socket: makes it, and looks after the process that serves it."""
 
-import json
 import os
 import subprocess
 from dataclasses import asdict, dataclass
@@ -9,6 +8,7 @@ from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.lock import ControlSocket
 from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.control.packed import room
+from friction_hil.daemon.shared_document import make_document
 from friction_hil.daemon.spawner.client import Spawn
 from friction_hil.daemon.tended_process import TendedProcess
 
@@ -33,9 +33,7 @@ class ControlService(TendedProcess):
         job: ControlJob,
     ) -> None:
         self.mailbox = MailboxReader(room(len(job.facts)))  # brings the changes to the loop
-        self._job = os.memfd_create("friction_hil-control")
-        with os.fdopen(os.dup(self._job), "wb") as file:
-            file.write(json.dumps(asdict(job)).encode())
+        self._job = make_document("control", asdict(job))
         descriptors = [
             control_socket.descriptor,
             memories.ring,

@@ -18,7 +18,7 @@ from friction_hil.daemon import learning_service, learning_words
 from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.control.message import TEXT_BYTES
 from friction_hil.daemon.control.names import find
-from friction_hil.daemon.learning_board import STARTING, LearningBoard, first_report, read_report
+from friction_hil.daemon.learning_board import STARTING, LearningBoard, first_report
 from friction_hil.daemon.learning_service import LearningService
 from friction_hil.learning.notices import described, fitting
 from friction_hil.learning.proposal import Proposal, Step
@@ -135,9 +135,9 @@ def test_nobody_reads_half_of_a_report():
     assert board.done_cycle == 299
     # a process that died while it wrote: nothing is read until the next one writes
     os.pwrite(board.descriptor, struct.pack("<q", 601), 0)
-    assert read_report(board.descriptor) == {}
+    assert board.report() == {}
     board.say(300, {"text": "whole"})
-    assert (read_report(board.descriptor), board.done_cycle) == ({"text": "whole"}, 300)
+    assert (board.report(), board.done_cycle) == ({"text": "whole"}, 300)
     board.close()
 
 
