@@ -1,5 +1,6 @@
 """One axis in the loop: feedback and set-point in, command and a row of the recording out. No bus, no clock."""
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,7 +16,7 @@ from friction_hil.daemon.notices import AxisNotices
 from friction_hil.daemon.row import AxisRow, row_width
 from friction_hil.daemon.safety import ENDING, LIMITED, MAX_STALE_CYCLES, LoopState, Standstill, Supervisor
 from friction_hil.daemon.schedule import Schedule
-from friction_hil.daemon.start_checks import StartChecks
+from friction_hil.daemon.start_checks import start_checks
 from friction_hil.drive import AxisFacts, Command, Feedback
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import OptionError
@@ -51,6 +52,7 @@ class AxisLoop:
         "_command",
         "_has_offset",
         "_last_cycle",
+        "_make_checks",
         "_period_s",
         "_standstill",
         "_states",
@@ -129,7 +131,10 @@ class AxisLoop:
             is_velocity_trusted=config.mode != "cst" and config.compensation.velocity != "drive",
         )
         self.schedule = Schedule(config)
-        self.checks: StartChecks | None = StartChecks(self.name, unit, config, limits, facts, period_s, self.motion)
+        self._make_checks = functools.partial(
+            start_checks, self.name, unit, config, limits, facts, period_s, self.motion
+        )
+        self.checks = self._make_checks()
         self.following = Following(self.name, unit, period_s, ramp_s, motion_s, resolution)
         self.load = LoadFollowing(period_s, ramp_s, motion_s) if facts.has_load_encoder else None
 
@@ -154,15 +159,14 @@ class AxisLoop:
         """Prepare for another motion after the axis was disabled: checks and figures are those of the new motion."""
         self.schedule.begin_again()
         self.following.begin_again()
-        if self.checks is not None:
-            self.checks.begin_again()
+        self.checks.begin_again(self._make_checks())
         if self.load is not None:
             self.load.errors = self.load.errors.anew()
 
     @property
     def is_first_motion_due(self) -> bool:
         """True if the unit of the velocity target is still to be confirmed by a first motion."""
-        return self.checks is not None and self.checks.is_first_motion_due
+        return self.checks.is_first_motion_due
 
     def enter_path(self) -> None:
         """Let the path begin where the axis is held now."""
@@ -276,20 +280,24 @@ class AxisLoop:
     ) -> str | None:
         """Fill the command; return a fault of the beginning of the motion, or None."""
         position, estimate = self.supervisor.position, self.compensator.velocity_estimate
-        checks, writer, fault = self.checks, self._command, None
-        if checks is not None and checks.has_first_torque:
-            is_confirmed = self.supervisor.is_velocity_confirmed
-            if is_confirmed or state in LIMITED:
-                writer.most = checks.first_torque(position, writer.effort, missed, is_confirmed=is_confirmed)
+        checks, writer = self.checks, self._command
+        if checks.first_torque is not None:
+            if self.supervisor.is_velocity_confirmed:
+                checks.first_torque, writer.most = None, math.inf
+            elif state in LIMITED:
+                writer.most = checks.first_torque.next(position, writer.effort, missed + 1)
         writer.write(command, state, time_s, position, estimate, setpoint, torque, feedback)
-        if checks is None:
-            return None
-        if state is LoopState.FIRST_MOTION and checks.has_first_motion:
-            fault, command.velocity = checks.first_motion(position, feedback.velocity, missed, is_usable=is_usable)
-            self.notices.add(checks.take_warning())
-        elif state is LoopState.RUNNING and setpoint is not None:
-            fault = checks.follow(position, estimate, setpoint.position, command.torque, missed, is_usable=is_usable)
-        return fault
+        if state is LoopState.FIRST_MOTION and (motion := checks.first_motion) is not None:
+            fault = motion.take(position, feedback.velocity, missed, is_usable=is_usable)
+            command.velocity = motion.target
+            self.notices.add(motion.take_warning())
+            return fault
+        if state is LoopState.RUNNING and setpoint is not None and (check := checks.follow_check) is not None:
+            fault = check.take(position, estimate, setpoint.position, command.torque, missed, is_usable=is_usable)
+            if check.is_confirmed:
+                checks.follow_check = None
+            return fault
+        return None
 
     def _count(self, inputs: CompensatorInputs, shift: float, state: LoopState, running_s: float, missed: int) -> None:
         """Count the following error of a cycle; ``shift``: of the motor against the demand."""

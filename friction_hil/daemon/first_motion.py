@@ -77,9 +77,9 @@ class FirstMotion:
         "_unheard",
         "_unit",
         "_velocity_step",
+        "_warning",
         "bound",
         "target",
-        "warning",
     )
 
     def __init__(
@@ -119,24 +119,24 @@ class FirstMotion:
         self._steps = 0  # the target, in increments
         self._repeats = First.REPEATS
         self.target = 0.0  # velocity of this cycle, SI
-        # set at the end where the axis moves slower than its target although its unit is right
-        self.warning: str | None = None
+        self._warning: str | None = None
 
     @property
     def is_done(self) -> bool:
         """True once the unit of the velocity target is confirmed and the axis is back."""
         return self._phase is Phase.DONE
 
-    def take(self, position: float, velocity: float, *, is_usable: bool = True) -> str | None:
+    def take(self, position: float, velocity: float, missed: int = 0, *, is_usable: bool = True) -> str | None:
         """Take one cycle's feedback and set the next target; return a fault as a message, or None.
 
-        ``position``, ``velocity``: as the drive reports them, SI. ``is_usable``: False for a cycle without feedback,
-        and for a period that was missed.
+        ``position``, ``velocity``: as the drive reports them, SI. ``missed``: periods since the cycle before that had
+        none. ``is_usable``: False for a cycle without feedback.
         """
         if self._phase is Phase.DONE:
             return None
-        self._cycles += 1
-        self._total += 1
+        self._cycles += 1 + missed
+        self._total += 1 + missed
+        self._unheard += missed
         if not is_usable:
             self._unheard += 1
             return None
@@ -146,6 +146,11 @@ class FirstMotion:
         self._unheard = 0
         self.target = 0.0 if fault else self._direction * self._steps * self._velocity_step
         return fault
+
+    def take_warning(self) -> str | None:
+        """Return the warning of the motion, once: the axis is slower than its target although its unit is right."""
+        warning, self._warning = self._warning, None
+        return warning
 
     def _advance(self, position: float, velocity: float) -> str | None:
         if self._phase is Phase.REST:
@@ -246,7 +251,7 @@ class FirstMotion:
             text = f"the axis does not move although {asked:.3g} {self._unit}/s is demanded: brake, or blocked axis"
             return self._fault(FaultCode.AXIS_DOES_NOT_MOVE, text)
         if found < (1.0 - First.TOLERANCE) * asked - slack:
-            self.warning = (
+            self._warning = (
                 f"{self._name}: the first motion: the axis reaches only {found / asked:.0%} of a velocity target of "
                 f"{asked:.3g} {self._unit}/s, though its unit is right: friction, or a velocity loop without integral"
             )

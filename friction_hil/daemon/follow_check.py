@@ -82,14 +82,21 @@ class FollowCheck:
         self.is_confirmed = False  # the axis has followed its path: nothing more is to be checked
 
     def take(
-        self, position: float, velocity: float, demand: float, torque: float, *, is_usable: bool = True
+        self,
+        position: float,
+        velocity: float,
+        demand: float,
+        torque: float,
+        missed: int = 0,
+        *,
+        is_usable: bool = True,
     ) -> str | None:
         """Take one cycle of the motion; return a fault as a message, or None.
 
-        ``demand``: demanded position at the time of the feedback. ``torque``: that is sent, SI. ``is_usable``: False
-        for a cycle without feedback, and for a period that was missed.
+        ``demand``: demanded position at the time of the feedback. ``torque``: that is sent, SI. ``missed``: periods
+        since the cycle before that had none. ``is_usable``: False for a cycle without feedback.
         """
-        self._unheard += 1
+        self._unheard += 1 + missed
         if not is_usable:
             return None
         elapsed_s, self._unheard = self._unheard * self._period_s, 0

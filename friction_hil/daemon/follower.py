@@ -4,6 +4,7 @@ Nothing here stops the machine. The compensation of an axis is faded in while it
 configured mode, and out otherwise; a fault of the daemon fades all of it out and ends the run.
 """
 
+import functools
 import math
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.safety import LoopState, Supervisor
 from friction_hil.daemon.schedule import FollowerSchedule
 from friction_hil.daemon.sequence import SETTLE_S, RunInputs, RunStateMachine, after_the_stop
+from friction_hil.daemon.start_checks import StartChecks
 from friction_hil.drive import Command, DriveState, Feedback
 from friction_hil.motion.trajectory import Setpoint
 
@@ -97,7 +99,8 @@ class FollowerAxis(AxisLoop):
             self.name, make_limits(config), period_s, resolution, unit, max_stale_cycles
         )
         self.schedule = FollowerSchedule(config)
-        self.checks = self.load = None
+        self._make_checks = functools.partial(StartChecks)  # none: its master begins the motion
+        self.checks, self.load = StartChecks(), None
         self.following = Following(self.name, unit, period_s, 0.0, math.inf, resolution)
         self._estimator = DemandEstimator(period_s, self.facts.setpoint_delay_s, self.lead_s)
         self._has_demand = False

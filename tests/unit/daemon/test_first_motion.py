@@ -84,7 +84,7 @@ def test_the_right_unit_is_confirmed_and_the_axis_returns(step, lag_s, period_s,
     axis = Axis(lag_s=lag_s, position=start)
     motion, fault = examine(axis, step, limits, period_s, 2.0 * math.pi / 2**bits)
     assert fault is None
-    assert motion.warning is None
+    assert motion.take_warning() is None
     assert motion.target == 0.0
     assert max(abs(position - start) for position in axis.path) <= motion.bound + 3.0 * step * period_s
     assert abs(axis.position - start) < 0.3 * motion.bound
@@ -113,7 +113,7 @@ def test_an_axis_that_does_not_move_is_told():
 def test_an_axis_that_loses_a_part_of_its_target_to_friction_is_a_warning():
     motion, fault = examine(Axis(lost=0.06), COUNT)
     assert fault is None
-    assert "the axis reaches only" in motion.warning
+    assert "the axis reaches only" in motion.take_warning()
 
 
 def test_a_load_that_settles_after_enabling_is_waited_for():
