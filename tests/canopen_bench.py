@@ -14,9 +14,11 @@ from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.node import SimulatedNode
 from friction_hil_drivers.cia402.simulated.drive import SimulatedCia402Drive
 
-from friction_hil.drive import Mode
+from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.drive import AxisFacts, Command, Feedback, Mode, Request
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
+from tests.servo_drives import axis_dict, configuration
 
 NODE = 5
 STEPS_PER_MS = 80
@@ -196,6 +198,55 @@ class BenchBus(can.BusABC):
             return self.answers.get(timeout=timeout), True
         except queue.Empty:
             return None, True
+
+
+class Driven:
+    """Axis x of a daemon on a bus of the bench, in stepped time."""
+
+    facts: AxisFacts
+
+    def __init__(
+        self, mode: str = "csp", *, bus: Any = None, clock: Any = None, dry_run: bool = False, **keys: Any
+    ) -> None:
+        self.bus = bus or BenchBus(Bench())
+        self.bench: Bench = self.bus.bench
+        if mode == "cst":
+            keys = {"controller": {"position_gain": 1.0, "velocity_gain": 0.1}} | keys
+        self.config = self.changed(configuration(x=axis_dict(**{"node": NODE, "mode": mode, **keys})))
+        self.clock = clock or SteppedClock()
+        self.drives = CanopenDrives(self.config, self.config.axes, self.clock, dry_run=dry_run, bus=self.bus)
+        self.feedback = Feedback()
+
+    def changed(self, config: Any) -> Any:
+        """Return the configuration to use."""
+        return config
+
+    def start(self) -> "Driven":
+        """Connect, and begin the cyclic phase."""
+        (self.facts,) = self.drives.connect()
+        self.drives.start()
+        return self
+
+    def cycle(self, request: Request = Request.ENABLE, count: int = 1, **command: float) -> Feedback:
+        for _ in range(count):
+            self.clock.sleep_until(self.clock.now_ns() + 1_000_000)
+            self.drives.receive([self.feedback], 0)
+            self.drives.send([Command(request, **command)])
+        return self.feedback
+
+    def close(self) -> None:
+        self.drives.close()
+        self.bus.shutdown()
+
+    def __enter__(self) -> "Driven":
+        try:
+            return self.start()
+        except Exception:
+            self.close()
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 class TimedBus(can.BusABC):

@@ -5,14 +5,10 @@ import tempfile
 
 import can
 import pytest
-from friction_hil_drivers.canopen.drives import CanopenDrives
 
-from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.errors import DriveError
-from tests.canopen_bench import NODE, Bench, BenchBus
-from tests.servo_drives import axis_dict, configuration
+from tests.canopen_bench import NODE, Bench, BenchBus, Driven
 
-CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
 NOT_NOW, GENERAL, NO_OBJECT = 0x08000022, 0x08000000, 0x06020000
 
 
@@ -34,13 +30,8 @@ class Hiding(BenchBus):
 
 def connect(code, tmp_path, monkeypatch, **keys):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    config = configuration(x=axis_dict(node=NODE, **keys))
-    drives = CanopenDrives(config, config.axes, SteppedClock(), dry_run=False, bus=Hiding(code))
-    try:
-        [facts] = drives.connect()
-        return facts
-    finally:
-        drives.close()
+    with Driven(bus=Hiding(code), **keys) as driven:
+        return driven.facts
 
 
 def test_for_velocity_targets_the_unit_must_be_known(tmp_path, monkeypatch):
@@ -52,7 +43,7 @@ def test_for_velocity_targets_the_unit_must_be_known(tmp_path, monkeypatch):
     ("code", "keys"),
     [
         (NOT_NOW, {"mode": "csp"}),
-        (NOT_NOW, {"mode": "cst", "controller": CONTROLLER}),
+        (NOT_NOW, {"mode": "cst"}),
         (NOT_NOW, {"mode": "csv", "velocity_unit": "counts/s"}),
         (GENERAL, {"mode": "csv"}),
         (NO_OBJECT, {"mode": "csv"}),

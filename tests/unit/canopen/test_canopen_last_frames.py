@@ -71,7 +71,6 @@ def in_time_of_the_bus(machine, monkeypatch):
     monkeypatch.setattr(time, "monotonic", lambda: 1e-3 * machine.bus.now_ms)
 
 
-@pytest.mark.parametrize("machine", [{}, {"missing": (0x1016,)}], indirect=True, ids=["heartbeat", "guarding"])
 def watched_nodes(bench):
     """The nodes whose heartbeats a drive watches (1016h)."""
     dictionary = bench.node.dictionary
@@ -79,6 +78,7 @@ def watched_nodes(bench):
     return [entry >> 16 & 0x7F for entry in entries if entry >> 16 & 0x7F and entry & 0xFFFF]
 
 
+@pytest.mark.parametrize("machine", [{}, {"missing": (0x1016,)}], indirect=True, ids=["heartbeat", "guarding"])
 def test_slow_drives_are_left_without_an_error(machine):
     """Restoring takes seconds here; heartbeat, guarding and RPDO timer are 60 ms, 60 ms and 20 ms."""
     machine.cycle(Request.ENABLE, 20)

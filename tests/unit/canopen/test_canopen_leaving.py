@@ -7,17 +7,13 @@ import time
 
 import can
 import pytest
-from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.cia402 import objects
 
-from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError
-from tests.canopen_bench import NODE, Bench, BenchBus, kill
-from tests.servo_drives import axis_dict, configuration
+from tests.canopen_bench import NODE, Bench, BenchBus, Driven, kill
 
 SDO_REQUEST, SDO_ANSWER = 0x600 + NODE, 0x580 + NODE
-CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
 SETTINGS = [
     *((0x1400 + k, subindex) for k in range(4) for subindex in (1, 2, 5)),
     *((0x1800 + k, subindex) for k in range(4) for subindex in (1, 2, 5)),
@@ -71,20 +67,17 @@ def settings(bench):
     return values
 
 
-def make(bus, *, mode="cst", dry_run=False, **changes):
-    controller = {"controller": CONTROLLER} if mode == "cst" else {}
-    config = configuration(x=axis_dict(node=NODE, mode=mode, **controller, **changes))
-    return CanopenDrives(config, config.axes, SteppedClock(), dry_run=dry_run, bus=bus)
+def make(bus, *, mode="cst", dry_run=False):
+    return Driven(mode, bus=bus, dry_run=dry_run).drives
 
 
 def run(drives, count=10):
-    feedback, command = Feedback(), Command()
+    feedback = Feedback()
     drives.start()
     for request in (Request.ENABLE, Request.DISABLE):
         for _ in range(count):
             drives.receive([feedback], 0)
-            command.request = request
-            drives.send([command])
+            drives.send([Command(request)])
     return feedback
 
 
@@ -213,10 +206,13 @@ def test_frames_that_come_back_are_not_another_masters(bench):
             super().send(msg)
 
     bus = Echoing(bench)
-    config = configuration(x=axis_dict(node=NODE, mode="cst", controller=CONTROLLER))
-    bus_config = config.bus.model_copy(update={"interface": "udp_multicast", "channel": "239.74.163.9"})
-    config = config.model_copy(update={"bus": bus_config})
-    drives = CanopenDrives(config, config.axes, SteppedClock(), dry_run=False, bus=bus)
+
+    class OnMulticast(Driven):
+        def changed(self, config):
+            bus = config.bus.model_copy(update={"interface": "udp_multicast", "channel": "239.74.163.9"})
+            return config.model_copy(update={"bus": bus})
+
+    drives = OnMulticast("cst", bus=bus).drives
     drives.connect()
     feedback = run(drives, 20)
     assert feedback.message == ""

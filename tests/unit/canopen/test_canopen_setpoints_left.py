@@ -6,12 +6,10 @@ import tempfile
 import can
 import pytest
 from friction_hil_drivers.canopen.commands.inventory import CanopenInventory
-from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.wire.frames import FrameBus
 
-from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
-from tests.canopen_bench import NODE, Bench, BenchBus, kill
+from tests.canopen_bench import NODE, Bench, BenchBus, Driven, kill
 from tests.servo_drives import axis_dict, configuration
 
 MODES = ("csp", "csv", "cst")
@@ -46,17 +44,12 @@ class Refusing(BenchBus):
 
 
 def started(bus, mode="csp", *, dry_run=False):
-    controller = {"controller": {"position_gain": 1.0, "velocity_gain": 0.1}} if mode == "cst" else {}
-    config = configuration(x=axis_dict(node=NODE, mode=mode, **controller))
-    drives = CanopenDrives(config, config.axes, SteppedClock(), dry_run=dry_run, bus=bus)
-    drives.connect()
-    drives.start()
-    return drives
+    return Driven(mode, bus=bus, dry_run=dry_run).start().drives
 
 
-def cycles(drives, request, count=10, torque=0.05, velocity=1.0):
+def cycles(drives, request, torque=0.05, velocity=1.0):
     feedback = Feedback()
-    for _ in range(count):
+    for _ in range(10):
         drives.receive([feedback], 0)
         drives.send([Command(request, torque=torque, velocity=velocity)])
     return feedback

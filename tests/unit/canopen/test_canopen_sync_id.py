@@ -4,50 +4,40 @@ import pytest
 from friction_hil_drivers.canopen.drives import CanopenDrives
 
 from friction_hil.config.bus import BusConfig
-from friction_hil.daemon.realtime import SteppedClock
-from friction_hil.drive import Command, DriveState, Feedback, Request
+from friction_hil.drive import DriveState
 from friction_hil.errors import DriveError
-from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.canopen_bench import NODE, Bench, BenchBus, Driven
 from tests.servo_drives import axis_dict, configuration
 
 SYNC_COB_ID, OTHER = 0x1005, 0x190
 READ_ONLY = {"sdo": [{"index": SYNC_COB_ID, "access": "write", "abort": 0x06010002}]}
 
 
-class Driven:
+class Synced(Driven):
     """A drive whose 1005h holds ``held``, and a daemon that sends SYNC as ``sync_id``."""
 
     def __init__(self, *, held, sync_id, manners=None, dry_run=False):
-        self.bench = Bench(manners=manners)
-        self.bench.node.dictionary.change(SYNC_COB_ID, 0, held)
-        self.bench.node._connect()
-        self.bus = BenchBus(self.bench)
-        config = configuration(x=axis_dict(node=NODE))
-        config = config.model_copy(update={"bus": config.bus.model_copy(update={"sync_cob_id": sync_id})})
-        self.drives = CanopenDrives(config, config.axes, SteppedClock(), dry_run=dry_run, bus=self.bus)
+        self.sync_id = sync_id
+        bench = Bench(manners=manners)
+        bench.node.dictionary.change(SYNC_COB_ID, 0, held)
+        bench.node._connect()
+        super().__init__(bus=BenchBus(bench), dry_run=dry_run)
+
+    def changed(self, config):
+        return config.model_copy(update={"bus": config.bus.model_copy(update={"sync_cob_id": self.sync_id})})
 
     def enables(self):
         """True if the drive is enabled."""
-        self.drives.connect()
-        self.drives.start()
-        feedback = Feedback()
-        for _ in range(20):
-            self.drives.receive([feedback], 0)
-            self.drives.send([Command(Request.ENABLE)])
-        return feedback.state is DriveState.OPERATION_ENABLED
+        return self.start().cycle(count=20).state is DriveState.OPERATION_ENABLED
 
     @property
     def held(self):
         return self.bench.read(SYNC_COB_ID)
 
-    def close(self):
-        self.drives.close()
-        self.bus.shutdown()
-
 
 @pytest.mark.parametrize(("held", "sync_id"), [(0x80, 0x80), (OTHER, 0x80), (0x80, OTHER), (OTHER, OTHER)])
 def test_a_drive_gets_the_identifier_of_sync_and_its_own_one_back(held, sync_id):
-    driven = Driven(held=held, sync_id=sync_id)
+    driven = Synced(held=held, sync_id=sync_id)
     assert driven.enables()
     assert driven.held == sync_id
     driven.close()
@@ -57,22 +47,18 @@ def test_a_drive_gets_the_identifier_of_sync_and_its_own_one_back(held, sync_id)
 
 
 def test_a_dry_run_sets_it_too_because_it_sends_sync():
-    driven = Driven(held=OTHER, sync_id=0x80, dry_run=True)
-    driven.drives.connect()
-    driven.drives.start()
-    feedback = Feedback()
-    driven.drives.receive([feedback], 0)
-    assert feedback.is_fresh
+    driven = Synced(held=OTHER, sync_id=0x80, dry_run=True)
+    assert driven.start().cycle().is_fresh
     driven.close()
     assert driven.held == OTHER
 
 
 def test_where_it_is_read_only_the_message_has_the_value_found():
-    driven = Driven(held=OTHER, sync_id=0x80, manners=READ_ONLY)
+    driven = Synced(held=OTHER, sync_id=0x80, manners=READ_ONLY)
     with pytest.raises(DriveError, match=r"takes SYNC as 190h .* = 00000190h, refused 00000080h .*0x190.*FH-266"):
         driven.drives.connect()
     driven.close()
-    driven = Driven(held=OTHER, sync_id=OTHER, manners=READ_ONLY)
+    driven = Synced(held=OTHER, sync_id=OTHER, manners=READ_ONLY)
     assert driven.enables()
     driven.close()
 

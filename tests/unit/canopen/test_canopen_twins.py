@@ -5,13 +5,11 @@ import random
 import can
 import pytest
 from friction_hil_drivers.canopen.commands.inventory import CanopenInventory
-from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.wire.frames import FrameBus
 
-from friction_hil.daemon.realtime import SteppedClock
-from friction_hil.drive import Command, Feedback, Request
+from friction_hil.drive import Request
 from friction_hil.errors import DriveError
-from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.canopen_bench import NODE, Bench, BenchBus, Driven
 from tests.servo_drives import axis_dict, configuration
 
 UPLOAD, BOOT_UP = 0x40, (0x700 + NODE, b"\x00")
@@ -34,11 +32,6 @@ class TwinBus(BenchBus):
         while len(self.waiting) > self.late:
             for can_id, data in self.waiting.pop(0):
                 self.answers.put(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-
-
-def opened(bus, *, dry_run=False):
-    config = configuration(x=axis_dict(node=NODE))
-    return CanopenDrives(config, config.axes, SteppedClock(), dry_run=dry_run, bus=bus)
 
 
 class DoublingBus(BenchBus):
@@ -80,15 +73,6 @@ def inventory(bus, **options):
     return CanopenInventory(config.bus, FrameBus(bus, "bench"), **options)
 
 
-def cycle(drives, request=Request.LISTEN):
-    """One cycle; return its feedback."""
-    feedback = Feedback()
-    drives._clock.sleep_until(drives._clock.now_ns() + 1_000_000)
-    drives.receive([feedback], 0)
-    drives.send([Command(request)])
-    return feedback
-
-
 def is_reading(can_id, data):
     """An upload, the next segment of one, or an abort."""
     return can_id == 0x600 + NODE and data[0] & 0xE0 in (UPLOAD, 0x60, 0x80)
@@ -98,13 +82,8 @@ def is_reading(can_id, data):
 @pytest.mark.parametrize("late", [0, 1, 3])
 def test_two_equal_drives_are_refused_before_anything_is_written(dry_run, late):
     bus = TwinBus(Bench(), late=late)
-    drives = opened(bus, dry_run=dry_run)
-    with pytest.raises(
-        DriveError, match=r"two nodes answer as node 5 .*, or an adapter or gateway repeats .* \[FH-264\]"
-    ):
-        drives.connect()
-    drives.close()
-    bus.shutdown()
+    with pytest.raises(DriveError, match=r"FH-264"), Driven(bus=bus, dry_run=dry_run):
+        pass
     assert all(is_reading(*frame) for frame in bus.sent)
 
 
@@ -120,74 +99,52 @@ def test_drives_that_differ_are_called_two(second, difference):
     bus = TwinBus(Bench(**second))
     if serial is not None:
         bus.second.node.dictionary.change(0x1018, 4, serial)
-    drives = opened(bus)
-    with pytest.raises(DriveError, match=rf"two nodes answer as node 5 on .*: {difference}; .*FH-264"):
-        drives.connect()
-    drives.close()
-    bus.shutdown()
+    with pytest.raises(DriveError, match=rf"{difference}; .*FH-264"), Driven(bus=bus):
+        pass
     assert all(is_reading(*frame) for frame in bus.sent)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.4])
 def test_a_bus_that_doubles_some_frames_is_none_with_two_drives(share):
-    bus = DoublingBus(share)
-    drives = opened(bus)
-    drives.connect()
-    drives.start()
-    for _ in range(200):
-        assert cycle(drives).message == ""
-    drives.close()
-    bus.shutdown()
+    with Driven(bus=DoublingBus(share)) as driven:
+        for _ in range(200):
+            assert driven.cycle(Request.LISTEN).message == ""
 
 
 def test_a_gateway_that_doubles_every_frame_is_refused_and_named():
-    bus = DoublingBus(1.0)
-    drives = opened(bus)
-    with pytest.raises(DriveError, match=r"or an adapter or gateway repeats its frames"):
-        drives.connect()
-    drives.close()
-    bus.shutdown()
+    with pytest.raises(DriveError, match=r"gateway repeats"), Driven(bus=DoublingBus(1.0)):
+        pass
 
 
 def test_a_second_drive_that_is_plugged_in_in_mid_run_is_a_fault():
     """It is set up as the first, from the run before, and was switched on elsewhere: no boot-up message is heard."""
     bus = TwinBus()
-    drives = opened(bus)
-    drives.connect()
-    drives.start()
-    for _ in range(20):
-        assert cycle(drives, Request.ENABLE).message == ""
+    driven = Driven(bus=bus).start()
+    assert driven.cycle(count=20).message == ""
     second = Bench()
     for frame in bus.sent:
         second.send(*frame)
     bus.second = second
-    messages = [cycle(drives, Request.ENABLE).message for _ in range(25)]
+    messages = [driven.cycle().message for _ in range(25)]
     assert messages[0] == ""
     assert "of node 5 comes twice in each cycle: two nodes have this number" in messages[-1]
     bus.second = None
-    drives.close()
-    bus.shutdown()
+    driven.close()
 
 
 def test_a_second_drive_that_is_switched_on_in_mid_run_ends_it_and_the_first_is_stopped_by_its_rpdos():
     bus = TwinBus()
-    drives = opened(bus)
-    drives.connect()
-    drives.start()
-    for _ in range(20):
-        cycle(drives, Request.ENABLE)
+    driven = Driven(bus=bus).start()
+    driven.cycle(count=20)
     bus.second = Bench()
     bus.answers.put(can.Message(arbitration_id=BOOT_UP[0], data=BOOT_UP[1], is_extended_id=False))
-    feedback = cycle(drives, Request.ENABLE)
+    feedback = driven.cycle()
     assert feedback.message == "node 5 restarted (boot-up message) [FH-231]"
     assert any("a second node with this number was switched on [FH-264]" in text for text in feedback.notices)
     assert feedback.is_reachable
     assert feedback.state.is_powered
-    for _ in range(300):
-        feedback = cycle(drives, Request.DISABLE)
-    assert not feedback.state.is_powered
-    drives.close()
-    bus.shutdown()
+    assert not driven.cycle(Request.DISABLE, 300).state.is_powered
+    driven.close()
 
 
 def test_scan_and_show_name_two_drives_and_a_stop_proves_nothing():
@@ -249,22 +206,18 @@ def test_reading_ends_with_the_first_request_of_another_master():
 @pytest.mark.parametrize("polled", [{"first": 2}, {"later": 3}])
 def test_a_dry_run_does_not_read_what_another_master_reads(polled):
     bus = PolledBus(**polled)
-    drives = opened(bus, dry_run=True)
-    with pytest.raises(DriveError, match=r"reads or writes node 5 .* bus.role: sidecar, which needs no SDO \[FH-265\]"):
-        drives.connect()
-    drives.close()
-    bus.shutdown()
+    with pytest.raises(DriveError, match=r"bus.role: sidecar.* \[FH-265\]"), Driven(bus=bus, dry_run=True):
+        pass
     assert len(bus.sent) <= 4
     assert all(is_reading(*frame) for frame in bus.sent)
 
 
 def test_a_wrong_number_is_answered_with_those_that_exist():
     bus = BenchBus(Bench())
-    config = configuration(x=axis_dict(node=NODE + 2))
-    drives = CanopenDrives(config, config.axes, SteppedClock(), dry_run=False, bus=bus)
-    with pytest.raises(DriveError, match=rf"no drive answers as node 7 .* nodes that answer: {NODE} \[FH-206\]"):
-        drives.connect()
-    drives.close()
+    driven = Driven(bus=bus, node=NODE + 2)
+    with pytest.raises(DriveError, match=rf"nodes that answer: {NODE} \[FH-206\]"):
+        driven.start()
+    driven.drives.close()
     found = inventory(bus)
     with pytest.raises(DriveError, match=rf"node 7 .* answers no SDO request; nodes that answer: {NODE} \[FH-244\]"):
         found.show(NODE + 2)

@@ -7,15 +7,12 @@ from pathlib import Path
 import pytest
 from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO, load_eds
 from friction_hil_drivers.canopen.connect.eds_check import compare_eds, necessary_keys
-from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.cia402 import objects
 
-from friction_hil.daemon.realtime import SteppedClock
-from friction_hil.drive import Command, DriveState, Feedback, Mode, Request
+from friction_hil.drive import DriveState, Mode, Request
 from friction_hil.errors import DriveError
-from tests.canopen_bench import NODE, Bench, BenchBus
-from tests.servo_drives import axis_dict, configuration
+from tests.canopen_bench import NODE, Bench, BenchBus, Driven
 from tests.vendor_drives import (
     CSP,
     DRIVES,
@@ -31,7 +28,6 @@ from tests.vendor_drives import (
     VendorDrive,
 )
 
-CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
 UNITS = {"counts_per_unit": 2**20 / math.tau, "rated_torque": 0.64}
 
 
@@ -96,48 +92,20 @@ def test_a_second_axis_is_looked_for_where_it_stands(tmp_path):
 # --- drives with these EDS, on a bus that hands every frame over at once
 
 
-class Driven:
-    """A simulated drive with a vendor's EDS, connected and in its cyclic phase."""
+class OfVendor(Driven):
+    """A simulated drive with a vendor's EDS."""
 
     def __init__(self, eds: Path, mode: str, *, supported=None, manners=None, **keys):
-        self.bench = Bench(eds=eds, modes=tuple(Mode), manners=manners)
+        bench = Bench(eds=eds, modes=tuple(Mode), manners=manners)
         if supported is not None:  # what its EDS says, whatever it can
-            self.bench.node.dictionary.of(objects.SUPPORTED_MODES).value = supported
-        self.bus = BenchBus(self.bench)
-        options = {"is_watchdog_required": False, **UNITS, **keys}
-        if mode == "cst":
-            options["controller"] = CONTROLLER
-        config = configuration(x=axis_dict(node=NODE, mode=mode, **options))
-        self.clock = SteppedClock()
-        self.drives = CanopenDrives(config, config.axes, self.clock, dry_run=False, bus=self.bus)
-        self.feedback, self.command = Feedback(), Command()
-
-    def __enter__(self):
-        try:
-            (self.facts,) = self.drives.connect()
-        except DriveError:
-            self.__exit__()
-            raise
-        self.drives.start()
-        return self
-
-    def __exit__(self, *_):
-        self.drives.close()
-        self.bus.shutdown()
+            bench.node.dictionary.of(objects.SUPPORTED_MODES).value = supported
+        super().__init__(mode, bus=BenchBus(bench), **{"is_watchdog_required": False, **UNITS, **keys})
 
     def refusal(self):
         """The error with which connecting ends."""
         with pytest.raises(DriveError) as caught, self:
             pass
         return caught.value
-
-    def cycle(self, request, torque=0.0, count=1):
-        for _ in range(count):
-            self.clock.sleep_until(self.clock.now_ns() + 1_000_000)
-            self.drives.receive([self.feedback], 0)
-            self.command.request, self.command.torque = request, torque
-            self.command.position = self.feedback.position
-            self.drives.send([self.command])
 
 
 ALL = [(name, mode) for name, drive in DRIVES.items() for mode, works in drive.works.items() if works]
@@ -148,11 +116,11 @@ ALL = [(name, mode) for name, drive in DRIVES.items() for mode, works in drive.w
 def test_a_drive_that_can_be_driven_is_driven(tmp_path, name, mode):
     """Enabled, followed, and the torque arrives where it adds to the loops, whatever its PDOs allow."""
     drive = DRIVES[name]
-    with Driven(drive.write(tmp_path / "drive.eds"), mode) as driven:
-        driven.cycle(Request.ENABLE, count=20)
+    with OfVendor(drive.write(tmp_path / "drive.eds"), mode) as driven:
+        driven.cycle(count=20)
         assert driven.feedback.state is DriveState.OPERATION_ENABLED, driven.facts.notes
         assert driven.feedback.message == ""
-        driven.cycle(Request.ENABLE, 0.064, count=3)
+        driven.cycle(count=3, torque=0.064)
         index = 0x6071 if mode == "cst" else 0x60B2
         code = "i" if mode != "cst" and ("60B2", "DataType") in drive.values else "h"
         assert driven.bench.read(index, 0, code) == 100
@@ -169,40 +137,40 @@ def test_a_drive_that_can_be_driven_is_driven(tmp_path, name, mode):
     ("name", "mode"), [(n, m) for n, d in DRIVES.items() for m, works in d.works.items() if not works]
 )
 def test_a_drive_that_cannot_be_driven_is_refused_before_it_is_enabled(tmp_path, name, mode):
-    driven = Driven(DRIVES[name].write(tmp_path / "drive.eds"), mode, supported=DRIVES[name].supported)
+    driven = OfVendor(DRIVES[name].write(tmp_path / "drive.eds"), mode, supported=DRIVES[name].supported)
     assert driven.refusal().code in ("FH-209", "FH-212", "FH-227", "FH-229")
     assert driven.bench.statusword & 0x6F == 0x40
 
 
 def test_a_drive_without_cyclic_modes_says_what_it_can(tmp_path):
-    error = Driven(NOT_CYCLIC.write(tmp_path / "drive.eds"), "csp", supported=NOT_CYCLIC.supported).refusal()
+    error = OfVendor(NOT_CYCLIC.write(tmp_path / "drive.eds"), "csp", supported=NOT_CYCLIC.supported).refusal()
     text = "supports none of csp, csv, cst, one of which is needed for cyclic commands; it supports profile position"
     assert text in str(error)
 
 
 def test_a_mode_that_6502h_does_not_list_is_tried_if_the_configuration_insists(tmp_path):
     eds = VendorDrive().write(tmp_path / "drive.eds")  # it has cst
-    with Driven(eds, "cst", supported=INGENIA.supported, is_mode_check_required=False) as driven:
+    with OfVendor(eds, "cst", supported=INGENIA.supported, is_mode_check_required=False) as driven:
         assert any("is tried, as is_mode_check_required says" in note for note in driven.facts.notes)
 
 
 def test_csp_without_a_torque_offset_needs_the_users_word(tmp_path):
     eds = EYOU.write(tmp_path / "drive.eds")
-    error = Driven(eds, "csp").refusal()
+    error = OfVendor(eds, "csp").refusal()
     assert re.search(
         "take mode cst, which compensates without it, or let the axis run without compensation", str(error)
     )
-    with Driven(eds, "csp", compensation={"enabled": False}) as driven:
-        driven.cycle(Request.ENABLE, count=20)
+    with OfVendor(eds, "csp", compensation={"enabled": False}) as driven:
+        driven.cycle(count=20)
         assert driven.feedback.state is DriveState.OPERATION_ENABLED
         assert "the drive has no 60B2h torque offset: it runs without compensation" in driven.facts.notes
         assert not driven.facts.takes_torque
 
 
 def test_a_fixed_mapping_is_kept_and_what_it_carries_is_told(tmp_path):
-    with Driven(FIXED.write(tmp_path / "drive.eds"), "csp") as driven:
+    with OfVendor(FIXED.write(tmp_path / "drive.eds"), "csp") as driven:
         present = driven.bench.read(0x6084)
-        driven.cycle(Request.ENABLE, count=20)
+        driven.cycle(count=20)
         notes = "\n".join(driven.facts.notes)
         assert (
             f"RPDO 3 keeps the mapping that the drive has, which carries 6084h profile deceleration = {present} too"
@@ -217,7 +185,7 @@ def test_what_a_fixed_mapping_carries_must_be_readable(tmp_path):
     unreadable = VendorDrive(
         is_fixed=True, rpdos=FIXED.rpdos, tpdos=FIXED.tpdos, values={**FIXED.values, ("6084", "AccessType"): "wo"}
     )
-    error = Driven(unreadable.write(tmp_path / "drive.eds"), "csp").refusal()
+    error = OfVendor(unreadable.write(tmp_path / "drive.eds"), "csp").refusal()
     assert re.search(r"RPDO 3 .* carries 6084h profile deceleration too; its value cannot be read", str(error))
 
 
@@ -226,13 +194,13 @@ POOR = [0x6061, 0x6077, 0x606C, 0x6502, 0x605A, 0x60C2, 0x1017]
 
 def test_a_drive_that_reports_little_is_driven_and_what_that_costs_is_told(tmp_path):
     drive = VendorDrive(lacks=POOR)
-    with Driven(drive.write(tmp_path / "drive.eds"), "cst") as driven:
+    with OfVendor(drive.write(tmp_path / "drive.eds"), "cst") as driven:
         assert driven.facts.torque_delay_s is None
         notes = "\n".join(driven.facts.notes)
         assert "no 6061h modes of operation display: that it takes the mode is not confirmed" in notes
         assert "no 6077h torque actual value: no torque is recorded" in notes
         assert "no 606Ch velocity actual value: the velocity is derived from the position" in notes
-        driven.cycle(Request.ENABLE, 0.2, count=30)
+        driven.cycle(count=30, torque=0.2)
         assert driven.feedback.state is DriveState.OPERATION_ENABLED
         true = driven.bench.servo.velocity
         assert true > 1.0
@@ -244,8 +212,8 @@ def test_objects_that_are_read_only_and_right_are_no_obstacle(tmp_path, mode):
     values = {("60C2sub1", "AccessType"): "ro", ("60C2sub1", "DefaultValue"): "1", ("60C2sub2", "AccessType"): "ro"}
     values[("60C2sub2", "DefaultValue")] = "-3"
     drive = VendorDrive(values={**values, ("1400sub2", "AccessType"): "ro", ("1400sub2", "DefaultValue"): "1"})
-    with Driven(drive.write(tmp_path / "drive.eds"), mode) as driven:
-        driven.cycle(Request.ENABLE, count=20)
+    with OfVendor(drive.write(tmp_path / "drive.eds"), mode) as driven:
+        driven.cycle(count=20)
         assert driven.feedback.state is DriveState.OPERATION_ENABLED
 
 
@@ -253,22 +221,22 @@ def test_another_interpolation_period_is_refused_in_csp_and_told_in_csv(tmp_path
     values = {("60C2sub1", "AccessType"): "ro", ("60C2sub1", "DefaultValue"): "4"}
     values |= {("60C2sub2", "AccessType"): "ro", ("60C2sub2", "DefaultValue"): "-3"}
     eds = VendorDrive(values=values).write(tmp_path / "drive.eds")
-    error = Driven(eds, "csp").refusal()
+    error = OfVendor(eds, "csp").refusal()
     assert re.search(r"60C2h.* stays at 0.004 s and not 0.001 s.*take period_s: 0.004, or mode", str(error))
-    with Driven(eds, "csv") as driven:
+    with OfVendor(eds, "csv") as driven:
         assert any("stays at 0.004 s" in note for note in driven.facts.notes)
 
 
 def test_an_rpdo_that_acts_on_arrival_shortens_the_delay(tmp_path):
     drive = VendorDrive(values={(f"{0x1400 + n:X}sub2", "AccessType"): "ro" for n in range(4)})  # type 255
-    with Driven(drive.write(tmp_path / "drive.eds"), "cst") as driven:
+    with OfVendor(drive.write(tmp_path / "drive.eds"), "cst") as driven:
         assert driven.facts.actuation_delay_s == pytest.approx(1e-3)
         assert "RPDOs of the drive take effect when they arrive and not at SYNC" in driven.facts.notes
 
 
 def test_tpdos_that_do_not_come_with_sync_are_refused(tmp_path):
     drive = VendorDrive(values={(f"{0x1800 + n:X}sub2", "AccessType"): "ro" for n in range(4)})
-    error = Driven(drive.write(tmp_path / "drive.eds"), "cst").refusal()
+    error = OfVendor(drive.write(tmp_path / "drive.eds"), "cst").refusal()
     assert re.search(r"TPDO 1 .* does not come with every SYNC: its transmission type", str(error))
 
 
@@ -280,8 +248,8 @@ def test_tpdos_that_do_not_come_with_sync_are_refused(tmp_path):
 @pytest.mark.parametrize("mode", ["csp", "cst"])
 def test_drives_that_switch_on_in_their_own_way_are_enabled(tmp_path, mode, manners):
     """Brakes and charging take seconds; some drives look at changes of the controlword, some need it twice."""
-    with Driven(EPOS4.write(tmp_path / "drive.eds"), mode, manners=manners) as driven:
-        driven.cycle(Request.ENABLE, count=3000)
+    with OfVendor(EPOS4.write(tmp_path / "drive.eds"), mode, manners=manners) as driven:
+        driven.cycle(count=3000)
         assert driven.feedback.state is DriveState.OPERATION_ENABLED
         assert (driven.feedback.message, driven.feedback.error) == ("", "")
         assert driven.bench.emergencies == []

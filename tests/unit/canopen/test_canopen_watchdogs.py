@@ -8,14 +8,12 @@ import struct
 import can
 import pytest
 from friction_hil_drivers.canopen.connect.watchdogs import Feeder, Watch, feeders
-from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.cia402.access import Abort, AbortError
 
 from friction_hil.config.schema import Realtime
-from friction_hil.daemon.realtime import SteppedClock
-from friction_hil.drive import Command, DriveState, Feedback, Request
+from friction_hil.drive import Command, DriveState, Request
 from friction_hil.errors import ConfigurationError, DriveError
-from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.canopen_bench import NODE, Bench, BenchBus, Driven
 from tests.servo_drives import axis_dict, configuration
 
 RPDO4 = 0x505
@@ -38,25 +36,25 @@ class RealTimeBus(BenchBus):
             super().send(msg, timeout)
 
 
-class Driven:
+class Watched(Driven):
     """A drive in csv, turning, whose daemon can die."""
 
     def __init__(self, *, missing=(), manners=None, prepare=None, max_missed=None, **keys):
-        self.bench = Bench(is_paced_by_sync=False, missing=missing, manners=SYNC_ONLY | (manners or {}))
+        self.max_missed = max_missed
+        bench = Bench(is_paced_by_sync=False, missing=missing, manners=SYNC_ONLY | (manners or {}))
         if prepare is not None:
-            prepare(self.bench)
-        self.bus = RealTimeBus(self.bench)
-        config = configuration(x=axis_dict(node=NODE, mode="csv", **keys))
-        if max_missed is not None:
-            config = config.model_copy(update={"realtime": Realtime(max_missed=max_missed)})
-        self.clock = SteppedClock()
-        self.drives = CanopenDrives(config, config.axes, self.clock, dry_run=False, bus=self.bus)
+            prepare(bench)
+        super().__init__("csv", bus=RealTimeBus(bench), **keys)
         try:
             (self.facts,) = self.drives.connect()
         except DriveError:
             self.close()
             raise
-        self.feedback, self.command = Feedback(), Command()
+
+    def changed(self, config):
+        if self.max_missed is None:
+            return config
+        return config.model_copy(update={"realtime": Realtime(max_missed=self.max_missed)})
 
     @property
     def notes(self):
@@ -69,8 +67,7 @@ class Driven:
             for can_id, data in self.bench.at(now * 1e-6):
                 self.bus.answers.put(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
             self.drives.receive([self.feedback], 0)
-            self.command.request, self.command.velocity = request, velocity
-            self.drives.send([self.command])
+            self.drives.send([Command(request, velocity=velocity)])
 
     def turn(self):
         self.drives.start()
@@ -88,17 +85,13 @@ class Driven:
                 return step / 10
         return None
 
-    def close(self):
-        self.drives.close()
-        self.bus.shutdown()
-
 
 @pytest.fixture
 def drive():
     made = []
 
     def make(**keys):
-        made.append(Driven(**keys))
+        made.append(Watched(**keys))
         return made[-1]
 
     yield make

@@ -8,16 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from friction_hil_drivers.canopen.connect.mapping import MappedPdo
-from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.cia402.load_encoder import LoadEncoder, LoadEncoderOptions, with_scale
 from hypothesis import given
 from hypothesis import strategies as st
 
-from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.safety import LoopState
-from friction_hil.drive import Command, Feedback, Request
 from friction_hil.errors import DriveError
-from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.canopen_bench import Bench, BenchBus, Driven
 from tests.servo_drives import ServoDrives, axis_dict, configuration, make_loop
 
 STAND_IN = 0x6062  # position demand: an INTEGER32 of the simulated drive that TPDOs can carry, in its counts
@@ -34,31 +31,15 @@ def test_the_counter_is_followed_over_its_wraps(start, steps, is_inverted):
         assert encoder.position == pytest.approx((-1.0 if is_inverted else 1.0) * total / 1000.0)
 
 
-def driven(**load_encoder):
-    bench = Bench()
-    bus = BenchBus(bench)
-    config = configuration(x=axis_dict(node=NODE, load_encoder=load_encoder))
-    clock = SteppedClock()
-    return bench, bus, clock, CanopenDrives(config, config.axes, clock, dry_run=False, bus=bus)
-
-
 def test_the_object_is_mapped_beside_the_others_and_decoded():
-    bench, bus, clock, drives = driven(index=STAND_IN, subindex=0, counts_per_unit=2000.0)
-    (facts,) = drives.connect()
-    assert facts.has_load_encoder
-    drives.start()
-    feedback = Feedback()
-    for k in range(60):
-        clock.sleep_until(clock.now_ns() + 1_000_000)
-        drives.receive([feedback], 0)
-        drives.send([Command(Request.ENABLE, position=1e-3 * k)])
-        assert feedback.is_fresh
-    counts = feedback.load_position * 2000.0
-    per_unit = bench.servo.counts_per_unit
-    assert counts == pytest.approx(round(counts), abs=1e-6)
-    assert counts / per_unit == pytest.approx(0.057, abs=3e-3)  # the set-point of some cycles before
-    drives.close()
-    bus.shutdown()
+    with Driven(load_encoder={"index": STAND_IN, "subindex": 0, "counts_per_unit": 2000.0}) as driven:
+        assert driven.facts.has_load_encoder
+        for k in range(60):
+            assert driven.cycle(position=1e-3 * k).is_fresh
+        counts = driven.feedback.load_position * 2000.0
+        assert counts == pytest.approx(round(counts), abs=1e-6)
+        # the set-point of some cycles before
+        assert counts / driven.bench.servo.counts_per_unit == pytest.approx(0.057, abs=3e-3)
 
 
 @pytest.mark.parametrize(
@@ -66,11 +47,8 @@ def test_the_object_is_mapped_beside_the_others_and_decoded():
     [({"subindex": 2}, "object 60E4h:02 load position"), ({"index": 0x6041, "subindex": 0}, "has 16 bits")],
 )
 def test_an_object_that_is_not_there_is_refused(wrong, text):
-    _, bus, _, drives = driven(**{"counts_per_unit": 1.0} | wrong)
-    with pytest.raises(DriveError, match=text):
-        drives.connect()
-    drives.close()
-    bus.shutdown()
+    with pytest.raises(DriveError, match=text), Driven(load_encoder={"counts_per_unit": 1.0} | wrong):
+        pass
 
 
 TWO_MASSES = {
@@ -81,24 +59,14 @@ TWO_MASSES = {
 
 def turning(servo, **load_encoder):
     """Drive of two masses whose motor runs ahead of its load; return it with what the driver reads of the load."""
-    bench = Bench(servo)
-    bus = BenchBus(bench)
-    config = configuration(x=axis_dict(node=NODE, load_encoder=load_encoder))
-    clock = SteppedClock()
-    drives = CanopenDrives(config, config.axes, clock, dry_run=False, bus=bus)
-    (facts,) = drives.connect()
-    drives.start()
-    feedback, rows = Feedback(), []
-    for k in range(200):
-        clock.sleep_until(clock.now_ns() + 1_000_000)
-        rows.append((bench.servo.load_position, bench.servo.true_position))
-        drives.receive([feedback], 0)
-        assert feedback.is_fresh
-        rows[-1] += (feedback.load_position,)
-        drives.send([Command(Request.ENABLE, position=2e-5 * k * k)])
-    drives.close()
-    bus.shutdown()
-    return facts, np.array(rows)[50:]
+    rows = []
+    with Driven(bus=BenchBus(Bench(servo)), load_encoder=load_encoder) as driven:
+        for k in range(200):
+            before = driven.bench.servo.load_position, driven.bench.servo.true_position
+            feedback = driven.cycle(position=2e-5 * k * k)
+            assert feedback.is_fresh
+            rows.append((*before, feedback.load_position))
+    return driven.facts, np.array(rows)[50:]
 
 
 def test_the_drive_itself_says_what_a_count_of_the_load_is():

@@ -55,24 +55,6 @@ def test_the_way_up_and_down(bench: Bench) -> None:
     assert [control(bench, word) for word in (0x07, 0x06, 0x00)] == [ON, READY, DISABLED]
 
 
-def test_enable_operation_from_ready_goes_through_switched_on(bench: Bench) -> None:
-    assert control(bench, 0x06) == READY
-    bench.write(0x6040, 0, "H", 0x0F)
-    bench.sync()
-    assert state(bench) == ENABLED
-
-
-def test_disable_voltage_at_speed_coasts(bench: Bench) -> None:
-    bench.stream(10)
-    move(bench, 10, 200, 20)
-    speed = bench.servo.true_velocity
-    assert control(bench, 0x00) == DISABLED
-    assert torque(bench) == 0.0
-    bench.sync(5)
-    assert bench.servo.torque < 1e-6
-    assert bench.servo.true_velocity == pytest.approx(speed - 5e-3 * FRICTION / INERTIA, abs=0.4)
-
-
 @pytest.mark.parametrize(("option", "word", "end"), [(0x605C, 0x07, ON), (0x605B, 0x06, READY)])
 @pytest.mark.parametrize("is_ramped", [False, True])
 def test_disabling_at_speed(bench: Bench, option: int, word: int, end: int, is_ramped: bool) -> None:
@@ -90,16 +72,6 @@ def test_disabling_at_speed(bench: Bench, option: int, word: int, end: int, is_r
     assert state(bench) == end
     assert torque(bench) == 0.0
     assert bench.servo.velocity == pytest.approx(0.0 if is_ramped else 20.0, abs=3.0)
-
-
-def test_revoked_disabling_goes_on(bench: Bench) -> None:
-    bench.stream(9)
-    move(bench, 9, round(20 * COUNTS), 100)
-    assert control(bench, 0x07) == ENABLED
-    bench.sync(3)
-    assert control(bench, 0x0F) == ENABLED
-    move(bench, 9, round(20 * COUNTS), 100)
-    assert bench.servo.velocity == pytest.approx(20.0, rel=0.02)
 
 
 @pytest.mark.parametrize("option", [0, 1, 2, 5, 6])
@@ -131,18 +103,6 @@ def test_quick_stop(bench: Bench, option: int) -> None:
     assert bench.servo.position == pytest.approx(start, abs=1e-3), "it resumes from its position"
 
 
-def test_quick_stop_holds_against_a_load() -> None:
-    bench = Bench({**PLAIN, "mechanics": {"load_torque": 0.1}})
-    bench.write(0x605A, 0, "h", 6)
-    bench.stream(8)
-    bench.sync(200)
-    start = bench.servo.position
-    assert control(bench, 0x02) == STOPPING
-    bench.sync(200)
-    assert bench.servo.position == pytest.approx(start, abs=2e-3)
-    assert bench.servo.torque == pytest.approx(0.1, abs=2 * FRICTION)
-
-
 def test_fault_is_reset_by_the_rising_edge_alone(bench: Bench) -> None:
     bench.stream(8)
     bench.nmt(0x80)  # leaving Operational while enabled is a lost connection
@@ -158,32 +118,7 @@ def test_fault_is_reset_by_the_rising_edge_alone(bench: Bench) -> None:
     assert bench.emergencies == ["8100", "0000"]
 
 
-def test_held_reset_bit_resets_nothing_and_enables_nothing(bench: Bench) -> None:
-    bench.write(0x6040, 0, "H", 0x80)
-    bench.stream(8)
-    bench.write(0x6040, 0, "H", 0x8F)
-    assert state(bench) == ENABLED
-    bench.nmt(0x80)
-    bench.sync(3)
-    assert state(bench) == FAULT
-    assert control(bench, 0x8F) == FAULT
-    assert control(bench, 0x0F) == FAULT
-    assert control(bench, 0x8F) == DISABLED
-    assert [control(bench, word) for word in (0x86, 0x87, 0x8F)] == [DISABLED] * 3
-
-
 # Modes and set-points
-
-
-def test_no_mode_gives_no_torque(bench: Bench) -> None:
-    bench.stream(8)
-    bench.write(0x6060, 0, "b", 0)
-    bench.write(0x6071, 0, "h", 500)
-    bench.write(0x60B2, 0, "h", 500)
-    bench.sync(5)
-    assert bench.read(0x6061, 0, "b") == 0
-    assert (torque(bench), bench.servo.position) == (0.0, 0.0)
-    assert not bench.statusword & 0x1000
 
 
 def test_drive_has_the_modes_that_it_says() -> None:
@@ -191,18 +126,6 @@ def test_drive_has_the_modes_that_it_says() -> None:
     assert bench.read(0x6502) == 0x280
     assert bench.try_write(0x6060, 0, "b", 9) == 0x06090030
     assert bench.try_write(0x6060, 0, "b", 10) == 0
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_cst_accelerates_as_newton_says(bench: Bench, sign: int) -> None:
-    bench.stream(10)
-    move(bench, 10, 60 * sign, 5, torque_offset=40 * sign)
-    before = bench.servo.true_velocity
-    move(bench, 10, 60 * sign, 20, torque_offset=40 * sign)
-    acceleration = (bench.servo.true_velocity - before) / 20e-3
-    assert acceleration == pytest.approx(sign * (0.1 * RATED - FRICTION) / INERTIA, rel=1e-3)
-    assert bench.read(0x6077, 0, "h") == 100 * sign
-    assert bench.read(0x6074, 0, "h") == 100 * sign
 
 
 def test_csp_follows_and_adds_the_torque_offset(bench: Bench) -> None:
@@ -280,21 +203,6 @@ def test_jump_at_enable_is_a_following_error_before_anything_moves(bench: Bench)
     assert state(bench) == ENABLED
 
 
-def test_following_error_takes_its_time(bench: Bench) -> None:
-    bench.write(0x6065, 0, "I", 1000)
-    bench.write(0x6066, 0, "H", 5)
-    bench.write(0x6072, 0, "H", 5)  # 3.2 mN m: less than friction, the axis is stuck
-    bench.stream(8)
-    cycles = 0
-    while state(bench) == ENABLED and cycles < 100:
-        move(bench, 8, 200 * cycles, 1)
-        cycles += 1
-    bench.sync(5)
-    assert state(bench) == FAULT
-    assert bench.read(0x603F, 0, "H") == 0x8611
-    assert 10 <= cycles <= 15, "the demand leaves the window after 6 or 7 cycles, then 5 ms pass"
-
-
 def test_the_window_of_the_configuration_is_that_of_the_following_error() -> None:
     weak = {"peak_torque": 1.2 * FRICTION}
     bench = Bench(PLAIN | {"loops": {"following_error_window": 0.02}, "motor": weak})
@@ -341,14 +249,6 @@ def test_a_warm_drive_reports_the_temperatures_of_motor_and_gear() -> None:
     assert Bench(PLAIN).read(0x5FF0, 0, "h") == 250
 
 
-def test_following_error_can_be_switched_off(bench: Bench) -> None:
-    bench.write(0x6065, 0, "I", 0xFFFFFFFF)
-    bench.write(0x6072, 0, "H", 5)
-    bench.stream(8)
-    move(bench, 8, 1 << 30, 100)
-    assert state(bench) == ENABLED
-
-
 # Limits
 
 
@@ -373,15 +273,6 @@ def test_speed_limit(bench: Bench) -> None:
     assert bench.statusword & 0x0800
 
 
-def test_speed_limit_in_csp(bench: Bench) -> None:
-    bench.write(0x6080, 0, "I", 60)
-    bench.write(0x6065, 0, "I", 0xFFFFFFFF)
-    bench.stream(8)
-    move(bench, 8, round(20 * COUNTS), 300)
-    assert bench.servo.velocity == pytest.approx(2 * math.pi, rel=0.02)
-    assert bench.statusword & 0x0800
-
-
 def test_position_limits(bench: Bench) -> None:
     bench.write(0x607D, 1, "i", -1000)
     bench.write(0x607D, 2, "i", 2000)
@@ -394,13 +285,6 @@ def test_position_limits(bench: Bench) -> None:
     assert not bench.statusword & 0x0800
 
 
-def test_position_offset_is_added(bench: Bench) -> None:
-    bench.stream(8)
-    bench.write(0x60B0, 0, "i", 700)
-    move(bench, 8, 1000, 300)
-    assert bench.read(0x6064, 0, "i") == pytest.approx(1700, abs=20)
-
-
 # Description
 
 
@@ -410,15 +294,6 @@ def test_what_the_drive_says_of_its_motor() -> None:
     assert bench.read(0x6072, 0, "H") == 2000
     assert bench.read(0x608F, 1) / bench.read(0x608F, 2) == 1000.5
     assert bench.read(0x60A9) == 0x00B50300
-
-
-def test_linear_axis_counts_per_metre() -> None:
-    linear = {"mechanics": {"axis": "linear", "inertia": 2.0}, "encoder": {"counts": 1e6}}
-    bench = Bench({**PLAIN, **linear, "loops": {"velocity_gain": 2000.0}, "motor": {"peak_torque": 100.0}})
-    bench.stream(8)
-    for cycle in range(300):
-        move(bench, 8, 50 * cycle, 1)
-    assert bench.servo.position == pytest.approx(50 * 299 / 1e6, abs=2e-4)
 
 
 def test_servo_beyond_all_bounds_is_a_clear_error() -> None:

@@ -39,20 +39,6 @@ def test_timer_of_a_synchronous_rpdo_without_sync(at_sync_only: bool) -> None:
     assert bench.node.drive.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
 
 
-def test_timer_of_an_event_driven_rpdo_needs_no_sync() -> None:
-    bench = Bench(PLAIN, is_paced_by_sync=False, manners={"timer_at_sync_only": True})
-    bench.map(0x1403, 0x1603, 0x505, 255, [0x60400010])
-    bench.write(0x1403, 5, "H", 20)
-    bench.stream(10)
-    push(bench, 1)
-    bench.send(0x505, struct.pack("<H", 0x0F))
-    for time in range(6, 25):
-        bench.at(time)
-    assert bench.emergencies == []
-    bench.at(25)
-    assert bench.emergencies == ["8250"]
-
-
 # SDO
 
 
@@ -80,12 +66,6 @@ def test_a_late_answer_comes_after_the_client_gave_up() -> None:
     assert bench.read(0x60A9) == 0x00B50300, "slow once"
 
 
-def test_late_abort() -> None:
-    bench = Bench(manners={"sdo": [{"index": 0x6502, "delay_s": 0.7, "abort": 0x05040000}]})
-    assert bench.sdo(upload(0x6502)) == []
-    assert bench.wait(700) == [(0x585, struct.pack("<BHBI", 0x80, 0x6502, 0, 0x05040000))]
-
-
 def test_aborts_of_choice_and_silence() -> None:
     manners = [
         {"index": 0x6007, "access": "write", "abort": 0x08000020},
@@ -98,13 +78,6 @@ def test_aborts_of_choice_and_silence() -> None:
     assert bench.sdo(upload(0x1016, 1)) == []
     assert bench.read(0x1016, 0, "B") == 2
     assert [bench.try_write(0x60C2, 2, "b", -3) for _ in range(3)] == [0x08000022, 0x08000022, 0]
-
-
-def test_reset_forgets_late_answers() -> None:
-    bench = Bench(manners={"sdo_delay_s": 0.05})
-    bench.sdo(upload(0x1000))
-    bench.nmt(0x82)
-    assert bench.wait(100) == []
 
 
 # Units and direction
@@ -139,23 +112,6 @@ def test_velocity_unit(unit: str | None, increments: int, code: int) -> None:
     bench, speed = speed_in(unit, increments)
     assert speed == pytest.approx(6.28, rel=0.05)
     assert bench.read(0x60A9) == code
-
-
-def test_velocity_unit_may_be_told_wrongly() -> None:
-    bench, speed = speed_in("rpm", 60, values=[{"index": 0x60A9, "value": 0x00B50300}])
-    assert speed == pytest.approx(6.28, rel=0.05)
-    assert bench.read(0x60A9) == 0x00B50300
-
-
-def test_quick_stop_ramp_is_the_same_in_every_unit() -> None:
-    ways = []
-    for unit, increments in (("counts/s", 1_048_576), ("rpm", 60)):
-        bench, _ = speed_in(unit, increments)
-        bench.write(0x6040, 0, "H", 0x02)
-        start = bench.servo.true_position
-        bench.sync(200)
-        ways.append(bench.servo.true_position - start)
-    assert ways[1] == pytest.approx(ways[0], rel=0.02)
 
 
 @pytest.mark.parametrize("mode", [8, 9, 10])
@@ -275,13 +231,6 @@ def test_slow_switch_on() -> None:
     assert bench.node.drive.state is DriveState.OPERATION_ENABLED
 
 
-def test_slow_switch_on_with_one_command() -> None:
-    bench = Bench(manners={"switch_on_s": 0.05, "enable_s": 0.2, "controlword": "edge"})
-    states_after(bench, [0x06, 0x07])
-    bench.sync(60)
-    assert bench.node.drive.state is DriveState.SWITCHED_ON, "it need not be sent again"
-
-
 # Events
 
 
@@ -333,19 +282,6 @@ def test_reboot(is_paced_by_sync: bool) -> None:
             assert bench.servo.torque_demand == 0.0
     assert bench.sent[-1] == (0x705, b"\0"), "the boot-up message, and nothing after it"
     assert bench.read(0x6060, 0, "b") == 0, "back at its defaults"
-
-
-def test_a_node_that_changes_its_state_tells_it_at_once() -> None:
-    bench = scene({"at_s": 0.005, "do": "pre_operational"})
-    bench.write(0x1017, 0, "H", 1000)
-    assert (0x705, b"\x7f") in [bench.sync() for _ in range(6)][5], "as CANopenNode does"
-
-
-def test_reboot_of_an_instant() -> None:
-    bench = scene({"at_s": 0.005, "do": "reboot"})
-    frames = [bench.sync() for _ in range(8)]
-    assert (0x705, b"\0") in frames[5]
-    assert frames[6:] == [[], []]
 
 
 def test_mute_deaf_and_unplugged() -> None:
@@ -431,18 +367,6 @@ def test_late_tpdos_paced_by_sync() -> None:
     assert late[3:] == usual[1:48]
 
 
-def test_late_tpdos_in_real_time() -> None:
-    bench = Bench(PLAIN, is_paced_by_sync=False, manners={"events": [{"at_s": 0.0, "do": "late_tpdo", "by_s": 0.0009}]})
-    bench.map(0x1800, 0x1A00, 0x185, 1, [0x60410010])
-    bench.nmt(0x01)
-    for time in range(1, 5):
-        bench.at(time)
-        assert len(bench.sync()) == (time == 1)
-        assert bench.node.needs_poll(bench.node.now_ns) == (time > 1)
-        assert bench.at(time + 0.85) == []
-        assert len(bench.at(time + 0.95)) == (time > 1)
-
-
 def test_babbling() -> None:
     bench = scene(
         {"at_s": 0.005, "do": "babble", "can_id": 0x585, "data": "8060600000000405", "per_ms": 3, "for_s": 0.01}
@@ -467,13 +391,3 @@ def test_babbling() -> None:
 def test_events_are_checked(event: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
         scene({"at_s": 0.0, **event})
-
-
-def test_events_of_objects_are_checked_at_the_start() -> None:
-    with pytest.raises(UsageError, match="6099h"):
-        scene({"at_s": 1.0, "do": "write", "index": 0x6099, "value": 1})
-
-
-def test_the_same_frames_give_the_same_answers() -> None:
-    events = ({"at_s": 0.01, "do": "lose_tpdo", "share": 0.3}, {"at_s": 0.02, "do": "late_tpdo", "by_s": 0.0015})
-    assert spin(scene(*events), 60) == spin(scene(*events), 60)

@@ -35,32 +35,6 @@ def test_boot_up_then_nmt() -> None:
     assert heartbeats(bench.sync(100)) == [], "1017h is back at zero"
 
 
-@pytest.mark.parametrize("frame", [b"", b"\x01", b"\x01\x06", b"\x03\x05", b"\x00\x05"])
-def test_what_is_no_command_for_this_node(frame: bytes) -> None:
-    bench = Bench()
-    bench.map(0x1800, 0x1A00, 0x185, 1, [0x60410010])
-    bench.send(0x000, frame)
-    assert bench.sync() == []
-
-
-def test_reset_communication_keeps_the_device() -> None:
-    bench = Bench(PLAIN)
-    bench.write(0x6065, 0, "I", 12345)
-    bench.write(0x1017, 0, "H", 10)
-    bench.enable(8)
-    assert bench.nmt(0x82) == BOOT_UP
-    assert (bench.read(0x6065), bench.read(0x1017, 0, "H")) == (12345, 0)
-    assert bench.node.drive.state is DriveState.OPERATION_ENABLED, "it was never in Operational"
-
-
-def test_heartbeat_keeps_its_grid_in_real_time() -> None:
-    bench = Bench(is_paced_by_sync=False)
-    bench.write(0x1017, 0, "H", 100)
-    times = [time for time in range(0, 1007, 7) if heartbeats(bench.at(time))]
-    assert len(times) == 10
-    assert all(0 <= time - 100 * (number + 1) < 7 for number, time in enumerate(times))
-
-
 def test_sync_identifier_is_a_setting() -> None:
     bench = Bench()
     bench.map(0x1800, 0x1A00, 0x185, 1, [0x60410010])
@@ -69,15 +43,6 @@ def test_sync_identifier_is_a_setting() -> None:
     assert bench.sync() == []
     assert len(bench.send(0x090)) == 1
     assert bench.try_write(0x1005, 0, "I", 0x40000080) == 0x06090030, "it produces no SYNC"
-
-
-def test_emergency_identifier_is_a_setting() -> None:
-    bench = Bench()
-    bench.nmt(0x01)
-    bench.write(0x1014, 0, "I", 0x99)
-    assert bench.send(0x205, b"")[0][0] == 0x099
-    bench.write(0x1014, 0, "I", 0x80000099)
-    assert all(can_id != 0x099 for can_id, _ in bench.send(0x205, b"\0\0"))
 
 
 # Lost connections
@@ -105,46 +70,6 @@ def test_heartbeat_is_watched_from_the_first_on() -> None:
     assert bench.at(1050) == [(0x085, bytes.fromhex("30 81 11 00 00 00 00 00"))]
     assert bench.at(5000) == [], "reported once"
     assert bench.send(MASTER, b"\x05") == [(0x085, bytes(8))]
-
-
-def test_one_of_two_masters_is_missed() -> None:
-    bench = Bench()
-    watch_heartbeat(bench, 20)
-    bench.write(0x1016, 2, "I", 125 << 16 | 20)
-    for cycle in range(100):
-        bench.send(0x77D, b"\x05")
-        if cycle == 0:
-            bench.send(MASTER, b"\x05")
-        bench.sync()
-    assert bench.emergencies == ["8130"]
-    bench.send(MASTER, b"\x05")
-    assert bench.emergencies == ["8130", "0000"]
-
-
-def test_one_of_two_rpdos_is_missed() -> None:
-    bench = Bench()
-    bench.map(0x1401, 0x1601, 0x305, 255, [0x60710010])
-    for parameter in (0x1400, 0x1401):
-        bench.write(parameter, 5, "H", 20)
-    bench.nmt(0x01)
-    for cycle in range(100):
-        bench.send(0x205, b"\0\0")
-        if cycle == 0:
-            bench.send(0x305, b"\0\0")
-        bench.sync()
-    assert bench.emergencies == ["8250"]
-    bench.send(0x305, b"\0\0")
-    assert bench.emergencies == ["8250", "0000"]
-
-
-def test_consumer_heartbeat_entries_are_checked() -> None:
-    bench = Bench()
-    watch_heartbeat(bench, 50)
-    assert bench.try_write(0x1016, 2, "I", 126 << 16 | 70) == 0x06040043, "that node is watched already"
-    assert bench.try_write(0x1016, 2, "I", 128 << 16 | 70) == 0x06090030
-    assert bench.try_write(0x1016, 2, "I", 125 << 16 | 70) == 0
-    assert bench.try_write(0x1016, 3, "I", 0) == 0x06090011
-    assert bench.try_write(0x1016, 0, "B", 1) == 0x06010002
 
 
 @pytest.mark.parametrize(
@@ -183,21 +108,6 @@ def test_node_guarding_toggles_from_the_first_answer_on() -> None:
     assert bench.guard() == [(0x705, b"\x7f")], "a reset of the communication resets the toggle bit"
 
 
-def test_heartbeat_wins_over_node_guarding() -> None:
-    bench = Bench(is_paced_by_sync=False)
-    bench.write(0x100C, 0, "H", 10)
-    bench.write(0x100D, 0, "B", 2)
-    bench.guard()
-    bench.write(0x1017, 0, "H", 500)
-    assert bench.guard() == []
-    bench.at(400)
-    assert bench.emergencies == []
-
-
-def test_a_node_without_100ch_does_not_guard() -> None:
-    assert Bench(missing=[0x100C]).guard() == []
-
-
 def test_life_guarding_begins_with_the_first_remote_frame() -> None:
     bench = Bench(PLAIN, is_paced_by_sync=False)
     bench.write(0x1029, 1, "B", 1)
@@ -215,19 +125,6 @@ def test_life_guarding_begins_with_the_first_remote_frame() -> None:
     assert bench.emergencies == ["8130"]
     bench.at(1105)
     assert bench.node.drive.state is DriveState.FAULT
-
-
-def test_life_guarding_restores() -> None:
-    bench = Bench(is_paced_by_sync=False)
-    bench.write(0x100C, 0, "H", 20)
-    bench.write(0x100D, 0, "B", 3)
-    bench.nmt(0x01)
-    bench.guard()
-    bench.at(60)
-    assert bench.emergencies == ["8130"]
-    assert bench.guard() == [(0x705, b"\xff"), (0x085, bytes(8))], "Pre-operational by 1029h"
-    bench.at(119)
-    assert bench.emergencies == ["8130", "0000"]
 
 
 @pytest.mark.parametrize(("behaviour", "state"), [(0, 0x7F), (1, 0x05), (2, 0x04)])
@@ -286,16 +183,6 @@ def test_late_sync_stops_the_drive() -> None:
     assert bench.node.drive.state is DriveState.FAULT
 
 
-def test_lost_connection_of_a_drive_that_is_off_is_reported_but_no_fault() -> None:
-    bench = Bench(PLAIN)
-    bench.write(0x1400, 5, "H", 20)
-    bench.nmt(0x01)
-    bench.send(0x205, b"\0\0")
-    bench.sync(50)
-    assert bench.emergencies == ["8250"]
-    assert bench.statusword & 0xCF == 0xC0, "switch on disabled, with a warning"
-
-
 @pytest.mark.parametrize("command", [0x02, 0x80, 0x81, 0x82])
 def test_leaving_operational_takes_the_torque_away(command: int) -> None:
     bench = Bench(PLAIN)
@@ -304,29 +191,6 @@ def test_leaving_operational_takes_the_torque_away(command: int) -> None:
     bench.sync(100)
     assert bench.servo.torque_demand == 0.0
     assert bench.node.drive.state is (DriveState.SWITCH_ON_DISABLED if command == 0x81 else DriveState.FAULT)
-
-
-def test_leaving_operational_with_the_drive_off_is_no_error() -> None:
-    bench = Bench()
-    bench.nmt(0x01)
-    for command in (0x80, 0x01, 0x02, 0x01, 0x82):
-        bench.nmt(command)
-    assert bench.emergencies == []
-
-
-def test_errors_are_listed_newest_first() -> None:
-    bench = Bench(PLAIN)
-    watch_heartbeat(bench, 5)
-    bench.write(0x1400, 5, "H", 20)
-    bench.nmt(0x01)
-    bench.send(MASTER, b"\x05")
-    bench.write(0x1029, 1, "B", 1)
-    bench.send(0x205, b"\0\0")
-    bench.sync(30)
-    bench.send(0x205, b"")
-    assert bench.read(0x1003, 0, "B") == 3
-    assert [bench.read(0x1003, entry) for entry in (1, 2, 3)] == [0x8210, 0x8250, 0x8130]
-    assert bench.read(0x603F, 0, "H") == 0x8210
 
 
 # The clock of the drive in real time
@@ -414,17 +278,3 @@ def test_random_frames_to_an_enabled_drive_break_nothing(frames: list[Frame]) ->
         drive = bench.node.drive
         assert drive.state.is_powered or bench.servo.torque_demand == 0.0
         assert abs(bench.servo.torque_demand) <= bench.servo.config.motor.peak_torque
-
-
-@settings(deadline=None, max_examples=25)
-@given(st.lists(st.sampled_from([(0x205, struct.pack("<Hhh", 0x0F, 30, 0)), (0x080, b""), (MASTER, b"\x05")])))
-def test_paced_by_sync_everything_is_a_function_of_the_frames(frames: list[Frame]) -> None:
-    runs = []
-    for _ in range(2):
-        bench = Bench()
-        bench.write(0x1400, 5, "H", 5)
-        bench.stream(10)
-        for frame in frames:
-            bench.send(*frame)
-        runs.append((bench.sent, bench.servo.true_position.hex(), bench.servo.true_velocity.hex()))
-    assert runs[0] == runs[1]

@@ -54,13 +54,6 @@ def test_enabled_pdo_keeps_its_mapping(bench: Bench) -> None:
     assert bench.try_write(0x1800, 3, "H", 5) == READ_ONLY_STATE
 
 
-def test_mapping_is_changed_with_a_count_of_zero_only(bench: Bench) -> None:
-    bench.write(0x1400, 1, "I", 0x80000205)
-    assert bench.try_write(0x1600, 1, "I", TARGET_TORQUE) == READ_ONLY_STATE
-    bench.write(0x1600, 0, "B", 0)
-    assert bench.try_write(0x1600, 1, "I", TARGET_TORQUE) == 0
-
-
 @pytest.mark.parametrize(
     ("mapping", "word"),
     [
@@ -116,13 +109,6 @@ def test_synchronous_rpdo_takes_effect_at_the_next_sync(bench: Bench) -> None:
     assert (bench.read(0x6071, 0, "h"), bench.read(0x60B2, 0, "h")) == (111, -7)
 
 
-def test_event_driven_rpdo_takes_effect_at_once(bench: Bench) -> None:
-    bench.map(0x1400, 0x1600, 0x205, 255, [TARGET_TORQUE])
-    bench.nmt(0x01)
-    bench.send(0x205, struct.pack("<h", 111))
-    assert bench.read(0x6071, 0, "h") == 111
-
-
 def test_pdos_live_in_operational_only(bench: Bench) -> None:
     bench.map(0x1400, 0x1600, 0x205, 255, [TARGET_TORQUE])
     bench.map(0x1800, 0x1A00, 0x185, 1, [STATUSWORD])
@@ -148,21 +134,6 @@ def test_short_rpdo_is_reported_and_ignored_and_a_long_one_taken(bench: Bench) -
     assert not bench.statusword & 0x80
 
 
-def test_dummies_skip_bytes(bench: Bench) -> None:
-    bench.map(0x1400, 0x1600, 0x205, 255, [0x00050008, TARGET_TORQUE, 0x00070020])
-    bench.nmt(0x01)
-    bench.send(0x205, struct.pack("<BhI", 0xFF, -5, 0xFFFFFFFF))
-    assert bench.read(0x6071, 0, "h") == -5
-
-
-def test_refused_value_in_an_rpdo_leaves_the_others(bench: Bench) -> None:
-    bench.map(0x1400, 0x1600, 0x205, 255, [0x60600008, TARGET_TORQUE])
-    bench.nmt(0x01)
-    bench.send(0x205, struct.pack("<bh", 8, 1))
-    bench.send(0x205, struct.pack("<bh", 3, 2))  # profile velocity, which the drive lacks
-    assert (bench.read(0x6060, 0, "b"), bench.read(0x6071, 0, "h")) == (8, 2)
-
-
 @pytest.mark.parametrize("kind", [1, 2, 3, 240])
 def test_cyclic_tpdo_comes_with_every_nth_sync(bench: Bench, kind: int) -> None:
     bench.map(0x1800, 0x1A00, 0x185, kind, [STATUSWORD])
@@ -178,13 +149,6 @@ def test_acyclic_tpdo_comes_with_sync_when_its_content_changed(bench: Bench) -> 
     bench.write(0x6040, 0, "H", 0x06)
     assert bench.sync() == [(0x185, b"\x31\x02")]
     assert bench.sync() == []
-
-
-def test_event_driven_tpdo_comes_on_change(bench: Bench) -> None:
-    assert bench.nmt(0x01) == [(0x185, b"\x50\x02")]
-    assert bench.sync(5) == []
-    assert bench.send(0x205, b"\x06\x00") == [(0x185, b"\x31\x02")]
-    assert bench.send(0x205, b"\x06\x00") == []
 
 
 def of_tpdo(frames: list[Frame]) -> int:
@@ -212,37 +176,3 @@ def test_inhibit_time_holds_changes_back() -> None:
         bench.send(0x205, struct.pack("<H", 0x06 if time % 2 else 0x00))
         sent += [time] * of_tpdo(bench.sent[before:])
     assert sent == [5, 10, 15, 20] or sent == [5, 11, 17], sent
-
-
-def test_all_four_of_each_direction_work(bench: Bench) -> None:
-    objects = (TARGET_TORQUE, TORQUE_OFFSET, TARGET_POSITION, 0x60FF0020)
-    for number, word in enumerate(objects):
-        bench.map(0x1400 + number, 0x1600 + number, 0x205 + 0x100 * number, 1, [word])
-        bench.map(0x1800 + number, 0x1A00 + number, 0x185 + 0x100 * number, 1, [word])
-    bench.nmt(0x01)
-    for number in range(4):
-        bench.send(0x205 + 0x100 * number, struct.pack("<i", number + 1))
-    bench.sync()
-    frames = bench.sync()
-    assert [can_id for can_id, _ in frames] == [0x185, 0x285, 0x385, 0x485]
-    assert [data for _, data in frames] == [struct.pack("<h", 1), struct.pack("<h", 2), b"\3\0\0\0", b"\4\0\0\0"]
-
-
-def test_objects_that_a_drive_lacks_cannot_be_mapped() -> None:
-    bench = Bench(missing=[0x60B2, 0x6064])
-    bench.write(0x1400, 1, "I", 0x80000205)
-    bench.write(0x1600, 0, "B", 0)
-    assert bench.try_write(0x1600, 1, "I", TORQUE_OFFSET) == NOT_MAPPABLE
-    assert bench.try_write(0x60B2, 0, "h", 1) == 0x06020000
-
-
-def test_rpdo_deadline_is_watched_from_the_first_reception() -> None:
-    bench = Bench(is_paced_by_sync=False)
-    bench.write(0x1400, 5, "H", 20)
-    bench.nmt(0x01)
-    assert bench.at(1000) == []
-    bench.send(0x205, b"\0\0")
-    assert bench.at(1019) == []
-    assert bench.at(1020)[0] == (0x085, bytes.fromhex("50 82 11 00 00 00 00 00"))
-    assert bench.at(3000) == []
-    assert bench.send(0x205, b"\0\0")[0] == (0x085, bytes(8))

@@ -59,20 +59,6 @@ def test_expedited_transfer(bench: Bench, request_: str, answer: str) -> None:
     assert ask(bench, request_) == answer
 
 
-def test_segmented_upload(bench: Bench) -> None:
-    text = b"friction_hil simulated servo"
-    assert ask(bench, "40 08 10 00 00 00 00 00") == f"41 08 10 00 {len(text):02x} 00 00 00"
-    content, toggle = b"", 0
-    for number in range(4):
-        [(_, data)] = bench.sdo(bytes([0x60 | toggle, *bytes(7)]))
-        unused = data[0] >> 1 & 7
-        assert data[0] == toggle | unused << 1 | (number == 3)
-        content += data[1 : 8 - unused]
-        toggle ^= 0x10
-    assert content == text
-    assert ask(bench, "60 00 00 00 00 00 00 00").startswith("80"), "nothing is left to upload"
-
-
 def test_segmented_download(bench: Bench) -> None:
     assert ask(bench, "21 85 60 00 04 00 00 00") == "60 85 60 00 00 00 00 00"
     assert ask(bench, "0a 78 56 00 00 00 00 00") == "20 00 00 00 00 00 00 00"
@@ -103,17 +89,6 @@ def test_endless_download_is_stopped(bench: Bench) -> None:
     assert ask(bench, "20 84 60 00 00 00 00 00").startswith("60")
     answers = [ask(bench, f"{toggle:02x} 00 00 00 00 00 00 00") for toggle in (0x00, 0x10) * 400]
     assert "80 84 60 00 05 00 04 05" in answers
-
-
-def test_client_aborts(bench: Bench) -> None:
-    assert ask(bench, "40 08 10 00 00 00 00 00").startswith("41")
-    assert bench.sdo(bytes.fromhex("80 08 10 00 00 00 04 05")) == []
-    assert ask(bench, "60 00 00 00 00 00 00 00").startswith("80")
-
-
-@given(st.binary(max_size=12).filter(lambda data: len(data) != 8))
-def test_what_has_not_eight_bytes_gets_no_answer(data: bytes) -> None:
-    assert shared_bench().sdo(data) == []
 
 
 @given(st.lists(st.binary(min_size=8, max_size=8), max_size=8))

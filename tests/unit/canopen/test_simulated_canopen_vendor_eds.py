@@ -97,17 +97,6 @@ def upload(bench: Bench, index: int, subindex: int = 0) -> bytes:
 WIDTHS = {0x10: 3, 0x12: 5, 0x13: 6, 0x14: 7, 0x15: 8, 0x16: 3, 0x18: 5, 0x19: 6, 0x1A: 7, 0x1B: 8, 0x0C: 6, 0x0D: 6}
 
 
-@pytest.mark.deep
-@pytest.mark.parametrize("kind", [*range(1, 0x1E), 0x20, 0x23, 0x40, 0xFFFF])
-@pytest.mark.parametrize("default", [None, "0", "0x12", "0x7FFFFFFF", "text", ""])
-def test_every_type_with_every_default(drive: Any, kind: int, default: str | None) -> None:
-    bench = drive(MANDATORY + variable("2000", kind, default, "rw", LowLimit="0", HighLimit="0x7F"))
-    [(_, answer)] = bench.sdo(struct.pack("<BHB4x", 0x40, 0x2000, 0))
-    assert answer[0] in (0x40, 0x41, 0x43, 0x47, 0x4B, 0x4F, 0x80), answer.hex()
-    if kind in WIDTHS and default == "0x12":
-        assert upload(bench, 0x2000) == (0x12).to_bytes(WIDTHS[kind], "little")
-
-
 @pytest.mark.parametrize(
     ("kind", "default", "data"),
     [
@@ -125,50 +114,10 @@ def test_values_on_the_wire(drive: Any, kind: int, default: str, data: bytes) ->
     assert upload(drive(MANDATORY + variable("2000", kind, default)), 0x2000) == data
 
 
-def test_a_wide_object_is_written_in_segments(drive: Any) -> None:
-    bench = drive(MANDATORY + variable("2000", 0x15, 0))
-    [(_, answer)] = bench.sdo(struct.pack("<BHBI", 0x21, 0x2000, 0, 8))
-    assert answer[0] == 0x60
-    bench.sdo(b"\x00" + bytes(range(1, 8)))
-    bench.sdo(b"\x1d" + b"\x88" + bytes(6))
-    assert upload(bench, 0x2000) == bytes(range(1, 8)) + b"\x88"
-    [(_, answer)] = bench.sdo(struct.pack("<BHBI", 0x23, 0x2000, 0, 5))
-    assert struct.unpack_from("<I", answer, 4)[0] == 0x06070010, "its length is honest"
-
-
-def test_odd_widths_in_a_pdo(drive: Any) -> None:
-    text = SERVO + variable("2000", 0x10, -2, "ro", PDOMapping=1) + variable("2001", 0x18, 7, "rww", PDOMapping=1)
-    bench = drive(text)
-    bench.write(0x1800, 1, "I", 0x80000185)
-    bench.write(0x1A00, 0, "B", 0)
-    bench.write(0x1A00, 1, "I", 0x20000018)
-    bench.write(0x1A00, 2, "I", 0x20010028)
-    bench.write(0x1A00, 0, "B", 2)
-    bench.write(0x1800, 1, "I", 0x185)
-    bench.nmt(0x01)
-    assert bench.sync() == [(0x185, b"\xfe\xff\xff\x07\0\0\0\0")]
-
-
 def test_a_default_beyond_its_type_is_told(drive: Any) -> None:
     bench = drive(MANDATORY + variable("2000", 5, 300))
     assert bench.read(0x2000, 0, "B") == 44
     assert bench.node.notes == ["2000h:00: the default 300 does not fit its type; 44 is used"]
-
-
-def test_a_live_value_in_another_type(drive: Any) -> None:
-    text = SERVO.replace(variable("6064", 4, 0, "ro", PDOMapping=1), variable("6064", 7, 0, "ro", PDOMapping=1))
-    text = text.replace(variable("6041", 6, None, "ro", PDOMapping=1), variable("6041", 3, None, "ro", PDOMapping=1))
-    bench = drive(text, position=-1.0)
-    assert bench.read(0x6064) > 1 << 31, "two's complement"
-    bench.write(0x6040, 0, "H", 6)
-    assert bench.read(0x6041, 0, "h") & 0x6F == 0x21
-
-
-def test_an_object_of_the_drive_that_is_a_string_here(drive: Any) -> None:
-    bench = drive(SERVO + variable("6080", 9, "fast") + variable("6072", 8, "1000.0"))
-    assert upload(bench, 0x6080) == b"fast"
-    bench.enable(9)
-    assert len(bench.node.notes) == 2
 
 
 # Objects and access rights
@@ -221,22 +170,6 @@ def test_a_fixed_mapping_works_and_refuses(drive: Any, access: str) -> None:
     assert bench.try_write(0x1402, 5, "H", 20) == 0x06090011
 
 
-def test_a_mapping_takes_no_more_than_the_file_has_room_for(drive: Any) -> None:
-    bench = drive(SERVO)
-    bench.write(0x1400, 1, "I", 0x80000205)
-    bench.write(0x1600, 0, "B", 0)
-    assert bench.try_write(0x1600, 3, "I", 0x60710010) == 0x06090011
-    assert bench.try_write(0x1600, 0, "B", 3) == 0x06090031
-
-
-def test_cob_ids_with_bit_30_and_without_defaults(drive: Any) -> None:
-    text = SERVO.replace("DefaultValue=$NODEID+0x40000180\n", "")
-    bench = drive(text + pdo(7, is_receive=False, cob_id=0, words=[0x60410010]))
-    assert bench.read(0x1800, 1) == 0x185
-    assert bench.read(0x1807, 1) == 0x80000000, "no predefined identifier"
-    assert drive(SERVO).read(0x1800, 1) == 0x40000185
-
-
 def test_limits_of_the_file(drive: Any) -> None:
     text = MANDATORY + variable("2000", 4, 5, LowLimit="0xFFFFFFF6", HighLimit="10")
     bench = drive(
@@ -247,16 +180,6 @@ def test_limits_of_the_file(drive: Any) -> None:
     assert bench.try_write(0x2000, 0, "i", -11) == 0x06090032
     assert bench.try_write(0x2001, 0, "i", -11) == 0, "an editor filled them in"
     assert bench.try_write(0x2002, 0, "B", 8) == 0x06090031
-
-
-def test_consumer_heartbeats_as_many_as_the_file_has(drive: Any) -> None:
-    entries = [variable(f"1016sub{n}", 7, 0) for n in (1, 2, 3)]
-    bench = drive(SERVO + record("1016", variable("1016sub0", 5, 127, "ro"), *entries, kind=8))
-    bench.write(0x1016, 3, "I", 126 << 16 | 50)
-    assert bench.try_write(0x1016, 1, "I", 126 << 16 | 50) == 0x06040043
-    bench.send(0x77E, b"\x05")
-    bench.sync(60)
-    assert bench.emergencies == ["8130"]
 
 
 def test_compact_arrays(drive: Any) -> None:
@@ -281,13 +204,6 @@ def test_modes_of_the_file(drive: Any, bits: int | None, modes: set[Mode]) -> No
     told = bench.read(0x6502)
     assert told == (bits or 0x380)
     assert (bench.try_write(0x6060, 0, "b", 1) == 0) == bool(bits), "profile position, without a model"
-
-
-def test_mode_at_power_on(drive: Any) -> None:
-    bench = drive(SERVO.replace(variable("6060", 2, 0, "rww", PDOMapping=1), variable("6060", 2, -3)))
-    assert bench.read(0x6061, 0, "b") == -3
-    bench.write(0x6060, 0, "b", 9)
-    bench.write(0x6060, 0, "b", -3)
 
 
 UNITS = "".join(
@@ -331,13 +247,6 @@ def test_unknown_unit_is_told(drive: Any) -> None:
     bench = drive(SERVO + UNITS.replace("0x00B44700", "0x00123400"))
     assert bench.read(0x60A9) == 0x00123400
     assert "00123400h is not known" in bench.node.notes[0]
-
-
-def test_first_axis_of_a_drive_with_two(drive: Any) -> None:
-    second = variable("6840", 6, 0, "rww", PDOMapping=1) + variable("6841", 6, 0, "ro", PDOMapping=1)
-    bench = drive(SERVO + second + pdo(4, is_receive=False, cob_id="$NODEID+0x1A0", words=[0x68410010]))
-    bench.enable(9)
-    assert bench.read(0x6841, 0, "H") == 0, "the second one does nothing"
 
 
 # Sloppiness

@@ -6,7 +6,6 @@ import struct
 import numpy as np
 import pytest
 from friction_hil_drivers.canopen.cycle.side_channel import CyclicSdo
-from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.temperature import TemperatureOptions, TemperatureRead
@@ -17,10 +16,9 @@ from pydantic import ValidationError
 import friction_hil as fh
 from friction_hil.compensator import Compensator, CompensatorSettings, ThermalObserver
 from friction_hil.daemon.notices import TemperatureNotices
-from friction_hil.daemon.realtime import SteppedClock
-from friction_hil.drive import Command, Feedback, Request
+from friction_hil.drive import Request
 from friction_hil.errors import ConfigurationError, DriveError
-from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.canopen_bench import NODE, Bench, BenchBus, Driven
 from tests.compensators import columns
 from tests.serial_rig import Bench as SerialBench
 from tests.servo_drives import axis_dict, configuration
@@ -214,10 +212,7 @@ def canopen(temperature, is_mappable=True, **changes):
     event = {"at_s": 0.15, "do": "write", "index": 0x5FF0, "value": 612}
     bench = Bench(manners={"events": [event]})
     bench.node.dictionary.of(objects.SIMULATED_MOTOR_TEMPERATURE).is_mappable = is_mappable
-    bus = BenchBus(bench)
-    config = configuration(x=axis_dict(node=NODE, temperature=temperature, **changes))
-    clock = SteppedClock()
-    return bus, clock, CanopenDrives(config, config.axes, clock, dry_run=False, bus=bus)
+    return Driven(bus=BenchBus(bench), temperature=temperature, **changes)
 
 
 @pytest.mark.parametrize(
@@ -229,22 +224,16 @@ def canopen(temperature, is_mappable=True, **changes):
     ],
 )
 def test_the_temperature_comes_with_the_feedback_or_beside_it(is_mappable, changes, requests, late):
-    bus, clock, drives = canopen({"index": 0x5FF0, "scale": 0.1, "interval_s": 0.1}, is_mappable, **changes)
-    found = mappings(bus.bench)
-    (facts,) = drives.connect()
-    assert any("no TPDO of the drive takes 5FF0h temperature" in note for note in facts.notes) is not is_mappable
-    drives.start()
-    feedback, heard, begin = Feedback(), [], len(bus.sent)
-    for _ in range(350):
-        clock.sleep_until(clock.now_ns() + 1_000_000)
-        drives.receive([feedback], 0)
-        assert feedback.is_fresh
-        drives.send([Command(Request.ENABLE)])
-        heard.append(feedback.temperature)
-    asked_for = [data for can_id, data in bus.sent[begin:] if can_id == cia301.SDO_REQUEST_BASE + NODE]
-    drives.close()
-    assert mappings(bus.bench) == found
-    bus.shutdown()
+    driven = canopen({"index": 0x5FF0, "scale": 0.1, "interval_s": 0.1}, is_mappable, **changes)
+    found, heard = mappings(driven.bench), []
+    with driven:
+        notes, begin = driven.facts.notes, len(driven.bus.sent)
+        assert any("no TPDO of the drive takes 5FF0h temperature" in note for note in notes) is not is_mappable
+        for _ in range(350):
+            assert driven.cycle().is_fresh
+            heard.append(driven.feedback.temperature)
+        asked_for = [data for can_id, data in driven.bus.sent[begin:] if can_id == cia301.SDO_REQUEST_BASE + NODE]
+    assert mappings(driven.bench) == found
     assert heard[0] == pytest.approx(25.0)
     assert heard[-1] == pytest.approx(61.2)
     changed = np.flatnonzero(np.diff(heard))
@@ -265,11 +254,8 @@ def mappings(bench):
 def test_no_further_frame_is_sent_in_each_cycle_for_a_temperature():
     """An INTEGER32 has no room in the two TPDOs of the feedback."""
     temperature = {"index": 0x6062, "type": "int32", "interval_s": 0.1}
-    bus, _, drives = canopen(temperature)
-    drives.connect()
-    assert all(0x60620020 not in words for words in mappings(bus.bench).values())
-    drives.close()
-    bus.shutdown()
+    with canopen(temperature) as driven:
+        assert all(0x60620020 not in words for words in mappings(driven.bench).values())
 
 
 @pytest.mark.parametrize(
@@ -277,11 +263,8 @@ def test_no_further_frame_is_sent_in_each_cycle_for_a_temperature():
     [({"index": 0x2030}, "object 2030h temperature"), ({"index": 0x5FF0, "type": "float32"}, "has 2 bytes")],
 )
 def test_an_object_that_is_not_there_is_refused_before_anything_is_enabled(wrong, text):
-    bus, _, drives = canopen(wrong)
-    with pytest.raises(DriveError, match=text):
-        drives.connect()
-    drives.close()
-    bus.shutdown()
+    with pytest.raises(DriveError, match=text), canopen(wrong):
+        pass
 
 
 # --- serial lines

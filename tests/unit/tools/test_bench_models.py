@@ -62,57 +62,7 @@ def test_c_and_python_give_the_same_torque(loops, name, changed, dt, motion):
     np.testing.assert_allclose(model.simulate(velocity, dt), expected, rtol=0.0, atol=1e-9 * break_away(model))
 
 
-@needs_gcc
-def test_every_figure_of_the_benchmark_has_its_row(monkeypatch):
-    small = {
-        "ROUNDS": 1,
-        "SAMPLES": 500,
-        "SHORT_SAMPLES": 50,
-        "CANDIDATE_SAMPLES": 50,
-        "GRADIENT_SAMPLES": 50,
-        "STEPS": 50,
-    }
-    for size, value in small.items():
-        monkeypatch.setattr(bench, size, value)
-    rows = bench.run()
-    names = [row.name for row in rows]
-    assert len(set(names)) == len(names)
-    wanted = [f"{family} (C; target " for family in fh.models.names()]
-    wanted += ["64 lugre candidates on one core (", "64 lugre candidates: speed-up of 2", "lugre: gradient in 6"]
-    wanted += ["lugre, constant sigma1: gradient in 6", "lugre: one hot step"]
-    for begin in wanted:
-        assert sum(name.startswith(begin) for name in names) == 1
-    assert all(row.value > 0.0 and row.ratio is not None and math.isfinite(row.ratio) for row in rows)
-
-
 def test_without_gcc_the_benchmark_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FrictionHilError, match="install gcc"):
         bench.run()
-
-
-@needs_gcc
-def test_c_that_does_not_compile_is_an_error_that_quotes_gcc(monkeypatch, tmp_path):
-    source = tmp_path / "models.c"
-    source.write_text("void coulomb(")
-    monkeypatch.setattr(bench, "SOURCE", source)
-    with pytest.raises(FrictionHilError, match=r"models\.c: (.|\n)*error:"):
-        bench.CLoops()
-
-
-def test_parameters_of_the_c_loops_are_numbers_in_a_row_with_lists_after_their_length():
-    parameters = {
-        "stiffness": [3.0, 4.0],
-        "points": [[0.1, 5.0], [0.2, 6.0]],
-        "coulomb": 7.0,
-        "interpolation": "linear",
-    }
-    assert bench.flat(parameters.values()) == [2.0, 3.0, 4.0, 2.0, 0.1, 5.0, 0.2, 6.0, 7.0]
-
-
-def test_the_recording_turns_rests_and_slides():
-    velocity = bench.recording(200_000)
-    assert np.mean(velocity == 0.0) == pytest.approx(0.1, abs=0.02)
-    assert np.count_nonzero(np.diff(np.sign(velocity[velocity != 0.0]))) > 50
-    assert velocity.max() > 1.0
-    assert velocity.min() < -1.0

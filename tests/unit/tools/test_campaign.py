@@ -1,20 +1,15 @@
 """The parts of tools/campaign that judge: a witness that overlooks nothing, a wire that passes on what it should."""
 
-import random
-import re
 import struct
 
 import pytest
 from click.testing import CliRunner
-from pymodbus.framer.rtu import FramerRTU
 
 from tests.processes import GROUP, free_port
 from tools.campaigns.can_wire import Bus, CanWire
 from tools.campaigns.command import command
-from tools.campaigns.disturbance import DIRECTIONS, TO_DAEMON, TO_DRIVE, Disturbance
 from tools.campaigns.faults import BY_NAME, FAULTS
 from tools.campaigns.judge import judge
-from tools.campaigns.serial_wire import _Direction, crc
 from tools.campaigns.table import Row
 from tools.campaigns.trial import Seen
 from tools.campaigns.witness import Limits, Witness, is_powered, keeps_power
@@ -67,18 +62,6 @@ def test_torque_may_end_in_a_step_only_where_the_power_ends_too(torque: float, w
     one.command(1e-3, 299.0, ENABLE)
     one.command(2e-3, torque, word)
     assert len(one.broken) == count
-
-
-def test_times_are_those_of_the_last_change() -> None:
-    one = witness()
-    one.command(1.0, 20.0, ENABLE)
-    one.command(2.0, 0.0, ENABLE)
-    one.command(3.0, 10.0, ENABLE)
-    one.command(4.0, 0.0, DISABLE)
-    one.command(5.0, 0.0, DISABLE)
-    for time_s, word in ((1.0, 0x27), (4.5, 0x50), (5.0, 0x50)):
-        one.status(time_s, word)
-    assert (one.zero_since_s, one.unpowered_since_s) == (4.0, 4.5)
 
 
 def test_states_and_commands_of_cia_402() -> None:
@@ -138,38 +121,6 @@ def test_what_was_saved_by_a_watchdog_killed_or_never_read_is_not_passed() -> No
     assert row.cells()[-1] == "void"
 
 
-def test_disturbances_keep_what_they_do_not_concern() -> None:
-    for kind, expected in (
-        ("lost", []),
-        ("late", [(0.1, b"abcd")]),
-        ("reordered", [(0.1, b"abcd")]),
-    ):
-        every = Disturbance(kind, 1.0, 0.1, (TO_DRIVE,), random.Random(1))
-        assert every.apply(TO_DRIVE, b"abcd") == expected
-        assert every.apply(TO_DAEMON, b"abcd") == [(0.0, b"abcd")]
-    some = Disturbance("lost", 0.1, 0.1, DIRECTIONS, random.Random(1))
-    assert sum(not some.apply(TO_DRIVE, b"x") for _ in range(2000)) == pytest.approx(200, abs=60)
-    longer = Disturbance("long", 1.0, 0.1, DIRECTIONS, random.Random(1), 8)
-    assert [len(longer.apply(TO_DRIVE, bytes(size))[0][1]) for size in (8, 7)] == [8, 8]
-
-
-def test_telegrams_are_cut_from_a_stream() -> None:
-    def whole(body: bytes) -> bytes:
-        return body + crc(body)
-
-    requests = [
-        whole(bytes([3, 3, 0, 0, 0, 7])),
-        whole(struct.pack(">BBHHHHB2H", 3, 23, 0, 7, 0x102, 2, 4, 17, 18)),
-        whole(struct.pack(">BBHHB1H", 3, 16, 0x105, 1, 2, 6)),
-        whole(bytes([3, 6, 1, 5, 0, 0])),
-    ]
-    stream, cut = b"".join(requests), _Direction(is_request=True)
-    assert [each for k in range(len(stream)) for each in cut.feed(stream[k : k + 1])] == requests
-    replies = [whole(bytes([3, 23, 4, 1, 2, 3, 4])), whole(bytes([3, 0x97, 2])), whole(bytes([3, 16, 1, 5, 0, 1]))]
-    assert _Direction(is_request=False).feed(b"".join(replies)) == replies
-    assert struct.unpack(">H", crc(replies[0][:-2]))[0] == FramerRTU.compute_CRC(replies[0][:-2])
-
-
 def test_the_wire_passes_frames_both_ways_and_reads_what_the_daemon_maps() -> None:
     sides = [Bus(GROUP, free_port()), Bus(GROUP, free_port())]
     one = witness()
@@ -199,25 +150,6 @@ def test_the_command_lists_faults_and_refuses_others() -> None:
     listed = CliRunner().invoke(command, ["--list"]).output
     assert all(fault.name in listed for fault in FAULTS)
     assert "kill-daemon" in str(CliRunner().invoke(command, ["--only", "kill-deamon"]).exception)
-
-
-def test_the_table_is_in_its_file_after_every_try(tmp_path, monkeypatch) -> None:
-    path, tables = tmp_path / "table.md", []
-
-    def trial(fault, seed, number) -> Seen:
-        tables.append(path.read_text() if path.exists() else "")
-        return seen(status=number)  # the second one ends with a status that its faults do not explain
-
-    monkeypatch.setattr("tools.campaigns.command.run_trial", trial)
-    words = ["--only", "stop-2", "--only", "wrap", "--tries", "2", "--output", str(path)]
-    said = CliRunner().invoke(command, words, standalone_mode=False)
-    assert said.return_value == 1
-    totals = [re.search(r"^(\d) tries.*; (\w+) failed", text, re.MULTILINE) for text in tables[1:]]
-    assert [found.groups() for found in totals if found] == [("1", "none"), ("2", "1"), ("3", "1")]
-    repeats = re.findall(r"^- `(.+)`: exit status 1", path.read_text(), re.MULTILINE)
-    assert repeats == [f"./tools/campaign --only {name} --seed 7 --first 1 --tries 1" for name in ("stop-2", "wrap")]
-    missing = CliRunner().invoke(command, ["--output", str(tmp_path / "no/table.md")])
-    assert "there is no folder" in str(missing.exception)
 
 
 def test_a_disk_without_room_for_a_channel_is_no_error_where_the_run_says_what_is_lost() -> None:

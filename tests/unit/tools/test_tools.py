@@ -9,13 +9,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import formats, read, write
-from tools.benchmarks import health, latency, loop, models, neural, recordings
+from tools.benchmarks import models, recordings
 from tools.benchmarks.report import Row, compare, percentile, show
 
 PROJECT = Path(__file__).parents[3]
@@ -136,23 +134,6 @@ def test_the_demo_installs_less_and_an_environment_for_tests_serves_it_too(copy:
     assert copy.ensure().stderr == ""
 
 
-def test_on_a_terminal_the_installation_shows_what_pip_does(copy: Copy, tmp_path: Path) -> None:
-    python, is_seen = tmp_path / "venv_python", tmp_path / "seen"
-    waits = f"echo what pip says\nuntil [ -e {is_seen} ]; do sleep 0.05; done\n"
-    executable(python, python.read_text().replace("echo what pip says\n", waits))
-    main, terminal = os.openpty()
-    script = f"source '{copy.root}/tools/_environment'; ensure_level demo"
-    environment = os.environ | {"PATH": f"{copy.bin}:{os.environ['PATH']}"}
-    process = subprocess.Popen(["bash", "-c", script], stderr=terminal, env=environment)
-    text = ""
-    while not re.search(r"\r\x1b\[K +\d+ s  what pip says", text):
-        text += os.read(main, 4096).decode()
-    is_seen.touch()
-    assert process.wait(60.0) == 0
-    os.close(terminal)
-    os.close(main)
-
-
 def test_failed_installation_is_shown_and_repeated_from_scratch(copy: Copy) -> None:
     copy.pip_fails.touch()
     failed = copy.ensure()
@@ -180,12 +161,6 @@ def test_changed_dependency_updates_in_place(copy: Copy) -> None:
     assert copy.ensure().stderr == ""
 
 
-def test_setting_of_a_linter_makes_nothing_stale(copy: Copy) -> None:
-    copy.ensure()
-    copy.edit("[tool.ruff]", "[tool.ruff]\nfix = true")
-    assert copy.ensure().stderr == ""
-
-
 @pytest.mark.parametrize("other", ["cpython-39", "cpython-399"])
 def test_other_interpreter_rebuilds(copy: Copy, other: str) -> None:
     copy.ensure()
@@ -195,22 +170,9 @@ def test_other_interpreter_rebuilds(copy: Copy, other: str) -> None:
     assert copy.stamp.read_text() == made_for
 
 
-def test_interpreter_that_is_gone_rebuilds(copy: Copy) -> None:
-    copy.ensure()
-    (copy.root / ".venv/bin/python").unlink()
-    assert "setting up" in copy.ensure().stderr
-
-
 def test_moved_project_rebuilds(copy: Copy) -> None:
     copy.ensure()
     copy.root = copy.root.rename(copy.root.with_name("moved project"))
-    assert "setting up" in copy.ensure().stderr
-
-
-@pytest.mark.parametrize("stamp", ["", "x", "x y z\n"])
-def test_stamp_that_is_cut_off_rebuilds(copy: Copy, stamp: str) -> None:
-    copy.ensure()
-    copy.stamp.write_text(stamp)
     assert "setting up" in copy.ensure().stderr
 
 
@@ -350,11 +312,6 @@ def test_single_files_need_no_workers_and_are_run_whole(project: Pytest, path: s
     assert called[called.index("-m") + 1] == "not socketcan"
 
 
-def test_a_file_that_is_left_out_takes_no_workers_away(project: Pytest) -> None:
-    project.run_tests("-m", "not socketcan", "--ignore=tests/integration/test_run.py")
-    assert "-n" in project.called("rest")
-
-
 def test_files_without_socketcan_tests_are_not_imported_there(project: Pytest) -> None:
     (project.root / "tests/test_a.py").write_text("import numba\n")
     (project.root / "tests/test_b.py").write_text("@pytest.mark.socketcan\n")
@@ -431,66 +388,6 @@ def test_benchmark_of_recordings_has_every_format(
     assert [row["unit"] for row in result["rows"][-3:]] == ["M rows/s", "M rows/s", "M samples/s"]
 
 
-@pytest.mark.deep
-def test_the_benchmark_of_networks_measures_an_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(neural, "ROUNDS", 1)
-    rows = neural.iterations()
-    assert [row.name.partition(":")[0] for row in rows] == ["gated", "narx"]
-    for row in rows:
-        assert row.unit == "ms"
-        assert 0.0 < row.value < math.inf
-        assert row.ratio is not None
-
-
-def test_the_benchmark_of_latency_compares_sleeping_and_spinning(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(latency, "ROUNDS", 1)
-    monkeypatch.setattr(latency, "CYCLES", 20)
-    monkeypatch.setattr(latency, "has_cyclictest", lambda: True)
-    monkeypatch.setattr(latency, "cyclictest", lambda *_: latency.Latency(np.full(20, 50.0), 0))
-    monkeypatch.setattr(latency, "is_fifo_allowed", lambda priority: False)
-    rows = latency.run()
-    assert [row.reference for row in rows] == [50.0] * 4
-    assert all(row.unit == "us" and row.value > 0.0 for row in rows)
-
-
-@pytest.mark.deep
-def test_the_benchmark_of_the_exchange_times_each_part() -> None:
-    half_a_second = "exchange.DURATION_S = 0.5; report.show(exchange.run(), as_json=True)"
-    command = [sys.executable, "-c", f"from tools.benchmarks import exchange, report; {half_a_second}"]
-    done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
-    names = [row["name"] for row in json.loads(done.stdout)["rows"]]
-    assert [name.split(" p")[0] for name in names[2:]] == [
-        "receive",
-        "step",
-        "send",
-        "whole cycle",
-        "mailbox without news",
-    ]
-
-
-def test_the_benchmark_of_health_has_every_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(health, "DURATION_S", 8.0)
-    monkeypatch.setattr(health, "BEGIN", 31)
-    monkeypatch.setattr(health, "YEAR_DAYS", 40)
-    monkeypatch.setattr(health, "CHANGES", health.CHANGES[2:3])
-    done = CliRunner().invoke(health.command, ["--axes", "1", "--json"])
-    assert done.exit_code == 0, done.output
-    quiet, tightened = json.loads(done.stdout)["rows"]
-    assert quiet["noticed"] is None
-    assert tightened["noticed"] in (0, 1)
-    assert quiet["false_alarms_per_year"] >= 0.0
-
-
-@pytest.mark.deep
-def test_the_benchmark_of_the_loop_starts_a_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loop, "STARTS", 1)
-    done = CliRunner().invoke(loop.command, ["start", "--json"])
-    assert done.exit_code == 0, done.output
-    ready, enabled = json.loads(done.stdout)["rows"]
-    assert 0.0 < ready["value"] < enabled["value"]
-
-
 def test_benchmark_of_recordings_compares_equal_work(tmp_path: Path) -> None:
     path = tmp_path / "x.npz"
     write(path, recordings.recording(50))
@@ -518,10 +415,3 @@ def test_benchmark_as_json_has_null_for_what_is_no_number(capsys: pytest.Capture
     assert set(result) == {"machine", "rows"}
     assert result["rows"][0] == {"name": "a", "value": None, "unit": "us", "reference": None, "ratio": None}
     assert result["rows"][1]["ratio"] is None
-
-
-def test_benchmark_table_shows_every_row(capsys: pytest.CaptureFixture[str]) -> None:
-    show([Row("a", 1.25, "us", 2.5, 0.5), Row("b", 3.0, "ms")], as_json=False)
-    shown = capsys.readouterr().out
-    for cell in ("1.25 µs", "2.5 µs", "0.50", "3 ms"):
-        assert cell in shown
