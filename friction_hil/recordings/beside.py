@@ -17,7 +17,7 @@ _LONGEST_GAP = 10  # periods: beyond, values between two rows of the other file 
 def add_columns_beside(
     recording: Recording,  # with the names of its file
     sources: Iterable[str],  # of columns, such as `torque.csv:tau*0.5`
-    time_source: str,  # of the time stamps in both files; empty if rows are counted
+    time_source: str,  # of the time stamps in both files; if it is empty, or in another file, rows are counted
     suffixes: Collection[str],  # of files that can be read
     read: Callable[[Path], list[Recording]],  # the axes of a file, with the names of the file
 ) -> None:
@@ -27,6 +27,8 @@ def add_columns_beside(
     files are joined row by row. Raises `RecordingError`: a file cannot be read, or the times or the numbers of rows do
     not match; `UsageError`: there is no such file, or no such column in it.
     """
+    if is_beside(time_source, suffixes):
+        time_source = ""
     files: dict[Path, Recording] = {}
     for name in dict.fromkeys(each for source in sources for each in columns_of(source)):
         if name in recording.columns or name in recording.others:

@@ -57,14 +57,18 @@ def read(source: Source) -> list[Recording]:
         layout = block_layout(path, data) or layout
     rows = _rows(data, layout, problems)
     source.memory.take(data.count(b"\n") * len(layout.names) * 8)
-    values = _quickly(source, layout, rows)
+    columns = _columns_of(layout)
+    wanted = columns if layout.has_own_times else source.split(columns)[0]
+    values = _quickly(layout, rows, wanted)
     if values is None and (other := block_layout(path, data)) is not None and _has_more_kinds(other, layout):
         layout, rows = other, _rows(data, other, [])
-        values = _quickly(source, layout, rows)
+        columns = _columns_of(layout)
+        wanted = columns if layout.has_own_times else source.split(columns)[0]
+        values = _quickly(layout, rows, wanted)
     recording = Recording(str(path), source.name, {}, problems=problems)
-    recording.columns = _by_field(path, rows, layout, _wanted(source, layout)) if values is None else values
+    recording.columns = _by_field(path, rows, layout, wanted) if values is None else values
     recording.units = {name: unit for name, unit in layout.units.items() if name in recording.columns}
-    recording.others = tuple(name for name in _columns_of(layout) if name not in recording.columns)
+    recording.others = tuple(name for name in columns if name not in recording.columns)
     recording.labels, recording.texts, recording.rate_hz = layout.labels, layout.texts, layout.rate_hz
     problems += layout.problems
     _note_texts(layout.texts, problems)
@@ -90,14 +94,8 @@ def _columns_of(layout: TextLayout) -> list[str]:
     return [name for name, kind in pairs if kind != TEXT and not name.startswith("\0")]
 
 
-def _wanted(source: Source, layout: TextLayout) -> list[str]:
-    columns = _columns_of(layout)
-    return columns if layout.has_own_times else source.split(columns)[0]
-
-
-def _quickly(source: Source, layout: TextLayout, rows: memoryview) -> dict[str, Array] | None:
+def _quickly(layout: TextLayout, rows: memoryview, wanted: list[str]) -> dict[str, Array] | None:
     """Read with a library; None if none here can."""
-    wanted = _wanted(source, layout)
     if layout.delimiter is BLANKS:  # which pyarrow does not know
         return _by_numpy(rows, layout, wanted)
     if layout.delimiter != "," and _has_decimal_commas(rows, layout):
@@ -169,11 +167,7 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
 
 
 def _rows(data: bytes, layout: TextLayout, problems: list[str]) -> memoryview:
-    return memoryview(data)[layout.start : _end(data, layout, problems)]
-
-
-def _end(data: bytes, layout: TextLayout, problems: list[str]) -> int:
-    """Return the offset at which the last row ends; report what follows it, and a last row without line end."""
+    """Return the bytes of the rows; report what follows them, and a last row without line end."""
     start, end = layout.start, len(data)
     while end > start and data[end - 1] == 0:
         end -= 1
@@ -181,8 +175,8 @@ def _end(data: bytes, layout: TextLayout, problems: list[str]) -> int:
         problems.append(f"the file ends in {len(data) - end} zero bytes, as a crash leaves them: left out")
     tail = data[max(start, end - 16) : end].rstrip()
     if tail.endswith(b"\n" + _END_MARK):
-        return data.rfind(_END_MARK, start, end)
-    if end > start and data[end - 1 : end] not in (b"\n", b"\r"):
+        end = data.rfind(_END_MARK, start, end)
+    elif end > start and data[end - 1 : end] not in (b"\n", b"\r"):
         begin = max(start, data.rfind(b"\n", start, end) + 1)
         number = data.count(b"\n", 0, begin) + 1
         line = f"line {number} has no line end"
@@ -190,10 +184,10 @@ def _end(data: bytes, layout: TextLayout, problems: list[str]) -> int:
         fits = [is_value(text) or kind != NUMBER for text, kind in zip(fields, layout.kinds, strict=False)]
         if end == len(data) and len(fields) == len(layout.names) and all(fits):
             problems.append(f"{line}: its row is read; if the file was cut off there, its last value is wrong")
-            return end
-        problems.append(f"{line}, so the file may have been cut off in it: that row is left out")
-        return begin
-    return end
+        else:
+            problems.append(f"{line}, so the file may have been cut off in it: that row is left out")
+            end = begin
+    return memoryview(data)[start:end]
 
 
 def _has_decimal_commas(rows: memoryview, layout: TextLayout) -> bool:

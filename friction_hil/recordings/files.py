@@ -12,7 +12,7 @@ from friction_hil.recordings import parts
 from friction_hil.recordings.beside import add_columns_beside, is_beside
 from friction_hil.recordings.bounds import Memory
 from friction_hil.recordings.columns import TIME
-from friction_hil.recordings.mapping import Mapped, mapping_beside
+from friction_hil.recordings.mapping import Mapped, mapping_of
 from friction_hil.recordings.matrices import array_of
 from friction_hil.recordings.product import columns_of
 from friction_hil.recordings.recording import Array, Recording, check, count_time, count_where, rename
@@ -49,7 +49,7 @@ _WRITERS = {suffix: name for suffix, name in _MODULES.items() if suffix not in _
 """Module by suffix, with `read(source)`, which returns recordings, and `write(path, recording, overwrite=)`."""
 
 _HEAD = 4000  # bytes that show whether a log holds frames, as candump writes or prints them
-_SHARED = (".log", ".txt")
+_SHARED = (".log", ".txt")  # no others are opened for that: what a pipe has given is gone
 _FRAME = (
     rb"^\s*(?:\x1b\[[0-9;]*m)*(?:\([^()]*\)\s+)?[A-Za-z]\S*\s+(?:[RT]X\s+\S\s+\S\s+)?[0-9A-Fa-f]{3,8}(?:#|\s+\[\d+\])"
 )
@@ -116,9 +116,8 @@ def read(
             raise UsageError(f"{path} has no axis {axis!r}; {choices(axis, names)}")
         return names if axis is None else [axis]
 
-    mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {}, rate_hz)
-    source = Source(Path(path), axis, _wanted(only, mapped, where), one, configuration)
-    (recording,) = _read(source, mapped, where, only, is_alone=is_alone).values()
+    mapped = mapping_of(Path(path), columns or {}, scale or {}, rate_hz)
+    (recording,) = _read(Source(Path(path), axis, None, one, configuration), mapped, where, only, is_alone=is_alone)
     return recording
 
 
@@ -138,9 +137,10 @@ def read_all(
 
     Parameters are as of `read`; with ``is_preview`` time stamps may be missing.
     """
-    mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {}, rate_hz)
-    source = Source(Path(path), None, _wanted(only, mapped, where), configuration=configuration)
-    return _read(source, mapped, where, only, is_alone=is_alone, is_preview=is_preview)
+    mapped = mapping_of(Path(path), columns or {}, scale or {}, rate_hz)
+    source = Source(Path(path), configuration=configuration)
+    found = _read(source, mapped, where, only, is_alone=is_alone, is_preview=is_preview)
+    return {recording.axis: recording for recording in found}
 
 
 def write(path: str | Path, recording: Recording, *, overwrite: bool = False) -> None:
@@ -174,13 +174,6 @@ def write(path: str | Path, recording: Recording, *, overwrite: bool = False) ->
         raise RecordingError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
-def _wanted(only: Collection[str] | None, mapped: Mapped, where: str | None) -> frozenset[str] | None:
-    if only is None:
-        return None
-    condition = set() if where is None else {where, *mapped.sources(where)}
-    return frozenset(condition.union(*map(mapped.sources, only)))
-
-
 def _read(
     source: Source,
     mapped: Mapped,
@@ -189,17 +182,26 @@ def _read(
     *,
     is_alone: bool,
     is_preview: bool = False,
-) -> dict[str, Recording]:
-    recordings = _read_as_it_is(source) if is_alone else _read_parts(source)
+) -> list[Recording]:
+    """Read the axes of a file, with the files that continue it unless ``is_alone``, by friction_hil's names."""
+    if only is not None:
+        condition = set() if where is None else {where, *mapped.sources(where)}
+        source = replace(source, wanted=frozenset(condition.union(*map(mapped.sources, only))), shared=source.memory)
+    files = [source.path]
+    if source.path.suffix.lower() == parts.SUFFIX and not is_alone:
+        files = parts.parts_of(source.path)
+    if len(files) == 1:
+        recordings = _read_file(source)
+    else:
+        memory = Memory(*files)
+        recordings = parts.read_as_one(files, lambda path: _read_file(replace(source, path=path, shared=memory)))
     for recording in recordings:
         fitting = mapped.fitting({*recording.columns, *recording.others})
         if only is not None:
             fitting = fitting.without(_not_looked_at(fitting, only, recording))
-        sources = [*fitting.columns.values(), *([] if where is None else [where])]
-        time_source = fitting.columns.get(TIME, TIME)
-        if mapped.rate_hz is not None or is_beside(time_source, _MODULES):
-            time_source = ""  # rows are counted
-        add_columns_beside(recording, sources, time_source, _MODULES, lambda path: _read_as_it_is(Source(path)))
+        if sources := [*fitting.columns.values(), *([] if where is None else [where])]:
+            time_source = "" if mapped.rate_hz is not None else fitting.columns.get(TIME, TIME)
+            add_columns_beside(recording, sources, time_source, _MODULES, lambda path: _read_file(Source(path)))
         before = recording.columns
         rename(recording, fitting.columns, fitting.scale)
         if mapped.rate_hz is not None:
@@ -213,7 +215,7 @@ def _read(
             check(recording)
         if where is not None:
             count_where(recording, where, there)
-    return {recording.axis: recording for recording in recordings}
+    return recordings
 
 
 def _not_looked_at(mapped: Mapped, only: Collection[str], recording: Recording) -> set[str]:
@@ -229,17 +231,10 @@ def _not_looked_at(mapped: Mapped, only: Collection[str], recording: Recording) 
     }
 
 
-def _read_parts(source: Source) -> list[Recording]:
-    """Read the axes of a file with the files that continue it, if there are any."""
-    if source.path.suffix.lower() != parts.SUFFIX or not (files := parts.parts_of(source.path))[1:]:
-        return _read_as_it_is(source)
-    memory = Memory(*files)
-    return parts.read_as_one(files, lambda path: _read_as_it_is(replace(source, path=path, shared=memory)))
-
-
-def _read_as_it_is(source: Source) -> list[Recording]:
-    """Read the axes of a file with the names of the file."""
-    module = _module(source.path, _MODULES | _by_content(source))
+def _read_file(source: Source) -> list[Recording]:
+    """Read the axes of one file with the names of the file."""
+    is_shared = source.path.suffix.lower() in _SHARED
+    module = _module(source.path, _MODULES | _by_content(source) if is_shared else _MODULES)
     try:
         found: list[Recording] = module.read(source)
     except OSError as error:
@@ -252,8 +247,6 @@ def _read_as_it_is(source: Source) -> list[Recording]:
 def _by_content(source: Source) -> dict[str, str]:
     """Return the module of a suffix that logs of frames and tables share; a log of frames needs a configuration."""
     suffix = source.path.suffix.lower()
-    if suffix not in _SHARED:
-        return {}  # not opened here: what a pipe has given is gone
     try:
         with source.path.open("rb") as file:
             has_frames = re.search(_FRAME, file.read(_HEAD), re.MULTILINE) is not None

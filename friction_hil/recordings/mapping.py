@@ -42,20 +42,6 @@ class Mapped:
     optional: frozenset[str] = frozenset()
     rate_hz: float | None = None
 
-    def overridden(
-        self, columns: Mapping[str, str], scale: Mapping[str, float], rate_hz: float | None = None
-    ) -> "Mapped":
-        """Return a mapping in which other columns, factors and rate take precedence; a new source has no old factor.
-
-        Raises `UsageError`: both a source of the time stamps and a sampling rate are given.
-        """
-        if rate_hz is not None and TIME in columns:
-            raise UsageError(f"--rate and --column {TIME}={columns[TIME]}: the time stamps have one source")
-        rate_hz = rate_hz if rate_hz is not None or TIME in columns else self.rate_hz
-        columns = {name: without_blanks(source) for name, source in columns.items()}
-        kept = {name: factor for name, factor in self.scale.items() if name not in columns}
-        return Mapped(self.columns | columns, kept | dict(scale), self.optional - set(columns), rate_hz)
-
     def fitting(self, there: Collection[str]) -> "Mapped":
         """Return the mapping without optional columns whose source the file lacks."""
         return self.without({name for name in self.optional if product_of(self.columns[name], there).missing(there)})
@@ -87,18 +73,27 @@ def parse_source(text: str) -> tuple[str, float]:
     return found["source"].strip(), factor_of(found["factors"], text)
 
 
-def mapping_beside(path: Path) -> Mapped:
-    """Read the mapping file of a recording; empty if there is none.
+def mapping_of(
+    path: Path, columns: Mapping[str, str], scale: Mapping[str, float], rate_hz: float | None = None
+) -> Mapped:
+    """Return the mapping of a recording: its mapping file, if it has one, below other columns, factors and rate.
 
-    Raises `ConfigurationError`: the file has mistakes; each is reported with its line.
+    A new source has no old factor. Raises `ConfigurationError`: the file has mistakes; each is reported with its line;
+    `UsageError`: both a source of the time stamps and a sampling rate are given.
     """
     own, for_all = path.parent / f"{path.name}.columns.yaml", path.parent / _FOR_ALL  # `.` and `/` have no name
+    found, optional = Mapped(), frozenset[str]()
     if own.is_file():
-        return _read(own)
-    if for_all.is_file():
+        found = _read(own)
+    elif for_all.is_file():
         found = _read(for_all)
-        return Mapped(found.columns, found.scale, frozenset(found.columns), found.rate_hz)
-    return Mapped()
+        optional = frozenset(found.columns)
+    if rate_hz is not None and TIME in columns:
+        raise UsageError(f"--rate and --column {TIME}={columns[TIME]}: the time stamps have one source")
+    rate_hz = rate_hz if rate_hz is not None or TIME in columns else found.rate_hz
+    columns = {name: without_blanks(source) for name, source in columns.items()}
+    kept = {name: factor for name, factor in found.scale.items() if name not in columns}
+    return Mapped(found.columns | columns, kept | dict(scale), optional - set(columns), rate_hz)
 
 
 def _read(path: Path) -> Mapped:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.recordings.columns import CYCLE, NAMES, SPARSE, TIME, AxisKind, unit
 from friction_hil.recordings.product import absent, product_of
-from friction_hil.recordings.quality import LARGEST, all_finite, is_ordinary, rows_text, too_large, without_overflow
+from friction_hil.recordings.quality import LARGEST, is_ordinary, rows_text, too_large, without_overflow
 from friction_hil.recordings.units import conversion, unit_in, unit_problem
 
 Array = NDArray[np.float64]
@@ -143,7 +143,8 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
     (`product_of`) remain as columns; the product has no unit. Raises `UsageError`: a column to be mapped or scaled does
     not exist or cannot be multiplied, or a factor is not finite, zero or too large.
     """
-    _map_columns(recording, columns)
+    if columns:
+        _map_columns(recording, columns)
     recording.sources = {
         name: columns.get(name, name) + (f"*{scale[name]:.10g}" if name in scale else "")
         for name in dict.fromkeys((*columns, *scale))
@@ -154,11 +155,7 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
         elif name not in recording.others and name not in columns:
             there = {*recording.columns, *recording.others}
             raise UsageError(f"{recording.path}: --scale {name}: {choices(name, there)}")
-    _convert_units(recording, scale)
-
-
-def _convert_units(recording: Recording, scale: Mapping[str, float]) -> None:
-    """Convert what the file has in other units, as it says itself; what was given a factor is SI already."""
+    # what the file has in other units, as it says itself; what was given a factor is SI already
     for name in [each for each in recording.columns if each in NAMES and each not in scale]:
         given = recording.units.get(name, "")
         found = conversion(name, given) if given else None
@@ -275,10 +272,10 @@ def check(recording: Recording) -> None:
         raise RecordingError(f"{recording.path}: there are no rows{_because(recording.problems)}")
     recording.require(TIME)
     time = recording.columns[TIME]
-    if not all_finite(time):
+    if not is_ordinary(time):
         wrong = np.flatnonzero(~np.isfinite(time))
-        raise RecordingError(f"{recording.path}: {TIME} is not finite in {rows_text(wrong, len(time))}")
-    if too_large(time).size:
+        if wrong.size:
+            raise RecordingError(f"{recording.path}: {TIME} is not finite in {rows_text(wrong, len(time))}")
         raise RecordingError(f"{recording.path}: {TIME} is {time.min():g} to {time.max():g}: is it in seconds?")
     if not bool((time[1:] > time[:-1]).all()):
         steps = np.diff(time)

@@ -58,7 +58,9 @@ class Source:
         """
         names = list(names)
         check_columns(self.path, names)
-        return [name for name in names if self.wants(name)], tuple(name for name in names if not self.wants(name))
+        if self.wanted is None:
+            return names, ()
+        return [name for name in names if name in self.wanted], tuple(name for name in names if name not in self.wanted)
 
 
 @contextlib.contextmanager

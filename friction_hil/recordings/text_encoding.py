@@ -18,7 +18,7 @@ def as_utf_8(path: Path, data: bytes, problems: list[str]) -> bytes:
     Raises `RecordingError`: the bytes are no text.
     """
     mark = _UTF_16.get(data[:2])
-    encoding = mark or _utf_16_without_mark(data)
+    encoding = mark or (0 in data[:_SAMPLE] and _utf_16_without_mark(data[:_SAMPLE]))
     if encoding:
         try:
             return data[2 if mark else 0 :].decode(encoding).encode()
@@ -45,8 +45,7 @@ def not_text(path: Path, byte: int) -> RecordingError:
     return RecordingError(f"{path} is not a UTF-8 text file (byte {byte}), nor UTF-16 or cp1252")
 
 
-def _utf_16_without_mark(data: bytes) -> str:
-    head = data[:_SAMPLE]
+def _utf_16_without_mark(head: bytes) -> str:
     if len(head) < 4:
         return ""
     for encoding, zeros, others in ("utf-16-le", head[1::2], head[::2]), ("utf-16-be", head[::2], head[1::2]):

@@ -35,7 +35,7 @@ def expanded(words: Iterable[str | Path]) -> list[str]:
         if not matches:
             raise UsageError(f"{word}: no file matches")
         found += matches
-    return without_later_parts(dict.fromkeys(found))
+    return without_later_parts(dict.fromkeys(found)) if len(found) > 1 else found
 
 
 def read_recordings(sources: Iterable[Path], axis: str | None, **options: Any) -> list[Recording]:
@@ -44,16 +44,7 @@ def read_recordings(sources: Iterable[Path], axis: str | None, **options: Any) -
     Raises `UsageError`: a pattern matches nothing, or a file has several axes and none is chosen; `RecordingError`: a
     file cannot be read.
     """
-    found = []
-    for source in expanded(sources):
-        if axis is not None:
-            found.append(recordings.read(source, axis, **options))
-            continue
-        several = recordings.read_all(source, **options)
-        if len(several) > 1:
-            raise UsageError(f"{source}: has the axes {', '.join(several)}; choose one with --axis")
-        found += several.values()
-    return found
+    return [recordings.read(source, axis, **options) for source in expanded(sources)]
 
 
 def kind_of(found: Iterable[Recording], *, is_linear: bool) -> "AxisKind":

@@ -1,7 +1,10 @@
 """Recordings in CSV and .mat, the choice of axes and columns, and the checks that every format goes through."""
 
+import re
+import sys
 import warnings
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 import pytest
@@ -11,8 +14,10 @@ from hypothesis.extra.numpy import arrays
 from scipy.io import savemat
 
 import friction_hil as fh
+from friction_hil.cli.work.read import read_recordings
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings import columns
+from friction_hil.recordings.csv_file import _by_arrow
 from friction_hil.recordings.quality import LARGEST, too_large, without_overflow
 from friction_hil.recordings.recording import Recording
 
@@ -27,6 +32,30 @@ def csv(folder: Path, text: str) -> Path:
 
 def recording(**values: list[float]) -> Recording:
     return Recording("bench", "x", {name: np.array(column, dtype=float) for name, column in values.items()})
+
+
+def test_a_csv_goes_the_way_that_the_code_overview_says(tmp_path: Path) -> None:
+    overview = (Path(fh.__file__).parent / "README.md").read_text(encoding="utf-8")
+    (told,) = re.findall(r"^A CSV passes.*?nested as (.*?)\. ", overview, re.MULTILINE | re.DOTALL)
+    path = csv(tmp_path, "time_s,position,torque\n0,0.5,1e-3\n0.001,0.25,-2\n")
+    ways: list[list[str]] = []
+
+    def watch(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and frame.f_code is _by_arrow.__code__:
+            way = []
+            caller: FrameType | None = frame
+            while caller is not None:
+                way.insert(0, caller.f_code.co_name)
+                caller = caller.f_back
+            ways.append([each for each in way[way.index("read_recordings") :] if not each.startswith("<")])
+
+    before = sys.getprofile()
+    sys.setprofile(watch)
+    try:
+        read_recordings([path], None)
+    finally:
+        sys.setprofile(before)
+    assert ways == [re.findall(r"`(\w+)`", told)]
 
 
 def test_csv_is_read_by_its_header(tmp_path: Path) -> None:
