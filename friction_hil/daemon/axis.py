@@ -9,7 +9,7 @@ from friction_hil.compensator import CompensatorInputs
 from friction_hil.daemon.assembly import lead_s, make_compensator, make_limits, make_shadows
 from friction_hil.daemon.command import CommandWriter
 from friction_hil.daemon.control.message import AxisChange
-from friction_hil.daemon.figures import Condition, FeedbackGaps
+from friction_hil.daemon.figures import FeedbackGaps
 from friction_hil.daemon.following import Following, LoadFollowing
 from friction_hil.daemon.motion import AxisMotion, Demand
 from friction_hil.daemon.notices import AxisNotices
@@ -17,6 +17,7 @@ from friction_hil.daemon.row import AxisRow, row_width
 from friction_hil.daemon.safety import ENDING, LIMITED, MAX_STALE_CYCLES, LoopState, Standstill, Supervisor
 from friction_hil.daemon.schedule import Schedule
 from friction_hil.daemon.start_checks import start_checks
+from friction_hil.daemon.velocity_trust import FirstTorque
 from friction_hil.drive import AxisFacts, Command, Feedback
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import OptionError
@@ -224,11 +225,21 @@ class AxisLoop:
             self._note_gap(cycle, feedback, state, is_usable=is_usable)
         position = supervisor.position
         velocity = supervisor.velocity(feedback) if is_usable else compensator.velocity_estimate
-        setpoint, demand = self._demand(cycle, state, feedback)
-        elapsed_s = (missed + 1) * self._period_s
-        is_enabled = self.schedule.is_on(state, running_s, elapsed_s, is_operating=supervisor.is_operating)
-        inputs = compensator_inputs(
-            cycle, position, velocity, feedback, demand, is_usable=is_usable, is_enabled=is_enabled
+        setpoint, (position_demand, velocity_demand, velocity_ahead, acceleration_ahead) = self._demand(
+            cycle, state, feedback
+        )
+        inputs = CompensatorInputs(
+            float(cycle),
+            position,
+            velocity,
+            feedback.torque,
+            position_demand,
+            velocity_demand,
+            velocity_ahead,
+            is_usable,
+            self.schedule.is_on(state, running_s, (missed + 1) * self._period_s, supervisor.is_operating),
+            acceleration_ahead,
+            feedback.temperature,
         )
         if compensator.is_changing:  # its state is whole afterwards
             compensator.finish_change(*inputs)
@@ -246,9 +257,19 @@ class AxisLoop:
             fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
         # without power no torque flows, and none may wait for the moment in which the drive is enabled again
         torque = compensation if supervisor.is_torque_taken else 0.0
-        start_fault = self._command_and_check(
-            command, state, time_s, missed, setpoint, torque, feedback, is_usable=is_usable
-        )
+        writer, checks = self._command, self.checks
+        if checks.first_torque is not None:
+            self._bound_torque(checks.first_torque, state, position, missed)
+        writer.write(command, state, time_s, position, estimate, setpoint, torque, feedback)
+        start_fault = None
+        if state is LoopState.FIRST_MOTION and checks.first_motion is not None:
+            start_fault = checks.first_motion.take(position, feedback.velocity, missed, is_usable=is_usable)
+            command.velocity = checks.first_motion.target
+            self.notices.add(checks.first_motion.take_warning())
+        elif state is LoopState.RUNNING and checks.follow_check is not None and setpoint is not None:
+            check, wanted = checks.follow_check, setpoint.position
+            start_fault = check.take(position, estimate, wanted, command.torque, missed, is_usable=is_usable)
+            checks.follow_check = None if check.is_confirmed else check
         if self.load is not None:
             row.write_load(self.load.position(feedback.load_position, position))
         self._count(inputs, shift, state, running_s, missed)
@@ -257,7 +278,8 @@ class AxisLoop:
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))
         is_standing = self._standstill.take(estimate, is_usable=is_usable)
-        self.notices.add(supervisor.take_doubt())
+        if supervisor.is_in_doubt:
+            self.notices.add(supervisor.take_doubt())
         warning = self.notices.next(compensator, estimate, feedback.temperature)
         # the cause before what follows from it: a wrong sign or unit exceeds limits too
         return AxisUpdate(start_fault or fault, warning, is_standing, compensator.is_faded_out)
@@ -266,84 +288,28 @@ class AxisLoop:
         """Return the set-point of this cycle, None outside of the motion, and the demand for the compensator."""
         return self.motion.demand(cycle * self._period_s, state)
 
-    def _command_and_check(
-        self,
-        command: Command,
-        state: LoopState,
-        time_s: float,
-        missed: int,
-        setpoint: Setpoint | None,
-        torque: float,
-        feedback: Feedback,
-        *,
-        is_usable: bool,
-    ) -> str | None:
-        """Fill the command; return a fault of the beginning of the motion, or None."""
-        position, estimate = self.supervisor.position, self.compensator.velocity_estimate
-        checks, writer = self.checks, self._command
-        if checks.first_torque is not None:
-            if self.supervisor.is_velocity_confirmed:
-                checks.first_torque, writer.most = None, math.inf
-            elif state in LIMITED:
-                writer.most = checks.first_torque.next(position, writer.effort, missed + 1)
-        writer.write(command, state, time_s, position, estimate, setpoint, torque, feedback)
-        if state is LoopState.FIRST_MOTION and (motion := checks.first_motion) is not None:
-            fault = motion.take(position, feedback.velocity, missed, is_usable=is_usable)
-            command.velocity = motion.target
-            self.notices.add(motion.take_warning())
-            return fault
-        if state is LoopState.RUNNING and setpoint is not None and (check := checks.follow_check) is not None:
-            fault = check.take(position, estimate, setpoint.position, command.torque, missed, is_usable=is_usable)
-            if check.is_confirmed:
-                checks.follow_check = None
-            return fault
-        return None
+    def _bound_torque(self, first: FirstTorque, state: LoopState, position: float, missed: int) -> None:
+        """Let the torque of the loop's controller rise only until the axis moves, while its velocity is in doubt."""
+        if self.supervisor.is_velocity_confirmed:
+            self.checks.first_torque, self._command.most = None, math.inf
+        elif state in LIMITED:
+            self._command.most = first.next(position, self._command.effort, missed + 1)
 
     def _count(self, inputs: CompensatorInputs, shift: float, state: LoopState, running_s: float, missed: int) -> None:
         """Count the following error of a cycle; ``shift``: of the motor against the demand."""
         if state is not LoopState.RUNNING or not self.motion.has_setpoint:
             return
-        condition = self.schedule.condition(running_s, is_faded_out=self.compensator.is_faded_out)
-        self._take_error(
-            condition, inputs, inputs.position_demand + shift - inputs.position, missed, is_known=inputs.is_fresh
-        )
+        condition = self.schedule.condition(running_s, self.compensator.is_faded_out)
+        error = inputs.position_demand + shift - inputs.position
+        self._take_back(self.following.take(condition, inputs, error, missed, inputs.is_fresh))
         if self.load is not None:
             self.load.take(condition, inputs, missed)
 
-    def _take_error(
-        self, condition: Condition, inputs: CompensatorInputs, error: float, missed: int, *, is_known: bool
-    ) -> None:
-        """Count a following error; take the compensation back where it makes the error larger."""
-        if warning := self.following.take(condition, inputs, error, missed, is_known=is_known):
+    def _take_back(self, warning: str) -> None:
+        """Switch the compensation off where there is a warning that it makes the following error larger."""
+        if warning:
             self.schedule.take_back()
             self.notices.add(warning)
-
-
-def compensator_inputs(
-    cycle: int,
-    position: float,
-    velocity: float,
-    feedback: Feedback,
-    demand: tuple[float, float, float, float],
-    *,
-    is_usable: bool,
-    is_enabled: bool,
-) -> CompensatorInputs:
-    """Return the inputs of one cycle; ``demand`` is position and velocity now, velocity and acceleration ahead."""
-    position_demand, velocity_demand, velocity_ahead, acceleration_ahead = demand
-    return CompensatorInputs(
-        float(cycle),
-        position,
-        velocity,
-        feedback.torque,
-        position_demand,
-        velocity_demand,
-        velocity_ahead,
-        is_usable,
-        is_enabled,
-        acceleration_ahead,
-        feedback.temperature,
-    )
 
 
 def check_torque(name: str, config: "AxisConfig", facts: AxisFacts) -> None:

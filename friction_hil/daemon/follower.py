@@ -129,9 +129,9 @@ class FollowerAxis(AxisLoop):
         """Count the following error of a cycle, in whatever state the axis is."""
         is_counted, condition = self.supervisor.is_operating and state is LoopState.RUNNING, Condition.FADING
         if is_counted:
-            condition = self.schedule.condition(running_s, is_faded_out=self.compensator.is_faded_out)
+            condition = self.schedule.condition(running_s, self.compensator.is_faded_out)
         error = inputs.position_demand - inputs.position
         is_known = inputs.is_fresh and math.isfinite(error)
         self._has_demand = self._has_demand or is_known
         self.lacks_demand = not self._has_demand and (self.lacks_demand or (is_counted and inputs.is_fresh))
-        self._take_error(condition, inputs, error, missed, is_known=is_known)
+        self._take_back(self.following.take(condition, inputs, error, missed, is_known))

@@ -35,9 +35,7 @@ class Following:
         """Judge the compensation from now on: its settings have changed."""
         self._judge.restart()
 
-    def take(
-        self, condition: Condition, inputs: CompensatorInputs, error: float, missed: int, *, is_known: bool
-    ) -> str:
+    def take(self, condition: Condition, inputs: CompensatorInputs, error: float, missed: int, is_known: bool) -> str:
         """Take one cycle; return a warning if settled motion shows that compensation makes the error larger, else "".
 
         The arguments are those of `FollowingErrors.take`.

@@ -80,7 +80,6 @@ class Supervisor:
         "_fast_cycles",
         "_fast_estimates",
         "_fastest",
-        "_is_doubt_told",
         "_jump",
         "_last_position",
         "_limits",
@@ -96,6 +95,7 @@ class Supervisor:
         "_trust",
         "_unit",
         "_velocity_check",
+        "is_in_doubt",
     )
 
     # of an axis that the daemon enables and moves, its state alone is enough to judge it
@@ -127,7 +127,7 @@ class Supervisor:
         self._max_stale_cycles = max_stale_cycles
         self._velocity_check = VelocityCheck(period_s, limits.velocity, position_resolution, velocity_resolution)
         self._trust = None if is_velocity_trusted else VelocityTrust(period_s, position_resolution, velocity_resolution)
-        self._is_doubt_told = False
+        self.is_in_doubt = not is_velocity_trusted  # nothing has been told of the velocity that is reported so far
         self._fast_cycles = 0  # in a row in which the drive reported more than the velocity limit
         self._fast_estimates = 0  # in a row beyond the limit: if the drive reports less, a frame may have been late
         self._steps = FastSteps(limits.velocity * period_s, position_resolution)
@@ -158,9 +158,9 @@ class Supervisor:
 
     def take_doubt(self) -> str | None:
         """Return a warning, once, that the velocity which the drive reports is not that of its position."""
-        if self._is_doubt_told or self._trust is None or math.isnan(self._trust.contradiction):
+        if not self.is_in_doubt or self._trust is None or math.isnan(self._trust.contradiction):
             return None
-        self._is_doubt_told = True
+        self.is_in_doubt = False
         return (
             f"{self._name}: the drive reports a velocity {self._trust.contradiction:.3g} times the derivative of its "
             "position: it is not used, speed follows from the position alone; compare the unit of its velocity with "

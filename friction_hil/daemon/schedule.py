@@ -36,14 +36,14 @@ class Schedule:
         """Switch the compensation off: it makes the axis worse."""
         self._is_enabled = False
 
-    def is_on(self, state: LoopState, running_s: float, elapsed_s: float, *, is_operating: bool) -> bool:
+    def is_on(self, state: LoopState, running_s: float, elapsed_s: float, is_operating: bool) -> bool:
         """Return True if the compensation is to be faded in, or kept, in a cycle.
 
         ``elapsed_s``: since the cycle before, s. ``is_operating``: the drive does what the compensation is made for.
         """
         return self._is_enabled and state in _COMPENSATED and running_s >= self._begins_s
 
-    def condition(self, running_s: float, *, is_faded_out: bool) -> Condition:
+    def condition(self, running_s: float, is_faded_out: bool) -> Condition:
         """Return what a cycle of the motion counts for."""
         if not self._is_enabled or running_s < self._begins_s:
             return Condition.WITHOUT if is_faded_out else Condition.FADING
@@ -64,7 +64,7 @@ class FollowerSchedule(Schedule):
         """Begin another time of compensation, without it as the first one."""
         self._baseline_left_s, self._on_s = self._baseline_s, 0.0
 
-    def is_on(self, state: LoopState, running_s: float, elapsed_s: float, *, is_operating: bool) -> bool:
+    def is_on(self, state: LoopState, running_s: float, elapsed_s: float, is_operating: bool) -> bool:
         """Return True if the compensation is to be faded in, or kept, in a cycle; see `Schedule.is_on`."""
         is_open = is_operating and state in _COMPENSATED and running_s >= 0.0
         if is_open and self._baseline_left_s > 0.0:
@@ -74,7 +74,7 @@ class FollowerSchedule(Schedule):
         self._on_s = self._on_s + elapsed_s if is_on else 0.0
         return is_on
 
-    def condition(self, running_s: float, *, is_faded_out: bool) -> Condition:
+    def condition(self, running_s: float, is_faded_out: bool) -> Condition:
         """Return what a cycle counts for in which the drive operates."""
         if self._on_s > self.fade_s:
             return Condition.WITH

@@ -213,6 +213,9 @@ class PathTime:
     def at(self, time_s: float) -> tuple[float, float, float]:
         """Return path time, its rate and the derivative of the rate at ``time_s``."""
         if self._held is None:
+            since_s = time_s - self._start_s
+            if since_s >= self._ramp_s and time_s < self._stop_s:  # in most cycles, three times in each
+                return since_s - 0.5 * self._ramp_s, 1.0, 0.0
             return self._running(time_s) if time_s < self._stop_s else self._stopping(time_s)
         motion_s, pace, bend = self._held.at(time_s)
         s, rate, change = self._running(motion_s) if motion_s < self._stop_s else self._stopping(motion_s)
