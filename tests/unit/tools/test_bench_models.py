@@ -66,3 +66,26 @@ def test_without_gcc_the_benchmark_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FrictionHilError, match="install gcc"):
         bench.run()
+
+
+@needs_gcc
+def test_every_figure_of_the_benchmark_has_its_row(monkeypatch):
+    small = {
+        "ROUNDS": 1,
+        "SAMPLES": 500,
+        "SHORT_SAMPLES": 50,
+        "CANDIDATE_SAMPLES": 50,
+        "GRADIENT_SAMPLES": 50,
+        "STEPS": 50,
+    }
+    for size, value in small.items():
+        monkeypatch.setattr(bench, size, value)
+    rows = bench.run()
+    names = [row.name for row in rows]
+    assert len(set(names)) == len(names)
+    wanted = [f"{family} (C; target " for family in fh.models.names()]
+    wanted += ["64 lugre candidates on one core (", "64 lugre candidates: speed-up of 2", "lugre: gradient in 6"]
+    wanted += ["lugre, constant sigma1: gradient in 6", "lugre: one hot step"]
+    for begin in wanted:
+        assert sum(name.startswith(begin) for name in names) == 1
+    assert all(row.value > 0.0 and row.ratio is not None and math.isfinite(row.ratio) for row in rows)

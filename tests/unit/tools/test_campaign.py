@@ -1,5 +1,6 @@
 """The parts of tools/campaign that judge: a witness that overlooks nothing, a wire that passes on what it should."""
 
+import re
 import struct
 
 import pytest
@@ -164,3 +165,22 @@ def test_settings_that_were_not_restored_after_the_stop_are_exit_status_1() -> N
     said = "x: not restored in the drive: 1A00h:02 [FH-222]"
     assert judge(BY_NAME["lost-10"], seen(errors=said, status=1)).problems == []
     assert judge(BY_NAME["lost-10"], seen(errors=said, status=0)).problems != []
+
+
+def test_the_table_is_in_its_file_after_every_try(tmp_path, monkeypatch) -> None:
+    path, tables = tmp_path / "table.md", []
+
+    def trial(fault, seed, number) -> Seen:
+        tables.append(path.read_text() if path.exists() else "")
+        return seen(status=number)  # the second one ends with a status that its faults do not explain
+
+    monkeypatch.setattr("tools.campaigns.command.run_trial", trial)
+    words = ["--only", "stop-2", "--only", "wrap", "--tries", "2", "--output", str(path)]
+    said = CliRunner().invoke(command, words, standalone_mode=False)
+    assert said.return_value == 1
+    totals = [re.search(r"^(\d) tries.*; (\w+) failed", text, re.MULTILINE) for text in tables[1:]]
+    assert [found.groups() for found in totals if found] == [("1", "none"), ("2", "1"), ("3", "1")]
+    repeats = re.findall(r"^- `(.+)`: exit status 1", path.read_text(), re.MULTILINE)
+    assert repeats == [f"./tools/campaign --only {name} --seed 7 --first 1 --tries 1" for name in ("stop-2", "wrap")]
+    missing = CliRunner().invoke(command, ["--output", str(tmp_path / "no/table.md")])
+    assert "there is no folder" in str(missing.exception)

@@ -9,11 +9,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import formats, read, write
-from tools.benchmarks import models, recordings
+from tools.benchmarks import health, latency, loop, models, neural, recordings
 from tools.benchmarks.report import Row, compare, percentile, show
 
 PROJECT = Path(__file__).parents[3]
@@ -415,3 +417,63 @@ def test_benchmark_as_json_has_null_for_what_is_no_number(capsys: pytest.Capture
     assert set(result) == {"machine", "rows"}
     assert result["rows"][0] == {"name": "a", "value": None, "unit": "us", "reference": None, "ratio": None}
     assert result["rows"][1]["ratio"] is None
+
+
+@pytest.mark.deep
+def test_the_benchmark_of_networks_measures_an_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(neural, "ROUNDS", 1)
+    rows = neural.iterations()
+    assert [row.name.partition(":")[0] for row in rows] == ["gated", "narx"]
+    for row in rows:
+        assert row.unit == "ms"
+        assert 0.0 < row.value < math.inf
+        assert row.ratio is not None
+
+
+def test_the_benchmark_of_latency_compares_sleeping_and_spinning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(latency, "ROUNDS", 1)
+    monkeypatch.setattr(latency, "CYCLES", 20)
+    monkeypatch.setattr(latency, "has_cyclictest", lambda: True)
+    monkeypatch.setattr(latency, "cyclictest", lambda *_: latency.Latency(np.full(20, 50.0), 0))
+    monkeypatch.setattr(latency, "is_fifo_allowed", lambda priority: False)
+    rows = latency.run()
+    assert [row.reference for row in rows] == [50.0] * 4
+    assert all(row.unit == "us" and row.value > 0.0 for row in rows)
+
+
+@pytest.mark.deep
+def test_the_benchmark_of_the_exchange_times_each_part() -> None:
+    half_a_second = "exchange.DURATION_S = 0.5; report.show(exchange.run(), as_json=True)"
+    command = [sys.executable, "-c", f"from tools.benchmarks import exchange, report; {half_a_second}"]
+    done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    names = [row["name"] for row in json.loads(done.stdout)["rows"]]
+    assert [name.split(" p")[0] for name in names[2:]] == [
+        "receive",
+        "step",
+        "send",
+        "whole cycle",
+        "mailbox without news",
+    ]
+
+
+def test_the_benchmark_of_health_has_every_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(health, "DURATION_S", 8.0)
+    monkeypatch.setattr(health, "BEGIN", 31)
+    monkeypatch.setattr(health, "YEAR_DAYS", 40)
+    monkeypatch.setattr(health, "CHANGES", health.CHANGES[2:3])
+    done = CliRunner().invoke(health.command, ["--axes", "1", "--json"])
+    assert done.exit_code == 0, done.output
+    quiet, tightened = json.loads(done.stdout)["rows"]
+    assert quiet["noticed"] is None
+    assert tightened["noticed"] in (0, 1)
+    assert quiet["false_alarms_per_year"] >= 0.0
+
+
+@pytest.mark.deep
+def test_the_benchmark_of_the_loop_starts_a_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop, "STARTS", 1)
+    done = CliRunner().invoke(loop.command, ["start", "--json"])
+    assert done.exit_code == 0, done.output
+    ready, enabled = json.loads(done.stdout)["rows"]
+    assert 0.0 < ready["value"] < enabled["value"]
