@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -115,27 +114,3 @@ def test_emps_lugre_explains_and_moves_the_axis(tmp_path: Path, capsys: pytest.C
     assert document["free_run"]["relative_error"] <= 0.036
     sides = load_model_file(model).friction.modifiers["direction"]
     assert sides["positive"]["static"] < sides["positive"]["coulomb"]  # this axis has no Stribeck hump
-
-
-@pytest.mark.deep
-def test_one_model_has_one_error_for_identify_replay_and_train(swing: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """On noise, which a filter removes in part: who compares other rows finds another error."""
-    recording = fh.recordings.read("swing.csv")
-    recording.columns["torque"] = recording["torque"] + 0.1 * np.random.default_rng(1).normal(size=len(recording))
-    fh.recordings.write("noisy.csv", recording)
-
-    def printed(*words: str) -> Any:
-        assert main([*words, "--json"]) == 0
-        return json.loads(capsys.readouterr().out)
-
-    def replayed(model: str, *words: str) -> float:
-        (found,) = printed("replay", "noisy.csv", "--model", model, *words)["recordings"]
-        return float(found["models"][0]["relative_error"])
-
-    identified = printed("identify", "noisy.csv", "--models", "coulomb", "--output", "axis.yaml")["fits"][0]
-    network = ["--base", "axis.yaml", "--structure", "static", "--hidden", "2", "--output", "net.yaml"]
-    trained = printed("train", "noisy.csv", "--validate", "noisy.csv", *network)["relative_errors"]
-
-    assert replayed("axis.yaml") == pytest.approx(identified["train"]["relative_error"], rel=0.02)
-    assert replayed("net.yaml") == pytest.approx(next(iter(trained.values())), rel=0.05)
-    assert replayed("axis.yaml", "--decimate", "1") > 1.5 * replayed("axis.yaml")

@@ -1,7 +1,6 @@
 """``friction-hil drives``: on servo drives of an independent stack, and on drives that a killed daemon left enabled."""
 
 import json
-import signal
 import time
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,8 @@ import pytest
 import yaml
 
 from tests.durand_process import durand_configuration, durand_drives
-from tests.launcher import start
 from tests.peers.plc_master import PlcMaster
-from tests.processes import listening, run, simulated_drives, write_configuration
-
-WITHOUT_WATCHDOG = ("--missing", "1016", "--missing", "6007")
+from tests.processes import listening, run
 
 
 def bus_of(configuration: Path) -> str:
@@ -124,40 +120,6 @@ def test_stop_does_not_say_stopped_where_another_master_enables_the_drive_again(
         done = run("drives", "stop", configuration, "--json", check=False)
     assert done.returncode == 1
     assert [each["result"] for each in json.loads(done.stdout)["drives"]] == ["powered"]
-
-
-@pytest.mark.deep
-@pytest.mark.parametrize("is_ours", [False, True], ids=["durand", "simulated"])
-def test_stop_ends_what_a_killed_daemon_left_on(tmp_path: Path, is_ours: bool) -> None:
-    keys = {"mode": "csv", "is_watchdog_required": False}
-    if is_ours:
-        missing = {"canopen": {"missing": [0x1016, 0x6007]}}
-        configuration = write_configuration(tmp_path, x={**keys, "simulation": missing})
-        drives = simulated_drives(configuration)
-    else:
-        # a period that a busy machine keeps
-        configuration = durand_configuration(tmp_path, period_s=4e-3, max_missed=50, **keys)
-        drives = durand_drives(configuration, *WITHOUT_WATCHDOG)
-    pace = ("--pace", "sync") if is_ours else ()
-    with drives, listening(configuration) as bus:
-        daemon = start("run", configuration, *pace, stdout=-3, stderr=-3)
-        while not is_enabled(bus):
-            pass
-        daemon.send_signal(signal.SIGKILL)
-        daemon.wait(10.0)
-        if not is_ours:
-            time.sleep(0.5)
-        assert told("show", configuration, 1)["state"]["is_powered"], "nothing else has stopped it"
-        answer = told("stop", configuration)
-        assert [each["result"] for each in answer["drives"]] == ["stopped"]
-        assert not told("show", configuration, 1)["state"]["is_powered"]
-
-
-def is_enabled(bus: can.BusABC) -> bool:
-    """Read frames until a TPDO 1 shows Operation Enabled."""
-    message = bus.recv(30.0)
-    assert message is not None
-    return message.arbitration_id == 0x181 and message.data[0] & 0x6F == 0x27
 
 
 @pytest.mark.parametrize(

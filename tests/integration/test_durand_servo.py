@@ -13,7 +13,7 @@ import pytest
 
 from friction_hil.recordings import read_all
 from tests.durand_process import CONTROLLER, DurandDrives, Event, durand_configuration, durand_drives
-from tests.processes import listening, run, run_daemon, simulated_drives, start, write_configuration
+from tests.processes import listening, run_daemon, simulated_drives, start, write_configuration
 from tests.recorded_bus import recorded
 from tools.campaigns.frame_recorder import Recorder
 
@@ -106,19 +106,6 @@ def test_pre_operational_in_mid_run_stops_the_drive_at_once(tmp_path: Path) -> N
         assert drives.is_free
     assert gone.ns - lost.ns < 1e9
     assert "Operational" in output
-
-
-@pytest.mark.deep
-def test_a_dry_run_writes_no_command_and_moves_nothing(tmp_path: Path) -> None:
-    configuration = durand_configuration(tmp_path)
-    with durand_drives(configuration, is_paced_by_sync=True) as drives, listening(configuration) as bus:
-        bus.set_filters([{"can_id": 0x201, "can_mask": 0x7FF}, {"can_id": 0x601, "can_mask": 0x7FF}])
-        run("run", configuration, "--pace", "sync", "--dry-run", "--duration", 0.1)
-        while (message := bus.recv(0.2)) is not None:
-            assert message.arbitration_id == 0x601, "an RPDO"
-            index = message.data[1] | message.data[2] << 8
-            assert message.data[0] & 0xE0 != 0x20 or 0x1800 <= index < 0x1C00, message
-        assert states(drives) == ["SWITCH_ON_DISABLED"]
 
 
 def test_the_peer_imports_nothing_of_the_product() -> None:

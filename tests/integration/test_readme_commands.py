@@ -80,7 +80,7 @@ ON_THE_RECORDING = (
 
 # Run by other tests: command with options, and the test.
 ELSEWHERE = (
-    ("friction-hil demo --pace --json --output", "test_json_has_its_shape"),
+    ("friction-hil demo --pace --json --output", "test_compensation_takes_the_friction_out_of_the_circle"),
     (
         "friction-hil simulate --pace --exit-with-stdin",
         "test_limits_hold_in_every_cycle_and_nothing_is_left_at_the_end",

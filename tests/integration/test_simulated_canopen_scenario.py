@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from tests.processes import run_daemon, simulated_drives, write_configuration
 from tests.unit.canopen.test_simulated_canopen_vendor_eds import SERVO, pdo, record, variable
 
@@ -52,19 +50,6 @@ def test_a_drive_with_a_vendors_eds_and_slow_manners_runs(tmp_path: Path) -> Non
     with simulated_drives(path):
         _, done = run_daemon(path, "--duration", 1)
     assert "rpm" in done.stderr + done.stdout
-
-
-@pytest.mark.deep
-def test_an_event_comes_in_the_same_cycle_of_every_run(tmp_path: Path) -> None:
-    path = scene(tmp_path, events=[{"at_s": 0.6, "do": "pre_operational"}], sdo_delay_s=0.001)
-    runs = []
-    for _ in range(2):
-        with simulated_drives(path):
-            result, done = run_daemon(path, "--duration", 1, check=False)
-        assert done.returncode != 0
-        assert "FH-232" in done.stderr + done.stdout
-        runs.append(result["cycles"])
-    assert runs[0] == runs[1]
 
 
 def test_what_the_file_says_wrongly_is_told_at_the_start(tmp_path: Path) -> None:

@@ -2,56 +2,12 @@
 
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from friction_hil import study
 from friction_hil.cli import main
-from friction_hil.reports.study.report import MARK
-
-COMMAND = [sys.executable, "-m", "friction_hil", "study"]
-
-
-@pytest.fixture(scope="module")
-def outcome(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("study") / "deeper" / "folder"
-    run = subprocess.run(
-        [*COMMAND, "--models", "coulomb,lugre", "--json", "--output", str(folder)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    return folder, run
-
-
-@pytest.mark.deep
-def test_json_is_the_facts_by_model_and_nothing_else(outcome):
-    _, run = outcome
-    assert run.returncode == 0, run.stderr
-    facts = json.loads(run.stdout)
-    assert list(facts) == ["coulomb", "lugre"]
-    for each in facts.values():
-        assert all(isinstance(value, float) and math.isfinite(value) for value in each.values())
-    assert 40.0 < facts["lugre"]["presliding_um"] < 50.0
-    assert facts["lugre"]["reversal_reduction_by_lugre"] > facts["lugre"]["reversal_reduction_by_coulomb"] > 1.0
-
-
-@pytest.mark.deep
-def test_it_is_silent_where_there_is_no_terminal(outcome):
-    assert outcome[1].stderr == ""
-
-
-@pytest.mark.deep
-def test_the_report_is_there_and_nothing_else(outcome):
-    folder, _ = outcome
-    assert [path.name for path in folder.iterdir()] == ["report.html"]
-    text = (folder / "report.html").read_text(encoding="utf-8")
-    assert MARK in text[:1000]
-    assert text.endswith("</html>\n")
 
 
 def test_the_table_has_a_row_for_each_model_and_says_where_the_report_is(tmp_path, capsys):

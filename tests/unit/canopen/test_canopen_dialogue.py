@@ -23,40 +23,6 @@ def test_an_expedited_upload_has_sign_and_width() -> None:
     assert upload.value == -8
 
 
-def test_a_text_comes_in_segments_with_alternating_toggle() -> None:
-    upload = Upload(objects.DEVICE_NAME)
-    requests = give(upload, "410810000c000000", "00" + b"durand ".hex(), "10" + b"servoXX".hex()[:14])
-    assert requests == ["4008100000000000", "6000000000000000", "7000000000000000", "6000000000000000"]
-    assert not upload.is_done, "the last segment says that more follow"
-    upload = Upload(objects.DEVICE_NAME)
-    give(upload, "410810000c000000", "00" + b"durand ".hex(), "15" + b"servo".hex() + "0000")
-    assert upload.data == b"durand servo"
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [
-        "4b40600037020000",  # another index
-        "4b41600137020000",  # another sub-index
-        "8040600000000206",  # the abort of another object
-        "6041600000000000",  # a download's answer
-        "4b416000",  # too short
-    ],
-)
-def test_what_does_not_belong_to_the_request_is_passed_over(answer: str) -> None:
-    upload = Upload(objects.STATUSWORD)
-    give(upload, answer)
-    assert not upload.is_done
-    give(upload, answer, "4b41600037020000")
-    assert upload.value == 0x0237
-
-
-def test_a_segment_with_the_old_toggle_is_passed_over() -> None:
-    upload = Upload(objects.DEVICE_NAME)
-    give(upload, "4108100008000000", "00" + b"abcdefg".hex(), "00" + b"abcdefg".hex(), "1d" + b"h".hex() + "00" * 6)
-    assert upload.data == b"abcdefgh"
-
-
 def test_a_download_and_its_abort() -> None:
     download = Download(objects.CONTROLWORD, 2)
     assert give(download, "6040600000000000") == ["2b40600002000000"]
@@ -66,13 +32,6 @@ def test_a_download_and_its_abort() -> None:
     assert download.is_done
     assert not download.is_accepted
     assert download.abort_code == 0x08000022
-
-
-def test_what_does_not_fit_into_one_frame_is_written_in_segments() -> None:
-    download = Download(objects.DEVICE_NAME, b"durand servo")
-    answers = ("6008100000000000", "2000000000000000", "2000000000000000", "3000000000000000")  # the first one twice
-    assert give(download, *answers) == ["210810000c000000", "00" + b"durand ".hex(), "15" + b"servo".hex() + "0000"]
-    assert download.is_accepted
 
 
 def test_an_answer_without_a_size_has_that_of_its_type() -> None:

@@ -332,3 +332,24 @@ def test_a_reversed_drive_turns_against_its_targets() -> None:
         bench.send(0x205, target)
         bench.sync(100)
         assert bench.servo.position < -1e-3
+
+
+def test_revoked_disabling_goes_on(bench: Bench) -> None:
+    bench.stream(9)
+    move(bench, 9, round(20 * COUNTS), 100)
+    assert control(bench, 0x07) == ENABLED
+    bench.sync(3)
+    assert control(bench, 0x0F) == ENABLED
+    move(bench, 9, round(20 * COUNTS), 100)
+    assert bench.servo.velocity == pytest.approx(20.0, rel=0.02)
+
+
+def test_no_mode_gives_no_torque(bench: Bench) -> None:
+    bench.stream(8)
+    bench.write(0x6060, 0, "b", 0)
+    bench.write(0x6071, 0, "h", 500)
+    bench.write(0x60B2, 0, "h", 500)
+    bench.sync(5)
+    assert bench.read(0x6061, 0, "b") == 0
+    assert (torque(bench), bench.servo.position) == (0.0, 0.0)
+    assert not bench.statusword & 0x1000

@@ -391,3 +391,14 @@ def test_babbling() -> None:
 def test_events_are_checked(event: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
         scene({"at_s": 0.0, **event})
+
+
+def test_velocity_unit_may_be_told_wrongly() -> None:
+    bench, speed = speed_in("rpm", 60, values=[{"index": 0x60A9, "value": 0x00B50300}])
+    assert speed == pytest.approx(6.28, rel=0.05)
+    assert bench.read(0x60A9) == 0x00B50300
+
+
+def test_events_of_objects_are_checked_at_the_start() -> None:
+    with pytest.raises(UsageError, match="6099h"):
+        scene({"at_s": 1.0, "do": "write", "index": 0x6099, "value": 1})

@@ -278,3 +278,34 @@ def test_random_frames_to_an_enabled_drive_break_nothing(frames: list[Frame]) ->
         drive = bench.node.drive
         assert drive.state.is_powered or bench.servo.torque_demand == 0.0
         assert abs(bench.servo.torque_demand) <= bench.servo.config.motor.peak_torque
+
+
+@pytest.mark.parametrize("frame", [b"", b"\x01", b"\x01\x06", b"\x03\x05", b"\x00\x05"])
+def test_what_is_no_command_for_this_node(frame: bytes) -> None:
+    bench = Bench()
+    bench.map(0x1800, 0x1A00, 0x185, 1, [0x60410010])
+    bench.send(0x000, frame)
+    assert bench.sync() == []
+
+
+def test_emergency_identifier_is_a_setting() -> None:
+    bench = Bench()
+    bench.nmt(0x01)
+    bench.write(0x1014, 0, "I", 0x99)
+    assert bench.send(0x205, b"")[0][0] == 0x099
+    bench.write(0x1014, 0, "I", 0x80000099)
+    assert all(can_id != 0x099 for can_id, _ in bench.send(0x205, b"\0\0"))
+
+
+def test_one_of_two_masters_is_missed() -> None:
+    bench = Bench()
+    watch_heartbeat(bench, 20)
+    bench.write(0x1016, 2, "I", 125 << 16 | 20)
+    for cycle in range(100):
+        bench.send(0x77D, b"\x05")
+        if cycle == 0:
+            bench.send(MASTER, b"\x05")
+        bench.sync()
+    assert bench.emergencies == ["8130"]
+    bench.send(MASTER, b"\x05")
+    assert bench.emergencies == ["8130", "0000"]

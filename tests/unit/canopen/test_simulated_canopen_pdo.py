@@ -176,3 +176,25 @@ def test_inhibit_time_holds_changes_back() -> None:
         bench.send(0x205, struct.pack("<H", 0x06 if time % 2 else 0x00))
         sent += [time] * of_tpdo(bench.sent[before:])
     assert sent == [5, 10, 15, 20] or sent == [5, 11, 17], sent
+
+
+def test_mapping_is_changed_with_a_count_of_zero_only(bench: Bench) -> None:
+    bench.write(0x1400, 1, "I", 0x80000205)
+    assert bench.try_write(0x1600, 1, "I", TARGET_TORQUE) == READ_ONLY_STATE
+    bench.write(0x1600, 0, "B", 0)
+    assert bench.try_write(0x1600, 1, "I", TARGET_TORQUE) == 0
+
+
+def test_dummies_skip_bytes(bench: Bench) -> None:
+    bench.map(0x1400, 0x1600, 0x205, 255, [0x00050008, TARGET_TORQUE, 0x00070020])
+    bench.nmt(0x01)
+    bench.send(0x205, struct.pack("<BhI", 0xFF, -5, 0xFFFFFFFF))
+    assert bench.read(0x6071, 0, "h") == -5
+
+
+def test_refused_value_in_an_rpdo_leaves_the_others(bench: Bench) -> None:
+    bench.map(0x1400, 0x1600, 0x205, 255, [0x60600008, TARGET_TORQUE])
+    bench.nmt(0x01)
+    bench.send(0x205, struct.pack("<bh", 8, 1))
+    bench.send(0x205, struct.pack("<bh", 3, 2))  # profile velocity, which the drive lacks
+    assert (bench.read(0x6060, 0, "b"), bench.read(0x6071, 0, "h")) == (8, 2)

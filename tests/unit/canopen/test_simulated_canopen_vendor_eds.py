@@ -291,3 +291,43 @@ def test_any_types_in_the_records_of_the_communication(tmp_path_factory: Any, su
     bench.sync(2)
     bench.nmt(0x82)
     assert bench.read(0x1000) == 0x00020192
+
+
+def test_odd_widths_in_a_pdo(drive: Any) -> None:
+    text = SERVO + variable("2000", 0x10, -2, "ro", PDOMapping=1) + variable("2001", 0x18, 7, "rww", PDOMapping=1)
+    bench = drive(text)
+    bench.write(0x1800, 1, "I", 0x80000185)
+    bench.write(0x1A00, 0, "B", 0)
+    bench.write(0x1A00, 1, "I", 0x20000018)
+    bench.write(0x1A00, 2, "I", 0x20010028)
+    bench.write(0x1A00, 0, "B", 2)
+    bench.write(0x1800, 1, "I", 0x185)
+    bench.nmt(0x01)
+    assert bench.sync() == [(0x185, b"\xfe\xff\xff\x07\0\0\0\0")]
+
+
+def test_a_live_value_in_another_type(drive: Any) -> None:
+    text = SERVO.replace(variable("6064", 4, 0, "ro", PDOMapping=1), variable("6064", 7, 0, "ro", PDOMapping=1))
+    text = text.replace(variable("6041", 6, None, "ro", PDOMapping=1), variable("6041", 3, None, "ro", PDOMapping=1))
+    bench = drive(text, position=-1.0)
+    assert bench.read(0x6064) > 1 << 31, "two's complement"
+    bench.write(0x6040, 0, "H", 6)
+    assert bench.read(0x6041, 0, "h") & 0x6F == 0x21
+
+
+def test_a_mapping_takes_no_more_than_the_file_has_room_for(drive: Any) -> None:
+    bench = drive(SERVO)
+    bench.write(0x1400, 1, "I", 0x80000205)
+    bench.write(0x1600, 0, "B", 0)
+    assert bench.try_write(0x1600, 3, "I", 0x60710010) == 0x06090011
+    assert bench.try_write(0x1600, 0, "B", 3) == 0x06090031
+
+
+def test_consumer_heartbeats_as_many_as_the_file_has(drive: Any) -> None:
+    entries = [variable(f"1016sub{n}", 7, 0) for n in (1, 2, 3)]
+    bench = drive(SERVO + record("1016", variable("1016sub0", 5, 127, "ro"), *entries, kind=8))
+    bench.write(0x1016, 3, "I", 126 << 16 | 50)
+    assert bench.try_write(0x1016, 1, "I", 126 << 16 | 50) == 0x06040043
+    bench.send(0x77E, b"\x05")
+    bench.sync(60)
+    assert bench.emergencies == ["8130"]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
@@ -25,7 +25,6 @@ speeds = st.floats(1e-4, 10.0)
 shapes = st.sampled_from([0.5, 0.9, 1.0 + 1e-13, 1.0, 1.5, 2.0, 3.0])
 velocities = st.floats(-1e3, 1e3, allow_subnormal=False)
 histories = arrays(float, st.integers(1, 40), elements=velocities)
-periods = st.floats(1e-7, 1e3)
 
 
 @st.composite
@@ -54,109 +53,6 @@ def curve(parameters, v):
     """Stribeck curve, implemented independently."""
     fall = np.exp(-((np.abs(v) / parameters["stribeck_velocity"]) ** parameters.get("stribeck_exponent", 2.0)))
     return parameters["coulomb"] + (parameters["static"] - parameters["coulomb"]) * fall
-
-
-# --- properties of every model
-
-
-@checked
-@given(models(), histories, periods, st.floats(-10.0, 10.0))
-def test_opposite_motion_gives_exactly_the_opposite_torque(model, v, dt, applied):
-    forth = model.simulate(v, dt, applied_torque=applied)
-    back = model.simulate(-v, dt, applied_torque=-applied)
-    np.testing.assert_array_equal(back, -forth)
-    np.testing.assert_array_equal(model.steady_state(-v), -model.steady_state(v))
-
-
-@checked
-@given(models(("dahl", "lugre")), arrays(float, 40, elements=st.floats(-1e9, 1e9)), st.floats(1e-12, 1e12))
-def test_states_stay_inside_their_bound_at_any_step_and_velocity(model, v, dt):
-    p = model.parameters
-    runner = model.start("simulation")
-    bound = p["coulomb"] if model.name == "dahl" else max(p["coulomb"], p["static"]) / p["sigma0"]
-    for velocity in v:
-        assert math.isfinite(runner.step(float(velocity), dt))
-        assert abs(runner.state[0]) <= bound * (1.0 + 1e-12)
-
-
-@checked
-@given(models(), histories, arrays(float, 40, elements=st.floats(1e-6, 1.0)))
-def test_step_by_step_is_simulate_bit_for_bit(model, v, dt):
-    dt = dt[: v.size]
-    runner = model.start("simulation")
-    torque = [runner.step(float(a), float(b), applied_torque=0.05) for a, b in zip(v, dt, strict=True)]
-    np.testing.assert_array_equal(torque, model.simulate(v, dt, applied_torque=0.05))
-
-
-@checked
-@given(models(("dahl", "lugre")), histories, periods)
-def test_a_dynamic_model_is_the_same_for_every_purpose(model, v, dt):
-    feedforward, simulation = model.start("feedforward"), model.start("simulation")
-    for velocity in v:
-        assert feedforward.step(float(velocity), dt) == simulation.step(float(velocity), dt)
-
-
-@checked
-@given(models(("dahl", "lugre")), velocities, periods, st.integers(2, 7))
-def test_a_held_velocity_is_integrated_exactly_however_the_time_is_cut(model, velocity, dt, parts):
-    whole, cut = model.start("simulation"), model.start("simulation")
-    for v in (-0.3, 0.002):  # so that it does not begin at rest
-        whole.step(v, 1e-3)
-        cut.step(v, 1e-3)
-    whole.step(velocity, dt)
-    for _ in range(parts):
-        cut.step(velocity, dt / parts)
-    bound = abs(model.parameters["coulomb"]) * max(
-        1.0, model.parameters.get("static", 0.0) / model.parameters["coulomb"]
-    )
-    bound = bound if model.name == "dahl" else bound / model.parameters["sigma0"]
-    assert cut.state[0] == pytest.approx(whole.state[0], rel=1e-9, abs=1e-9 * bound)
-
-
-@checked
-@given(models(), st.floats(1e-3, 1e3), st.sampled_from([-1.0, 1.0]))
-def test_each_settles_on_its_steady_curve(model, speed, sign):
-    """After a travel of a thousand times the presliding (with large exponents Dahl's model settles slowly)."""
-    assume(model.parameters.get("exponent", 1.0) <= 2.0)
-    travel = 1e3 * 3.0 * model.parameters["coulomb"] / model.parameters.get("sigma0", 1e3)
-    v = np.full(1000, sign * speed)
-    torque = model.simulate(v, travel / speed / v.size)
-    tolerance = 2e-3 if model.parameters.get("exponent", 1.0) > 1.0 else 1e-9
-    assert torque[-1] == pytest.approx(model.steady_state(v[:1])[0], rel=tolerance)
-    assert model.steady_state([0.0])[0] == 0.0
-
-
-@checked
-@given(models(("dahl", "lugre")), histories, st.floats(1e-6, 1.0))
-def test_no_motion_from_rest_gives_energy(model, v, dt):
-    """For bristle and viscous torque, the energy returned never exceeds the energy supplied."""
-    if model.name == "lugre":
-        model = fh.models.create("lugre", **model.parameters | {"sigma1": 0.0})
-    energy = np.cumsum(model.simulate(v, dt) * v * dt)
-    assert np.all(energy >= -1e-9 * np.maximum.accumulate(np.abs(energy)))
-
-
-@checked
-@given(
-    st.floats(0.01, 1.0),
-    st.floats(1.0, 3.0),
-    st.floats(1e-3, 1.0),
-    arrays(float, st.integers(4, 30), elements=st.floats(-2.0, 2.0)),
-)
-def test_fading_bristle_damping_dissipates_over_closed_cycles(coulomb, ratio, vd, v):
-    """Fact 8, with sigma1 v below 4 g everywhere: sigma1(v) v peaks at sigma1 vd exp(-1/2) / sqrt 2."""
-    bound = 4.0 * coulomb / (vd * math.exp(-0.5) / math.sqrt(2.0))
-    p = {"sigma0": 1000.0 * coulomb, "sigma1": min(0.9 * bound, 5.0 * coulomb), "coulomb": coulomb}
-    p |= {"static": ratio * coulomb, "stribeck_velocity": 0.1, "damping_velocity": vd}
-    runner = fh.models.create("lugre", **p).start("simulation")
-    dt = 1e-4
-    fine = np.interp(np.linspace(0.0, v.size, 600), np.arange(v.size + 1), np.append(v, v[0]))
-    energy = 0.0
-    for _ in range(3):  # the last cycle closes the state too
-        begin = runner.state[0]
-        energy = sum(runner.step(float(w), dt) * w * dt for w in fine)
-    assume(abs(runner.state[0] - begin) < 1e-9 * coulomb / p["sigma0"])
-    assert energy >= 0.0
 
 
 # --- static maps

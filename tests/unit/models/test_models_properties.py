@@ -34,22 +34,6 @@ def test_the_strategies_know_every_model():
     assert all(fh.models.describe(name).is_static == (name in STATIC_MAPS) for name in NAMES)
 
 
-# --- symmetry
-
-
-@checked
-@given(st.data())
-def test_a_symmetric_model_is_odd(data):
-    model = data.draw(models(allowed=("load", "temperature", "viscous")).filter(is_symmetric))
-    motion = data.draw(motions(model))
-    np.testing.assert_array_equal(motion.opposite().simulate(model), -motion.simulate(model))
-
-
-def is_symmetric(model):
-    """True if both directions are equal; a table may have different points for each."""
-    return len({v > 0.0 for v, _ in model.parameters.get("points", [])}) < 2
-
-
 # --- boundedness
 
 
@@ -127,13 +111,6 @@ def test_each_settles_on_its_steady_curve(data, is_loaded, speed, sign):
     expected = model.steady_state([sign * speed], **inputs)[0]
     tolerance = 2e-3 if p.get("exponent", 1.0) > 1.0 and model.name == "dahl" else 1e-9
     assert torque[-1] == pytest.approx(expected, rel=tolerance)
-
-
-@checked
-@given(st.data())
-def test_there_is_no_steady_torque_at_rest(data):
-    model = data.draw(models(allowed=("direction", "temperature", "viscous")))
-    assert model.steady_state([0.0])[0] == 0.0
 
 
 # --- one step at a time

@@ -173,21 +173,6 @@ def test_absent_column_is_no_problem_but_is_not_there() -> None:
         absent.require("temperature", "torque")
 
 
-@given(
-    arrays(np.float64, st.tuples(st.integers(1, 5), st.just(3)), elements=st.floats(allow_nan=False)).filter(
-        lambda values: bool((np.abs(values[:, 0]) <= LARGEST).all())
-    )
-)
-def test_csv_keeps_every_bit(tmp_path_factory: pytest.TempPathFactory, values: np.ndarray) -> None:
-    path = tmp_path_factory.mktemp("csv") / "x.csv"
-    names = ["time_s", "position", "torque"]
-    written = Recording("x", "x", {name: values[:, i] for i, name in enumerate(names)})
-    fh.recordings.write(path, written)
-    read = fh.recordings.read(path)
-    for name in names:
-        assert read.columns[name].tobytes() == written.columns[name].tobytes()
-
-
 @given(arrays(np.float64, st.integers(0, 40), elements=st.floats()))
 def test_values_that_would_overflow_are_found(values: np.ndarray) -> None:
     expected = [i for i, value in enumerate(values) if np.isfinite(value) and abs(value) > LARGEST]
@@ -200,17 +185,8 @@ def test_values_that_would_overflow_are_found(values: np.ndarray) -> None:
     assert kept[others].tobytes() == values[others].tobytes()
 
 
-def test_existing_file_is_kept(tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
     first = recording(time_s=[0, 1], position=[1, 2])
-    for name in ("x.csv", "x.mcap"):
-        path = tmp_path / name
-        fh.recordings.write(path, first)
-        before = path.read_bytes()
-        with pytest.raises(RecordingError, match="exists already; --force replaces it"):
-            fh.recordings.write(path, recording(time_s=[5]))
-        assert path.read_bytes() == before
-        fh.recordings.write(path, recording(time_s=[5]), overwrite=True)
-        assert len(fh.recordings.read(path)) == 1
     with pytest.raises(RecordingError, match="cannot be written: No such file or directory"):
         fh.recordings.write(tmp_path / "no" / "x.csv", first)
     with pytest.raises(UsageError, match=r"there are: \.csv, \.h5, .*\.parquet"):

@@ -106,23 +106,6 @@ def test_a_flipped_bit_is_refused_or_reported(whole: bytes, scratch: Path, posit
         assert recording.problems
 
 
-@given(st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.binary(min_size=1, max_size=9)), max_size=6))
-def test_overwritten_bytes_never_end_in_a_traceback(
-    whole: bytes, scratch: Path, changes: list[tuple[float, bytes]]
-) -> None:
-    data = bytearray(whole)
-    for position, patch in changes:
-        at = int(position * len(data))
-        data[at : at + len(patch)] = patch
-    recording = read(scratch, bytes(data))
-    assert recording is None or set(recording["cycle"]) <= set(range(CHUNKS * ROWS))
-
-
-@given(st.binary(max_size=300))
-def test_arbitrary_bytes_after_the_magic(whole: bytes, scratch: Path, tail: bytes) -> None:
-    assert read(scratch, whole[:8] + tail) is None
-
-
 def test_one_damaged_chunk_costs_only_itself(whole: bytes, scratch: Path) -> None:
     ends = chunk_ends(whole, scratch)
     for chunk in range(CHUNKS):

@@ -178,17 +178,6 @@ def test_axis_must_be_chosen_where_there_are_several(tmp_path: Path) -> None:
         fh.recordings.read(tmp_path / "run.mcap", "z")
 
 
-def test_csv_to_mcap_to_csv_keeps_the_bytes(tmp_path: Path) -> None:
-    random = np.random.default_rng(3)
-    table = {name: random.normal(size=50) for name in ("time_s", "position", "gear_2")}
-    table["time_s"] = np.arange(50) / 3 - 1.0
-    table["position"][7] = np.nan
-    fh.recordings.write(tmp_path / "a.csv", Recording("", "x", table))
-    fh.recordings.write(tmp_path / "b.mcap", fh.recordings.read(tmp_path / "a.csv"))
-    fh.recordings.write(tmp_path / "c.csv", fh.recordings.read(tmp_path / "b.mcap"))
-    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "c.csv").read_bytes()
-
-
 def test_names_that_a_message_cannot_have(tmp_path: Path) -> None:
     odd = Recording("", "x", {"time_s": np.arange(2.0), "Speed (rpm)": np.ones(2)})
     with pytest.raises(RecordingError, match=r"not 'Speed \(rpm\)'; rename with --column"):

@@ -16,8 +16,6 @@ from friction_hil.friction import describe
 from friction_hil.motion.trajectory import sine_path
 from friction_hil.rehearsal import AxisRun, Motion, Rehearsal, rehearse, simulated_machines
 from friction_hil.tuning.rehearsal_motions import simulated_motions
-from tools.benchmarks.compensation import OTHERS, run_machines
-from tools.benchmarks.compensation import load as load_grid
 
 MACHINES = Path(__file__).parents[3] / "config/machines"
 FRICTION = {"model": "lugre", "parameters": dict(describe("lugre").example)}
@@ -149,26 +147,3 @@ def test_a_study_of_a_gantry_has_both_axes(tmp_path, monkeypatch):
             axis["small"]["motor"]["without"]["rms"], rel=1e-2
         )
     assert (tmp_path / "out/report.html").read_text().count("<img ") == 2
-
-
-def test_the_benchmark_takes_a_gantry_with_its_true_friction_and_what_was_identified(tmp_path, monkeypatch):
-    configuration = load(MACHINES / "gantry.yaml")
-    folder = tmp_path / "gantry"
-    folder.mkdir()
-    for name, axis in configuration.axes.items():
-        (folder / f"{name}.yaml").write_text(dump(axis.model.model_dump(exclude_none=True)))
-    grid = load_grid(OTHERS)
-    grid = grid.model_copy(update={"conditions": {"exact": grid.conditions["exact"]}})
-    monkeypatch.setattr(
-        "tools.benchmarks.compensation.machines.simulated_motions",
-        lambda machine: {"small": simulated_motions(machine)["small"]},
-    )
-    results = run_machines([MACHINES / "gantry.yaml"], grid, tmp_path)
-    found = {(each.case.machine, each.case.drive, each.case.condition): each for each in results}
-    assert len(found) == len(results) == 2 * 2 * 3
-    for axis in ("gantry.y1", "gantry.y2"):
-        exact, file = found[axis, "own", "exact"], found[axis, "own", "file"]
-        assert found[axis, "own", "identified"].reduction == file.reduction
-        for side in ("motor", "load"):
-            assert exact.reduction[side].rms > 3.0 * file.reduction[side].rms > 10.0
-            assert exact.reduction[side].rms < 1.2 * exact.bound[side]

@@ -9,17 +9,12 @@ import yaml
 
 from friction_hil.cli import main
 from friction_hil.config import load
-from friction_hil.errors import UsageError
 from friction_hil.rehearsal import Rehearsal, simulated_machines
-from friction_hil.servo.config import ServoConfig
 from friction_hil.study.machine import Course, MotionResult, scored, study_machine
 from friction_hil.tuning.rehearsal_motions import simulated_motions
 from tools.benchmarks import compensation
 from tools.benchmarks.compensation import OTHERS, run_machines
 from tools.benchmarks.compensation import load as load_grid
-from tools.benchmarks.compensation.grid import machine_files
-from tools.benchmarks.compensation.machine_report import as_json, show_machines
-from tools.benchmarks.compensation.truth import model_file, true_friction
 
 LEVEL, STIFFNESS, HZ = 0.05, 40.0, 2.0
 FRICTION = {
@@ -239,25 +234,6 @@ def test_the_true_friction_reduces_more_than_a_level_that_is_half_too_high(bench
     assert own["two_cycles"] > 0.5 * own["exact"]  # commands act later, and are sent as much earlier
 
 
-def test_the_load_is_bounded_by_what_it_deviates_from_the_encoder(benched):
-    for each in benched:
-        if each.case.condition == "exact" and each.case.motion == "own":
-            assert each.bound["load"] < each.bound["motor"]
-            assert each.reduction["load"].rms < 1.2 * each.bound["load"]
-
-
-def test_json_and_tables_have_motor_load_and_bound(benched, capsys):
-    found = json.loads(json.dumps(as_json(benched)))
-    assert len(found["cases"]) == len(benched)
-    assert set(found["summary"]) == {"file", "identified", "exact", "two_cycles"}
-    exact = found["summary"]["exact"]["load"]["all"]["rms"]
-    assert exact["geomean"] >= exact["worst"] > 1.0
-    show_machines(benched)
-    text = capsys.readouterr().out
-    assert text.count("bound") >= 3
-    assert text.count("\nsmall ") >= 4
-
-
 def test_the_command_takes_machines_and_simulates_only_them(benched, machine, tmp_path, capsys, monkeypatch):
     asked = []
     monkeypatch.setattr(compensation, "run_machines", lambda *given: asked.append(given) or benched)
@@ -266,51 +242,3 @@ def test_the_command_takes_machines_and_simulates_only_them(benched, machine, tm
     assert set(found) == {"machine", "machines"}
     [(files, _, identified)] = asked
     assert (files, identified) == ([machine], tmp_path)
-
-
-def test_conditions_with_values_of_one_plant_are_refused(machine):
-    grid = load_grid(OTHERS)
-    wrong = grid.conditions["exact"].model_copy(
-        update={"friction": grid.conditions["exact"].friction.model_copy(update={"parameters": {"coulomb": 1.0}})}
-    )
-    with pytest.raises(UsageError, match="give factors"):
-        run_machines([machine], grid.model_copy(update={"conditions": {"exact": wrong}}))
-
-
-def test_a_grid_names_its_machines():
-    grid = load_grid(OTHERS)
-    assert "belt.yaml" in {path.name for path in machine_files(grid, OTHERS)}
-    with pytest.raises(UsageError, match=r"there is no file nothing\*"):
-        machine_files(grid.model_copy(update={"machines": ["nothing*"]}), OTHERS)
-
-
-def test_the_true_model_is_the_friction_of_both_sides_with_the_cogging():
-    servo = ServoConfig.model_validate(
-        {**MACHINE["axes"]["x"]["simulation"], "motor": {"cogging": [{"order": 7, "sine": 0.01}]}}
-    )
-    friction = true_friction(servo)
-    one_side = servo.friction_model.steady_state(np.array([1.0]), load_torque=0.0)
-    # a quarter of a cogging period: there it drives with all its torque
-    position = np.array([0.25 * 2.0 * math.pi / 7.0])
-    both = friction.simulate(np.ones(2000), 1e-3, position=np.full(2000, position[0]))[-1]
-    assert both == pytest.approx(float(one_side[0]) + LEVEL - 0.01, rel=1e-3)
-    file = model_file(servo, friction, inertia_error=0.05)
-    assert file.mechanics.inertia == pytest.approx(2.1e-4)
-    assert file.mechanics.load.friction == pytest.approx(LEVEL)
-
-
-def test_the_true_model_saves_as_much_work_in_a_reversal_as_the_friction_of_both_sides():
-    """The witness is the friction of each side; that of the load reaches the motor through the spring."""
-    servo = ServoConfig.model_validate(MACHINE["axes"]["x"]["simulation"])
-    speed, dt, there, back = 1e-3, 1e-3, 5000, 5000
-    velocity = np.repeat([-speed, speed], [there, back])
-    travel = speed * dt * np.arange(1, back + 1)
-    load = np.minimum(STIFFNESS * travel - LEVEL, LEVEL)
-
-    def saved(torque):
-        return speed * dt * np.sum(torque[-1] - torque)
-
-    own = servo.friction_model.simulate(velocity, dt)[there:]
-    both = true_friction(servo).simulate(velocity, dt)[there:]
-    assert both[-1] == pytest.approx(own[-1] + LEVEL, rel=1e-3)
-    assert saved(both) == pytest.approx(saved(own) + saved(load), rel=0.02)

@@ -7,7 +7,7 @@ import friction_hil as fh
 from friction_hil.errors import ConfigurationError, UsageError
 from tests.compensation_grids import LUGRE, TINY, grid_of
 from tools.benchmarks.compensation import REFERENCE, load
-from tools.benchmarks.compensation.belief import changed, converted
+from tools.benchmarks.compensation.belief import converted
 from tools.benchmarks.compensation.simulation import Simulation
 
 pytestmark = pytest.mark.deep  # of the tools, not of the product
@@ -30,28 +30,6 @@ def test_another_family_has_the_friction_of_the_first(name):
         assert other.presliding_stiffness == pytest.approx(own.presliding_stiffness, rel=1e-3)
     if name in ("stribeck", "lugre"):
         np.testing.assert_allclose(other.steady_state([0.1]), own.steady_state([0.1]), rtol=1e-9)
-
-
-def test_each_direction_is_converted_by_itself():
-    sides = {"positive": {"sigma2": 4e-3, "coulomb": 0.1}, "negative": {"coulomb": 0.06}}
-    own = fh.models.create("lugre", **LUGRE["parameters"], modifiers={"direction": sides})
-    for name in ("gms", "stribeck"):
-        fast = [-9.0, 9.0]
-        np.testing.assert_allclose(converted(own, name).steady_state(fast), own.steady_state(fast), rtol=1e-9)
-
-
-def test_factors_reach_synonyms_lists_defaults_and_directions():
-    own = fh.models.create(
-        "gms", **fh.models.describe("gms").example, modifiers={"direction": {"positive": {"coulomb": 0.1}}}
-    )
-    other = changed(own, {"static": 0.2}, {"sigma0": 0.5, "sigma2": 3.0, "coulomb": 2.0}, None)
-    assert other.parameters["stiffness"] == [800.0, 280.0, 100.0, 30.0]
-    assert other.parameters["viscous"] == pytest.approx(6e-3)
-    assert (other.parameters["static"], other.parameters["attraction"]) == (0.2, 10.0)
-    assert other.modifiers["direction"] == {"positive": {"coulomb": 0.2}}
-    assert changed(own, {}, {}, {}).modifiers == {}
-    plain = fh.models.create("coulomb", coulomb=0.1)
-    assert changed(plain, {}, {"coulomb": 2.0}, None).parameters["static"] == 0.2  # the default follows
 
 
 # grid files
@@ -91,19 +69,6 @@ def test_mistake_in_a_grid_file_is_reported_with_its_place(tmp_path, old, new, l
     assert message in str(problem)
 
 
-def test_several_mistakes_are_reported_at_once(tmp_path):
-    text = TINY.replace("gain: 0.9", "gain: 9").replace("amplitude: 0.05", "amplitude: 0.0").replace("16.0", "x")
-    with pytest.raises(ConfigurationError) as caught:
-        grid_of(tmp_path, text)
-    assert [problem.line for problem in caught.value.problems] == [8, 11, 15]
-
-
-@pytest.mark.parametrize("text", ["", "[]", "plants", "plants: 1\ndrives: {a: 1, b: []}\n", "drives:\n", "drives: {}"])
-def test_what_is_no_grid_is_an_error(tmp_path, text):
-    with pytest.raises(ConfigurationError):
-        grid_of(tmp_path, text)
-
-
 def test_reference_grid_is_that_of_the_reference():
     grid = load(REFERENCE)
     assert len(Simulation(grid).cases()) == 60
@@ -116,20 +81,3 @@ def test_reference_grid_is_that_of_the_reference():
         "encoder_14": 1.0,
         "two_cycles": 1.0,
     }
-
-
-def test_other_plants_have_bandwidths_of_the_reference_where_they_say_so():
-    grid = load(REFERENCE.with_name("others.yaml"))
-    reference = grid.plants["reference"]
-    assert {name: getattr(reference, name) for name in ("inertia", "friction")} == {
-        name: getattr(load(REFERENCE).plants["reference"], name) for name in ("inertia", "friction")
-    }
-    for name in ("inertia_2e-5", "inertia_2e-3"):
-        for own, drive in zip(grid.drives_of(name), ("soft", "stiff"), strict=True):
-            bandwidth = grid.drives[own].velocity_gain / grid.plants[name].inertia
-            assert bandwidth == pytest.approx(grid.drives[drive].velocity_gain / reference.inertia)
-    for plant in grid.plants:
-        if not plant.startswith("inertia"):
-            assert grid.plants[plant].total_inertia == pytest.approx(reference.inertia)
-    wrong = grid.believed("gms", "mismatch_a").parameters
-    assert wrong["stiffness"][0] == pytest.approx(1.3 * 800.0)
