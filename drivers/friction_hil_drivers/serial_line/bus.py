@@ -2,7 +2,7 @@
 
 import select
 import time
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -14,19 +14,11 @@ from friction_hil_drivers.serial_line.options import LineOptions
 from friction_hil_drivers.serial_line.protocol import Exchange, LineProtocol, Plan
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.waiting import LineSelector, run_schedulers
-from friction_hil_drivers.serial_line.wire import Batch, wire_s
+from friction_hil_drivers.serial_line.wire import wire_s
 
 _ATTEMPTS = 5
 _ATTEMPT_S = 0.3
 _BACKGROUND_FRACTION = 0.25  # of the time until the feedback is due: longest wait for a background read
-
-
-@dataclass(frozen=True, slots=True)
-class _CycleBatches:
-    """Requests of an undisturbed cycle."""
-
-    poll: Batch
-    endings: tuple[Batch, ...]  # push and one background read; each cycle uses the next one
 
 
 @dataclass(slots=True)
@@ -48,11 +40,11 @@ class SerialBus:
     _first_axis: int = 0  # index of the axis that may send a step first
     _steps: dict[tuple[str, tuple[str, ...]], Exchange] = field(default_factory=dict)
     _reads: dict[tuple[str, str], Exchange] = field(default_factory=dict)
-    _listening: _CycleBatches = field(init=False)
-    _commanding: _CycleBatches = field(init=False)
+    _ending_ns: dict[Exchange, int] = field(default_factory=dict)  # of push and a background read on the wire
 
     def __post_init__(self) -> None:
-        self._listening, self._commanding = self._batches(self.listening), self._batches(self.plan)
+        for plan in (self.listening, self.plan):
+            self._ending_ns |= {each: round(1e9 * self.wire_s(*plan.push, each)) for each in plan.background}
         writing = [each for each in (*self.plan.poll, *self.plan.push) if each.writes]
         for axis in self.axes:
             drive = self.read_exchange(axis.name, "position").addressees
@@ -61,14 +53,6 @@ class SerialBus:
     def has_lost_command(self, axis: str) -> bool:
         """Return True if the command of the last cycle to this axis was not written to the line."""
         return self._is_commanded and not self._commands[axis] <= self.scheduler.sent
-
-    def _batches(self, plan: Plan) -> _CycleBatches:
-        endings = [(*plan.push, each) for each in plan.background] or ([plan.push] if plan.push else [])
-        return _CycleBatches(self._batch(plan.poll, plan.background), tuple(map(self._batch, endings)))
-
-    def _batch(self, exchanges: tuple[Exchange, ...], before: Iterable[Exchange] = ()) -> Batch:
-        wire_ns = round(1e9 * self.wire_s(*exchanges))
-        return Batch.of(exchanges, wire_ns, before, keeps_silence=self.scheduler.keeps_silence)
 
     def request_feedback(self, deadline_ns: int | None, *, is_commanding: bool, is_read: bool) -> None:
         """Send the poll of a cycle.
@@ -80,14 +64,11 @@ class SerialBus:
         commands. ``is_read``: the bytes that have arrived were read shortly before.
         """
         scheduler = self.scheduler
-        batch = (self._commanding if is_commanding else self._listening).poll
-        is_read = is_read or bool(scheduler.outstanding)  # outstanding replies are read when everything has been sent
-        stops = self._stops if self._last_step not in scheduler.sent else {}
-        if is_read and not stops and scheduler.send_batch(batch, deadline_ns):
-            return
         scheduler.deadline_ns = deadline_ns
-        self._enqueue_step(stops)
-        scheduler.enqueue(batch.exchanges)
+        is_read = is_read or bool(scheduler.outstanding)  # outstanding replies are read when everything has been sent
+        if self._stops and self._last_step not in scheduler.sent:
+            self._enqueue_step(self._stops)
+        scheduler.queue.extend((self.plan if is_commanding else self.listening).poll)
         if is_read:
             scheduler.advance()
         else:
@@ -113,18 +94,12 @@ class SerialBus:
         self._stops = {}
         scheduler.sent.clear()
         self._is_commanded = is_commanding
-        endings = (self._commanding if is_commanding else self._listening).endings
-        if endings and not steps:
-            index = (self._background_index + 1) % len(endings)
-            if scheduler.send_batch(endings[index], end_ns):
-                self._background_index = index
-                return
-        scheduler.deadline_ns = None  # it may still have the deadline of a poll that did not end
+        scheduler.deadline_ns = None
         plan = self.plan if is_commanding else self.listening
-        is_step_queued = self._is_step_turn and self._enqueue_step(steps)
-        scheduler.enqueue(plan.push)
-        if not is_step_queued:
-            self._enqueue_background(plan, endings, end_ns)
+        is_step_queued = bool(steps) and self._is_step_turn and self._enqueue_step(steps)
+        scheduler.queue.extend(plan.push)
+        if plan.background and not is_step_queued:
+            self._enqueue_background(plan.background, end_ns)
         scheduler.flush()
         if is_step_queued and stopping and not scheduler.state.is_normal:
             self._stops = {axis: step for axis, step in steps.items() if axis in stopping}
@@ -149,23 +124,21 @@ class SerialBus:
                 return True
         return False
 
-    def _enqueue_background(self, plan: Plan, endings: tuple[Batch, ...], end_ns: int | None) -> None:
+    def _enqueue_background(self, background: Sequence[Exchange], end_ns: int | None) -> None:
         """Queue the next background read if its reply can arrive before the next cycle."""
-        if not plan.background:
-            return
-        index = (self._background_index + 1) % len(plan.background)
-        exchange = plan.background[index]
-        if end_ns is not None and time.monotonic_ns() + endings[index].wire_ns > end_ns:
+        index = (self._background_index + 1) % len(background)
+        exchange = background[index]
+        if end_ns is not None and time.monotonic_ns() + self._ending_ns[exchange] > end_ns:
             if not self.scheduler.last_error:
                 self.scheduler.last_error = f"{exchange.label}: no time was left for it"
             return
         self._background_index = index
-        self.scheduler.enqueue((exchange,))
+        self.scheduler.queue.append(exchange)
 
     def finish_background_read(self, deadline_ns: int) -> None:
         """Wait for the reply to the last background read, at most for a fraction of the time until ``deadline_ns``."""
         scheduler = self.scheduler
-        scheduler.deadline_ns = None  # as in `send_commands`
+        scheduler.deadline_ns = None
         now = time.monotonic_ns()
         scheduler.poll()
         until_ns = now + round(_BACKGROUND_FRACTION * (deadline_ns - now))

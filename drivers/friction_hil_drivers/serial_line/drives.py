@@ -213,7 +213,7 @@ class SerialDrives(Driver):
             self._note_timeout()
         self._is_read = False
         for scheduler in self._schedulers:
-            if not is_over or scheduler.deadline_ns is not None:
+            if not is_over:
                 scheduler.end_cycle()
         for each, axis, bus in zip(feedback, self._axes, self._bus_of, strict=True):
             scheduler = bus.scheduler

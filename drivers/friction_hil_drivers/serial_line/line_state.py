@@ -1,9 +1,7 @@
 """State machine of a serial line: how far received bytes can be trusted, and whether drives answer in time.
 
 The machine has two states at a time: `Reception` determines the use of received bytes, and `Timeliness` shows whether
-every drive has answered. `TRANSITIONS` has all transitions; an event without a row for the present state changes
-nothing. `PERMISSIONS` lists what may be sent in each state of the reception. ``README.md`` beside this
-file has both tables.
+every drive has answered. `TABLE` has the nine states; ``README.md`` beside this file shows it.
 """
 
 from enum import IntEnum
@@ -13,20 +11,20 @@ from typing import Final, NamedTuple
 class Reception(IntEnum):
     """Use of received bytes."""
 
-    IN_SYNC = 0  # replies belong to the requests that wait for them
-    OUT_OF_SYNC = 1  # the next reply may belong to an earlier request: it is dropped
-    NOISY = 2  # the line did not become quiet after a broken reply
-    DISCARDING = 3  # bytes are dropped until the line is quiet
-    DISCARDING_OUT_OF_SYNC = 4  # the same; then the next reply is dropped
-    DISCARDING_NOISY = 5  # the same, once more, on a line that did not become quiet before
+    IN_SYNC = 0
+    OUT_OF_SYNC = 1
+    NOISY = 2
+    DISCARDING = 3
+    DISCARDING_OUT_OF_SYNC = 4
+    DISCARDING_NOISY = 5
 
 
 class Timeliness(IntEnum):
     """Timeliness of the replies. The numbers differ from those of `Reception`, because both are keys of one table."""
 
-    ON_TIME = 10  # every drive answered the last request to it
-    SILENT = 11  # a drive did not answer; its reply is not expected any more, and it is asked after the others
-    LATE = 12  # a drive did not answer, and its reply may still come: it is not asked until then
+    ON_TIME = 10
+    SILENT = 11
+    LATE = 12
 
 
 State = Reception | Timeliness
@@ -50,45 +48,6 @@ class LineEvent(IntEnum):
     ALL_ANSWERED = 12  # every drive answered the last request to it
 
 
-TRANSITIONS: Final[dict[tuple[State, LineEvent], State]] = {
-    (Reception.IN_SYNC, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING,
-    (Reception.IN_SYNC, LineEvent.LATE_REPLY_BROKEN): Reception.DISCARDING,
-    (Reception.OUT_OF_SYNC, LineEvent.LAST_REPLY): Reception.DISCARDING,
-    (Reception.OUT_OF_SYNC, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
-    (Reception.OUT_OF_SYNC, LineEvent.LATE_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
-    (Reception.NOISY, LineEvent.REPLY): Reception.IN_SYNC,
-    (Reception.NOISY, LineEvent.LAST_REPLY): Reception.IN_SYNC,
-    (Reception.NOISY, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING_NOISY,
-    (Reception.NOISY, LineEvent.LATE_REPLY_BROKEN): Reception.DISCARDING_NOISY,
-    (Reception.DISCARDING, LineEvent.LINE_QUIET): Reception.IN_SYNC,
-    (Reception.DISCARDING, LineEvent.LINE_NEVER_QUIET): Reception.NOISY,
-    (Reception.DISCARDING, LineEvent.LINE_LOST): Reception.IN_SYNC,
-    (Reception.DISCARDING_OUT_OF_SYNC, LineEvent.LINE_QUIET): Reception.OUT_OF_SYNC,
-    (Reception.DISCARDING_OUT_OF_SYNC, LineEvent.LINE_NEVER_QUIET): Reception.NOISY,
-    (Reception.DISCARDING_OUT_OF_SYNC, LineEvent.LINE_LOST): Reception.OUT_OF_SYNC,
-    (Reception.DISCARDING_NOISY, LineEvent.LINE_QUIET): Reception.IN_SYNC,
-    (Reception.DISCARDING_NOISY, LineEvent.LINE_NEVER_QUIET): Reception.NOISY,
-    (Reception.DISCARDING_NOISY, LineEvent.LINE_LOST): Reception.NOISY,
-    (Timeliness.ON_TIME, LineEvent.REPLY_OVERDUE): Timeliness.LATE,
-    (Timeliness.ON_TIME, LineEvent.REPLY_MISSED): Timeliness.SILENT,
-    (Timeliness.SILENT, LineEvent.REPLY_OVERDUE): Timeliness.LATE,
-    (Timeliness.SILENT, LineEvent.ALL_ANSWERED): Timeliness.ON_TIME,
-    (Timeliness.LATE, LineEvent.NO_REPLY_LATE): Timeliness.SILENT,
-}
-
-# If replies do not show which of several drives they are from, these rows replace those above: a lost or damaged reply
-# may still come, and would then be taken for a reply of another drive.
-ANONYMOUS_TRANSITIONS: Final[dict[tuple[State, LineEvent], State]] = {
-    (Reception.IN_SYNC, LineEvent.BROKEN_REPLY): Reception.OUT_OF_SYNC,
-    (Reception.IN_SYNC, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
-    (Reception.IN_SYNC, LineEvent.LATE_REPLY_EXPIRED): Reception.OUT_OF_SYNC,
-    (Reception.NOISY, LineEvent.REPLY): Reception.OUT_OF_SYNC,
-    (Reception.NOISY, LineEvent.LAST_REPLY): Reception.DISCARDING,
-    (Reception.DISCARDING, LineEvent.LATE_REPLY_EXPIRED): Reception.DISCARDING_OUT_OF_SYNC,
-    (Reception.DISCARDING_NOISY, LineEvent.LINE_QUIET): Reception.OUT_OF_SYNC,
-}
-
-
 class Permission(NamedTuple):
     """Requests that may be sent in a state of the reception, and use of the replies."""
 
@@ -99,19 +58,92 @@ class Permission(NamedTuple):
     replies_used: bool  # the contents of replies are used
 
 
-_YES, _NO = True, False
-PERMISSIONS: Final[dict[Reception, Permission]] = {
-    # in order: requests, commands, together, joined, replies_used
-    Reception.IN_SYNC: Permission(_YES, _YES, _YES, _YES, _YES),
-    Reception.OUT_OF_SYNC: Permission(_YES, _YES, _NO, _NO, _NO),
-    Reception.NOISY: Permission(_YES, _YES, _YES, _NO, _YES),
-    Reception.DISCARDING: Permission(_NO, _NO, _NO, _NO, _NO),
-    Reception.DISCARDING_OUT_OF_SYNC: Permission(_NO, _NO, _NO, _NO, _NO),
-    Reception.DISCARDING_NOISY: Permission(_NO, _YES, _YES, _NO, _NO),
-}
-ANONYMOUS_PERMISSIONS: Final[dict[Reception, Permission]] = {
-    Reception.NOISY: Permission(_YES, _YES, _NO, _NO, _NO),
-    Reception.DISCARDING_NOISY: Permission(_NO, _YES, _NO, _NO, _NO),
+class Row(NamedTuple):
+    """One state. In a pair, the second entry applies if replies do not show which of several drives they are from.
+
+    A lost or damaged reply may then still come, and would be taken for a reply of another drive.
+    """
+
+    meaning: str
+    permission: tuple[tuple[bool, bool], ...]  # as `Permission`; () for a timeliness, which is not asked
+    following: dict[LineEvent, tuple[State, State]]  # next states; all other events change nothing
+
+
+_YES, _NO, _NAMED = (True, True), (False, False), (True, False)
+_R, _T, _E = Reception, Timeliness, LineEvent
+TABLE: Final[dict[State, Row]] = {
+    _R.IN_SYNC: Row(
+        "each reply belongs to the request that waits for it",
+        (_YES, _YES, _YES, _YES, _YES),
+        {
+            _E.BROKEN_REPLY: (_R.IN_SYNC, _R.OUT_OF_SYNC),
+            _E.LAST_REPLY_BROKEN: (_R.DISCARDING, _R.DISCARDING_OUT_OF_SYNC),
+            _E.LATE_REPLY_BROKEN: (_R.DISCARDING, _R.DISCARDING),
+            _E.LATE_REPLY_EXPIRED: (_R.IN_SYNC, _R.OUT_OF_SYNC),
+        },
+    ),
+    _R.OUT_OF_SYNC: Row(
+        "the next reply may belong to an earlier request; it is dropped",
+        (_YES, _YES, _NO, _NO, _NO),
+        {
+            _E.LAST_REPLY: (_R.DISCARDING, _R.DISCARDING),
+            _E.LAST_REPLY_BROKEN: (_R.DISCARDING_OUT_OF_SYNC, _R.DISCARDING_OUT_OF_SYNC),
+            _E.LATE_REPLY_BROKEN: (_R.DISCARDING_OUT_OF_SYNC, _R.DISCARDING_OUT_OF_SYNC),
+        },
+    ),
+    _R.NOISY: Row(
+        "the line did not become quiet after a broken reply",
+        (_YES, _YES, _NAMED, _NO, _NAMED),
+        {
+            _E.REPLY: (_R.IN_SYNC, _R.OUT_OF_SYNC),
+            _E.LAST_REPLY: (_R.IN_SYNC, _R.DISCARDING),
+            _E.LAST_REPLY_BROKEN: (_R.DISCARDING_NOISY, _R.DISCARDING_NOISY),
+            _E.LATE_REPLY_BROKEN: (_R.DISCARDING_NOISY, _R.DISCARDING_NOISY),
+        },
+    ),
+    _R.DISCARDING: Row(
+        "bytes are dropped until the line is quiet",
+        (_NO, _NO, _NO, _NO, _NO),
+        {
+            _E.LATE_REPLY_EXPIRED: (_R.DISCARDING, _R.DISCARDING_OUT_OF_SYNC),
+            _E.LINE_QUIET: (_R.IN_SYNC, _R.IN_SYNC),
+            _E.LINE_NEVER_QUIET: (_R.NOISY, _R.NOISY),
+            _E.LINE_LOST: (_R.IN_SYNC, _R.IN_SYNC),
+        },
+    ),
+    _R.DISCARDING_OUT_OF_SYNC: Row(
+        "the same; afterwards the next reply is dropped",
+        (_NO, _NO, _NO, _NO, _NO),
+        {
+            _E.LINE_QUIET: (_R.OUT_OF_SYNC, _R.OUT_OF_SYNC),
+            _E.LINE_NEVER_QUIET: (_R.NOISY, _R.NOISY),
+            _E.LINE_LOST: (_R.OUT_OF_SYNC, _R.OUT_OF_SYNC),
+        },
+    ),
+    _R.DISCARDING_NOISY: Row(
+        "the same, on a line that did not become quiet before",
+        (_NO, _YES, _NAMED, _NO, _NO),
+        {
+            _E.LINE_QUIET: (_R.IN_SYNC, _R.OUT_OF_SYNC),
+            _E.LINE_NEVER_QUIET: (_R.NOISY, _R.NOISY),
+            _E.LINE_LOST: (_R.NOISY, _R.NOISY),
+        },
+    ),
+    _T.ON_TIME: Row(
+        "every drive answered the last request to it",
+        (),
+        {_E.REPLY_OVERDUE: (_T.LATE, _T.LATE), _E.REPLY_MISSED: (_T.SILENT, _T.SILENT)},
+    ),
+    _T.SILENT: Row(
+        "a drive did not answer; its reply is not expected any more, and it is asked after the others",
+        (),
+        {_E.REPLY_OVERDUE: (_T.LATE, _T.LATE), _E.ALL_ANSWERED: (_T.ON_TIME, _T.ON_TIME)},
+    ),
+    _T.LATE: Row(
+        "a drive did not answer, and its reply may still come; it is not asked until then",
+        (),
+        {_E.NO_REPLY_LATE: (_T.SILENT, _T.SILENT)},
+    ),
 }
 
 
@@ -119,24 +151,28 @@ class LineState:
     """Present state of one line; only `apply` changes it. ``names_drives``: each reply shows which drive it is from."""
 
     def __init__(self, *, names_drives: bool) -> None:
-        self.transitions = TRANSITIONS if names_drives else TRANSITIONS | ANONYMOUS_TRANSITIONS
-        self.permissions = PERMISSIONS if names_drives else PERMISSIONS | ANONYMOUS_PERMISSIONS
+        self._column = 0 if names_drives else 1
+        self._permissions = {
+            state: Permission(*(pair[self._column] for pair in row.permission))
+            for state, row in TABLE.items()
+            if row.permission
+        }
         self.reception = Reception.IN_SYNC
         self.timeliness = Timeliness.ON_TIME
         self._update()
 
     def apply(self, event: LineEvent) -> None:
-        """Change the state by the table; an event without a row for the present state changes nothing."""
+        """Change the state by the table."""
         for state in (self.reception, self.timeliness):
-            following = self.transitions.get((state, event))
+            following = TABLE[state].following.get(event, (state, state))[self._column]
             if isinstance(following, Reception):
                 self.reception = following
-            elif following is not None:
+            else:
                 self.timeliness = following
         self._update()
 
     def _update(self) -> None:
-        self.permission = self.permissions[self.reception]
+        self.permission = self._permissions[self.reception]
         self.is_normal = self.reception is Reception.IN_SYNC and self.timeliness is Timeliness.ON_TIME
         # received bytes are dropped until the line is quiet
         self.is_discarding = self.reception >= Reception.DISCARDING

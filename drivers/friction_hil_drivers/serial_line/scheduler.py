@@ -13,14 +13,14 @@ another: the process then wakes up only once in a cycle.
 
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import IntEnum
 
 from friction_hil_drivers.serial_line.line import Line, LineGoneError
 from friction_hil_drivers.serial_line.line_state import LineEvent, Timeliness
 from friction_hil_drivers.serial_line.protocol import Exchange, Image, shown
 from friction_hil_drivers.serial_line.receiver import ReplyReceiver
-from friction_hil_drivers.serial_line.wire import Batch, character_s
+from friction_hil_drivers.serial_line.wire import character_s
 
 _REOPEN_NS = 200_000_000
 
@@ -64,18 +64,13 @@ class BusScheduler(ReplyReceiver):
         )
         self.line = line
         self._character_ns = round(character_ns)
+        self._turn_ns = self._silence_ns + round(line.options.turnaround_s * 1e9)  # from a request to its reply
         self._ahead_chars = ahead_chars
         self.queue: deque[Exchange] = deque()  # still to be sent
         self.sent: set[Exchange] = set()  # written to the line since the set was last emptied
-        self._singles: dict[Exchange, Batch] = {}
         self.busy_until_ns = 0
         self._next_reopen_ns = 0
         self.deadline_ns: int | None = None  # a queued request whose reply would be complete later is not sent
-
-    @property
-    def keeps_silence(self) -> bool:
-        """True if silence has to pass between frames."""
-        return bool(self._silence_ns)
 
     @property
     def is_finished(self) -> bool:
@@ -104,31 +99,6 @@ class BusScheduler(ReplyReceiver):
         if callback is not None and self.queue:
             self._callbacks[self.queue[-1]] = callback
 
-    def send_batch(self, batch: Batch, deadline_ns: int | None) -> bool:
-        """Send the requests of an undisturbed cycle together; return False, with nothing done, if that is impossible.
-
-        `enqueue` and `advance` then send the same bytes in several steps. All replies have to be complete by
-        ``deadline_ns``.
-        """
-        if self.queue or self._received or self.line.descriptor < 0:
-            return False
-        now_ns = self._now_ns()
-        if self._verdict(batch, now_ns, deadline_ns) is not _SEND:
-            return False
-        try:
-            data = b""
-            for exchange in batch.exchanges:
-                data += exchange.constant or exchange.encode()
-            self._write(data, now_ns, batch.answered)
-        except LineGoneError as gone:
-            self._lose_line(gone)
-            return True
-        self.sent.update(batch.exchanges)
-        self.outstanding.extend(batch.answered)
-        if batch.refusable:
-            self.refusals.unconfirmed.extend(batch.refusable)
-        return True
-
     def poll(self, *, is_ready: bool = False) -> None:
         """Read the bytes that have arrived, handle replies, and send requests that may be sent.
 
@@ -150,7 +120,9 @@ class BusScheduler(ReplyReceiver):
         """Send the requests that may be sent now, and drop those that would have to wait for a late reply."""
         if self.state.timeliness is Timeliness.LATE:
             self.poll()
-            self.queue = deque(filter(self._late.permit, self.queue))
+            for exchange in [each for each in self.queue if not self._late.permit(each)]:
+                self.queue.remove(exchange)
+                self._callbacks.pop(exchange, None)
         else:
             self.advance()
 
@@ -189,52 +161,6 @@ class BusScheduler(ReplyReceiver):
             self._expect_late()
             self.line.acknowledge()
 
-    def _verdict(self, batch: Batch, now_ns: int, deadline_ns: int | None, chars: int = 0) -> Verdict:
-        """Decide if requests may be sent; all requests on the line obey this rule.
-
-        ``batch``: a single request, or those of an undisturbed cycle; all replies have to be complete by
-        ``deadline_ns``. ``chars``: of other requests that precede it in the same write.
-        """
-        outstanding = self.outstanding
-        if not (batch.are_joint if self.state.is_normal else self._is_permitted(batch, is_joined=bool(chars))):
-            return _WAIT
-        ahead_chars = batch.ahead_chars
-        if outstanding:
-            if self._silence_ns or not batch.may_follow(outstanding):
-                return _WAIT
-            ahead_chars = batch.chars
-        elif chars:
-            if self._silence_ns:
-                return _WAIT
-        elif now_ns < self._quiet_until_ns:
-            return _WAIT
-        if ahead_chars and self._unread_chars + chars + ahead_chars > self._ahead_chars:
-            return _WAIT
-        if deadline_ns is not None:
-            busy_ns = self.busy_until_ns
-            if (busy_ns if busy_ns > now_ns else now_ns) + batch.wire_ns > deadline_ns:
-                return _TOO_LATE
-        return _SEND
-
-    def _is_permitted(self, batch: Batch, *, is_joined: bool) -> bool:
-        """Return True if a request may be sent in the present state of the disturbed line."""
-        if not batch.is_single:
-            return False
-        state, permission = self.state, self.state.permission
-        if not (permission.requests if batch.answered else permission.commands):
-            return False
-        if (is_joined or self.outstanding) and not permission.together:
-            return False
-        if is_joined and not self.outstanding and batch.answered and not permission.joined:
-            return False
-        if state.timeliness is Timeliness.ON_TIME:
-            return True
-        if is_joined:
-            return False
-        if state.timeliness is Timeliness.LATE and self._received and not self.outstanding:
-            return state.is_noisy and not batch.answered  # a late reply is coming in
-        return True
-
     def _send_next(self) -> bool:
         """Send the next request, or several together; return True if another one may be sent without a wait."""
         index, queue = 0, self.queue
@@ -244,7 +170,8 @@ class BusScheduler(ReplyReceiver):
             if first is None:
                 return False
             index = first
-        verdict = self._verdict(self._single(queue[index]), self._now_ns(), self.deadline_ns)
+        now_ns = self._now_ns()
+        verdict = self._verdict(queue[index], now_ns)
         if verdict is _WAIT:
             return False
         if queue is not self.queue:
@@ -253,24 +180,57 @@ class BusScheduler(ReplyReceiver):
             self._take_unsolicited()
         data = b""
         sending: list[Exchange] = []
-        unanswered: list[Exchange] = []
         while verdict is _SEND:
-            exchange = self.queue[index]
-            del self.queue[index]
-            data += exchange.encode()
+            exchange = queue[index]
+            del queue[index]
+            data += exchange.constant or exchange.encode()
             sending.append(exchange)
-            (self.outstanding if exchange.reply_size else unanswered).append(exchange)
-            if not self.queue:
+            if exchange.reply_size:
+                self.outstanding.append(exchange)
+            if not queue:
                 break
             index = 0
-            verdict = self._verdict(self._single(self.queue[0]), self._now_ns(), self.deadline_ns, len(data))
+            verdict = self._verdict(queue[0], now_ns, len(data))
         if verdict is _TOO_LATE:
-            self._drop_queue(self.queue[index])
+            self._drop_queue(queue[index])
         if data:
-            self._write(data, self._now_ns(), self.outstanding)
-            self.sent.update(sending)
-        self._note_sent(unanswered)
+            self._write(data, sending, now_ns)
         return not self.outstanding
+
+    def _verdict(self, exchange: Exchange, now_ns: int, chars: int = 0) -> Verdict:
+        """Decide if a request may be sent; ``chars``: of other requests that precede it in the same write."""
+        if not (self.state.is_normal or self._is_permitted(exchange, is_joined=bool(chars))):
+            return _WAIT
+        size, reply_size = exchange.request_size, exchange.reply_size
+        if self.outstanding:
+            if self._silence_ns or self._unread_chars + chars + size > self._ahead_chars:
+                return _WAIT
+            if not all(map(exchange.may_follow, self.outstanding)):
+                return _WAIT
+        elif self._silence_ns if chars else now_ns < self._quiet_until_ns:
+            return _WAIT
+        if self.deadline_ns is not None:
+            end_ns = max(self.busy_until_ns, now_ns) + (size + reply_size) * self._character_ns
+            if end_ns + (self._turn_ns if reply_size else 0) > self.deadline_ns:
+                return _TOO_LATE
+        return _SEND
+
+    def _is_permitted(self, exchange: Exchange, *, is_joined: bool) -> bool:
+        """Return True if a request may be sent in the present state of the disturbed line."""
+        state, permission, is_answered = self.state, self.state.permission, exchange.reply_size > 0
+        if not (permission.requests if is_answered else permission.commands):
+            return False
+        if (is_joined or self.outstanding) and not permission.together:
+            return False
+        if is_joined and not self.outstanding and is_answered and not permission.joined:
+            return False
+        if state.timeliness is Timeliness.ON_TIME:
+            return True
+        if is_joined:
+            return False
+        if state.timeliness is Timeliness.LATE and self._received and not self.outstanding:
+            return state.is_noisy and not is_answered  # a late reply is coming in
+        return True
 
     def _replace_queue(self, queue: deque[Exchange]) -> None:
         """Replace each request in the queue by the one at the same index of ``queue``."""
@@ -283,37 +243,25 @@ class BusScheduler(ReplyReceiver):
         """Send nothing more in this cycle: this reply and all later ones would be late."""
         if not self._late.silent:  # otherwise the silent drive is the reason
             self.last_error = f"{exchange.label}: no time was left for it"
+        for each in self.queue:
+            self._callbacks.pop(each, None)
         self.queue.clear()
 
-    def _note_sent(self, unanswered: Iterable[Exchange]) -> None:
-        """Note commands without a reply that were sent."""
-        for exchange in unanswered:
-            if exchange.reports_refusal:
-                self.refusals.unconfirmed.append(exchange)
-            if exchange in self._callbacks:
-                self._callbacks.pop(exchange)()
-
-    def _single(self, exchange: Exchange) -> Batch:
-        """Return the batch of one request; each is made once."""
-        batch = self._singles.get(exchange)
-        if batch is None:
-            wire_ns = (exchange.request_size + exchange.reply_size) * self._character_ns
-            if exchange.reply_size:
-                wire_ns += self._silence_ns + round(self.line.options.turnaround_s * 1e9)
-            batch = Batch.of((exchange,), wire_ns, keeps_silence=self.keeps_silence, is_single=True)
-            self._singles[exchange] = batch
-        return batch
-
-    def _write(self, data: bytes, now_ns: int, answered: Collection[Exchange]) -> None:
-        """Write requests to the line; ``answered`` are those with a reply."""
+    def _write(self, data: bytes, exchanges: Sequence[Exchange], now_ns: int) -> None:
+        """Write requests to the line, and note those without a reply as carried out."""
         self.line.write(data)
         size = len(data)
         self._unread_chars += size
         self._sent_ns = now_ns
-        busy_ns = self.busy_until_ns
-        self.busy_until_ns = busy_ns = (busy_ns if busy_ns > now_ns else now_ns) + size * self._character_ns
-        if self._silence_ns and not answered:
-            self._quiet_until_ns = busy_ns + self._silence_ns
+        self.busy_until_ns = max(self.busy_until_ns, now_ns) + size * self._character_ns
+        if self._silence_ns and not self.outstanding:
+            self._quiet_until_ns = self.busy_until_ns + self._silence_ns
+        self.sent.update(exchanges)
+        for exchange in exchanges:
+            if exchange.reports_refusal:
+                self.refusals.unconfirmed.append(exchange)
+            if self._callbacks and not exchange.reply_size and exchange in self._callbacks:
+                self._callbacks.pop(exchange)()
 
     def _lose_line(self, gone: LineGoneError) -> None:
         self.last_error = str(gone)

@@ -1,8 +1,6 @@
-"""Requests that are sent together, and the time that they and a whole cycle take on a serial line. Pure arithmetic."""
+"""Time that requests and a whole cycle take on a serial line. Pure arithmetic."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Self
+from collections.abc import Iterable
 
 from friction_hil.errors import UsageError
 from friction_hil_drivers.serial_line.options import LineOptions
@@ -77,59 +75,3 @@ def check_rate(
         f"({character_s(line) * 1e6:.4g} µs), {silence_chars:g} of them are silence after each frame: {listed}. "
         "Take a longer period or a higher baud rate"
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Batch:
-    """Requests that are sent together, with the properties that the rule for sending needs."""
-
-    exchanges: tuple[Exchange, ...]
-    answered: tuple[Exchange, ...]  # with a reply
-    refusable: tuple[Exchange, ...]  # without a reply, but the drive may refuse them by an error
-    chars: int  # of all requests
-    ahead_chars: int  # sent before the first request is answered; 0 if nothing follows a request with a reply
-    wire_ns: int  # that all requests and replies take on the wire
-    are_joint: bool  # they may be sent in one write
-    known_before: frozenset[Exchange]  # may be outstanding when the requests are sent
-    is_single: bool  # False for the requests of an undisturbed cycle
-
-    @classmethod
-    def of(
-        cls,
-        exchanges: Sequence[Exchange],
-        wire_ns: int,  # that the exchanges take on the wire
-        before: Iterable[Exchange] = (),  # often outstanding when the requests are sent
-        *,
-        keeps_silence: bool,  # has to pass between frames on the line
-        is_single: bool = False,
-    ) -> Self:
-        """Make a batch; ``is_single``: see `Batch`."""
-        answered: list[Exchange] = []
-        size = ahead_chars = 0
-        are_joint = len(exchanges) < 2 or not keeps_silence
-        for exchange in exchanges:
-            size += exchange.request_size
-            if answered:
-                ahead_chars = size
-                are_joint = are_joint and all(map(exchange.may_follow, answered))
-            if exchange.reply_size:
-                answered.append(exchange)
-        return cls(
-            exchanges=tuple(exchanges),
-            answered=tuple(answered),
-            refusable=tuple(exchange for exchange in exchanges if exchange.reports_refusal),
-            chars=size,
-            ahead_chars=ahead_chars,
-            wire_ns=wire_ns,
-            are_joint=are_joint,
-            known_before=frozenset(
-                each for each in before if not keeps_silence and all(late.may_follow(each) for late in exchanges)
-            ),
-            is_single=is_single,
-        )
-
-    def may_follow(self, outstanding: Iterable[Exchange]) -> bool:
-        """Return True if replies to these and to outstanding requests cannot be confused."""
-        return self.known_before.issuperset(outstanding) or all(
-            exchange.may_follow(before) for before in outstanding for exchange in self.exchanges
-        )

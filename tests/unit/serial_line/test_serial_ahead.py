@@ -3,7 +3,6 @@
 import pytest
 from friction_hil_drivers.serial_line.protocol import Image
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
-from friction_hil_drivers.serial_line.wire import Batch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -142,10 +141,8 @@ def test_requests_are_said_at_once_only_where_no_silence_has_to_pass_between_the
     for bench, is_joint in ((silent, False), (ahead, True)):
         bench.image.values.update(torque=0.1, velocity=0.2)
         commands = [Push(bench.image, "torque"), Push(bench.image, "velocity")]
-        batch = Batch.of(commands, 0, keeps_silence=bench.scheduler.keeps_silence)
-        assert bench.scheduler.send_batch(batch, None) is is_joint
-        assert bench.line.sent == ([b"torque=0.1;velocity=0.2;"] if is_joint else [])
-        assert bench.scheduler.sent == (set(commands) if is_joint else set())
+        assert said(bench, *commands) == [b"torque=0.1;velocity=0.2;" if is_joint else b"torque=0.1;"]
+        assert bench.scheduler.sent == set(commands if is_joint else commands[:1])
 
 
 def test_as_much_is_sent_ahead_as_the_drive_takes_in():
@@ -209,15 +206,6 @@ def test_on_a_line_that_never_was_quiet_requests_go_together_but_not_behind_a_co
     assert said(bench, bench.one, bench.three) == [b"a?abc?"]
     bench = broken(Ahead(), noisy_ms=200.0)
     assert said(bench, Push(bench.image, "t"), bench.one) == [b"t=0;", b"a?"]
-
-
-def test_while_a_drive_is_silent_a_cycle_is_not_said_at_once():
-    """It is asked after the others."""
-    bench = Bench(reply_limit_ms=0.0)
-    assert bench.cycle() is None
-    batch = Batch.of([Ask(bench.image, "position")], 0, keeps_silence=True)
-    assert not bench.scheduler.send_batch(batch, None)
-    assert bench.line.sent == [b"position?"]
 
 
 @pytest.mark.parametrize(("is_noisy", "is_command"), [(False, False), (False, True), (True, False), (True, True)])

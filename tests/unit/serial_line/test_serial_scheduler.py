@@ -4,7 +4,6 @@ import pytest
 from friction_hil_drivers.modbus.framing import RtuFraming
 from friction_hil_drivers.serial_line.protocol import Image
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
-from friction_hil_drivers.serial_line.wire import Batch
 from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
@@ -370,18 +369,12 @@ def test_a_command_that_waited_when_the_line_went_away_is_not_sent_when_it_is_ba
     assert bench.scheduler.is_finished
 
 
-def batch_of(bench, *exchanges):
-    return Batch.of(exchanges, 0, keeps_silence=bench.scheduler.keeps_silence)
-
-
 def test_a_line_whose_descriptor_is_0_is_a_line():
     """As that of a daemon that was started without standard input."""
     bench = Bench(**{"position?": b"12;"})
     bench.line.descriptor = 0
     assert bench.cycle() == 12.0
-    bench.go(SILENCE_MS)
-    assert bench.scheduler.send_batch(batch_of(bench, Ask(bench.image, "position")), None)
-    assert bench.line.sent == [b"position?"] * 2
+    assert bench.line.sent == [b"position?"]
 
 
 def test_a_line_that_is_gone_is_looked_for_five_times_a_second():
@@ -394,21 +387,10 @@ def test_a_line_that_is_gone_is_looked_for_five_times_a_second():
     assert [(each - gone_ns) // MS for each in tried] == [200, 400, 600, 800, 1000]
 
 
-def test_what_is_said_at_once_on_a_line_that_goes_away_is_not_said_later():
-    bench = Bench()
-    bench.line.pull_out()
-    bench.line.write = bench.line.read
-    assert bench.scheduler.send_batch(batch_of(bench, Ask(bench.image, "position")), None), (
-        "there is nothing left to do"
-    )
-    assert bench.scheduler.is_finished
-    assert "gone" in bench.scheduler.last_error
-    assert not bench.scheduler.send_batch(batch_of(bench, Ask(bench.image, "position")), None)
-
-
 def test_the_time_until_a_drive_turns_around_counts_before_the_deadline():
     bench = Bench(**{"position?": b"12;"})
     bench.line.options = bench.line.options.model_copy(update={"turnaround_s": 2e-3})
+    bench.scheduler = BusScheduler(bench.line, [bench.image], SILENCE_CHARS, 0.05, bench.time)
     needed_ms = (len("position?") + 8 + SILENCE_CHARS) * CHARACTER_MS + 2.0
     for left_ms, sent in ((-0.01, 0), (0.01, 1)):
         bench.scheduler.deadline_ns = bench.time.ns + round((needed_ms + left_ms) * MS)

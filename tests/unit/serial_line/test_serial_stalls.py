@@ -10,8 +10,7 @@ from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.serial_line.description import load_description
 from friction_hil_drivers.serial_line.protocol import CycleSignals, Image
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
-from friction_hil_drivers.serial_line.wire import Batch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.serial_peers import MS, BenchLine, Time
@@ -33,13 +32,9 @@ class Bench:
         Of each reply: None, it is lost; else the time for which this one and all behind it are held up, ms.
     cut : int, optional
         Replies come in two pieces, so many characters and then the rest.
-    is_at_once : bool
-        What goes together is said at once wherever that can be.
-    is_ahead : bool
-        The drive takes requests in before it answers the first.
     """
 
-    def __init__(self, axes, fates=(), cut=None, *, is_at_once=False, is_ahead=True):
+    def __init__(self, axes, fates=(), cut=None):
         names = [str(number) for number in range(axes)]
         # without a checksum a part of a reply looks like one
         description = ODRIVE.model_copy(update={"checksum": None})
@@ -56,11 +51,9 @@ class Bench:
             0.0,
             REPLY_LIMIT_S,
             self.time,
-            ahead_chars=protocol.ahead_chars if is_ahead else 0,
+            ahead_chars=protocol.ahead_chars,
             anonymous_reply_s=0.0 if protocol.names_drives else REPLY_S,
         )
-        self._is_at_once = is_at_once
-        self.at_once = 0
         self.asked = dict.fromkeys(names, 0)
         self._language = Language(description, "0")
         self._fates, self._cut = iter(fates), cut
@@ -97,36 +90,27 @@ class Bench:
             self.scheduler.poll()
             self.time.pass_ms(STEP_MS)
 
-    def cycle(self, *, is_checked=True):
+    def cycle(self):
         """Poll, then command, and ask for the next of what changes slowly; axes whose feedback came."""
         for image in self.images.values():
             image.fresh.clear()
+        self.scheduler.enqueue(self.plan.poll)
         self.scheduler.poll()
-        if not self._ask(self.plan.poll):
-            self.scheduler.advance()
         self._pass(CYCLE_MS - TURN_MS)
         self.scheduler.end_cycle()
         fresh = {name for name, image in self.images.items() if image.fresh >= {"position", "velocity"}}
-        for name in fresh if is_checked else ():
+        for name in fresh:
             told = int(self.images[name].values["position"])
             assert told == int(name) * 1000 + self.asked[name], f"axis {name} was told {told}"
-        for image in self.images.values() if is_checked else ():
+        for image in self.images.values():
             assert image.values.get("torque", -1.25) == -1.25
             assert image.values.get("status", 8.0) == 8.0
             assert image.values.get("error", 4096.0) == 4096.0
         self._turn = (self._turn + 1) % len(self.plan.background)
-        if not self._ask((*self.plan.push, self.plan.background[self._turn])):
-            self.scheduler.flush()
+        self.scheduler.enqueue((*self.plan.push, self.plan.background[self._turn]))
+        self.scheduler.flush()
         self._pass(TURN_MS)
         return fresh
-
-    def _ask(self, exchanges):
-        batch = Batch.of(exchanges, 0, self.plan.background, keeps_silence=self.scheduler.keeps_silence)
-        if self._is_at_once and self.scheduler.send_batch(batch, None):
-            self.at_once += 1
-            return True
-        self.scheduler.enqueue(exchanges)
-        return False
 
 
 @pytest.mark.parametrize("axes", [1, 2])
@@ -169,32 +153,10 @@ def test_of_one_axis_nothing_old_is_told_within_the_limit(before, stall_ms):
     assert fresh[-10:] == [{"0"}] * 10, "the line is well again"
 
 
-@settings(deadline=None)
-@given(
-    axes=st.integers(1, 2),
-    fates=st.lists(st.none() | st.just(0.0) | st.floats(0.0, 30.0), max_size=60),
-    cut=st.none() | st.integers(1, 5),
-    gone=st.none() | st.integers(0, 30),
-    is_ahead=st.booleans(),
-)
-def test_what_is_said_at_once_is_what_would_be_said_anyway(axes, fates, cut, gone, is_ahead):
-    """Same bytes, same feedback, same words, whatever happens on the line."""
-    one, other = (Bench(axes, fates, cut, is_at_once=each, is_ahead=is_ahead) for each in (False, True))
-    for number in range(120):
-        for bench in (one, other):
-            if number == gone:
-                bench.line.pull_out()
-            bench.line.is_back = gone is not None and number > gone + 3
-        assert one.cycle(is_checked=False) == other.cycle(is_checked=False)
-        assert one.line.sent == other.line.sent
-        assert one.images == other.images
-        assert one.scheduler.last_error == other.scheduler.last_error
-
-
 @pytest.mark.parametrize("turn_ms", [0.0, TURN_MS])
 def test_an_undisturbed_line_is_spoken_on_at_once(turn_ms):
     """Also while the reply to the last cycle's turn is still on its way."""
-    bench = Bench(1, [0.0, turn_ms] * 10, is_at_once=True)
+    bench = Bench(1, [0.0, turn_ms] * 10)
     for _ in range(10):
         assert bench.cycle() == {"0"}
-    assert bench.at_once == 20
+    assert len(bench.line.sent) == 20
