@@ -1,9 +1,9 @@
 """Items of a servo's control table, and blocks of consecutive items. Pure."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from friction_hil_drivers.serial_line.blocks import merge, nearest_integer, representable_numbers
+from friction_hil_drivers.serial_line.blocks import Limits, integer_limits, merge, representable_numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,27 +15,20 @@ class Item:
     size: int  # bytes
     is_signed: bool  # two's complement
     limit: int | None = None  # greatest magnitude that the servo accepts
+    end: int = field(init=False, compare=False)  # address after the last byte
+    # a number is rounded and limited to these; a position wraps in the range of its size, as the servo's counter does
+    limits: Limits = field(init=False, repr=False, compare=False)
 
-    @property
-    def end(self) -> int:
-        """Address after the last byte."""
-        return self.address + self.size
-
-    def representable(self, number: float) -> int:
-        """Return the number nearest to ``number`` that the servo accepts.
-
-        The number is rounded, and limited to ``limit`` and to the range of the item's size. A position wraps in that
-        range instead, as the servo's counter does. Raises `ValueError`: the number is not finite.
-        """
-        count = 1 << 8 * self.size
-        low = -count // 2 if self.is_signed else 0
-        high = low + count - 1
-        bounds = (low, high) if self.limit is None else (max(low, -self.limit), min(high, self.limit))
-        return nearest_integer(self.name, number, bounds, (low, high))
+    def __post_init__(self) -> None:
+        low = -(1 << 8 * self.size - 1) if self.is_signed else 0
+        high = low + (1 << 8 * self.size) - 1
+        object.__setattr__(self, "end", self.address + self.size)
+        object.__setattr__(self, "limits", integer_limits(self.name, low, high, self.limit))
 
     def pack(self, number: float) -> bytes:
-        """Return the bytes for a number; see `representable`. Raises `ValueError`: the number is not finite."""
-        return self.representable(number).to_bytes(self.size, "little", signed=self.is_signed)
+        """Return the bytes for a number. Raises `ValueError`: the number is not finite."""
+        (nearest,) = representable_numbers((self,), {self.name: number})
+        return int(nearest).to_bytes(self.size, "little", signed=self.is_signed)
 
     def number(self, data: bytes) -> float:
         """Return the number that the bytes hold."""

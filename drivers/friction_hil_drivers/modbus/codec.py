@@ -61,23 +61,16 @@ class ModbusExchange(Single):
         self._unit = unit
         self._image = image
         self._read = read
-        self._write = write
         self.addressees = self.unanswered = frozenset((str(unit),))
         self.reads = read.names if read is not None else ()
         self.writes = write.names if write is not None else ()
         self._is_bits = read is not None and read.table in BIT_TABLES
         self._layout = None if read is None or self._is_bits else Layout(read)
-        if write is None:
-            assert read is not None
-            pdu = _pdu(_READ_REQUESTS[read.table](address=read.address, count=read.count))
-            self._make: Callable[[Mapping[str, float]], bytes] = lambda values: pdu
-            self.label = f"read {read} of unit {unit}"
-        elif read is None:
-            pdu, self._make = _writer(write, write_functions)
-            self.label = f"write {write} of unit {unit}"
-        else:
-            pdu, self._make = _both(read, write)
-            self.label = f"write {write} and read {read} of unit {unit}"
+        self._start, self._pack = _parts(read, write, write_functions)
+        verbs = [f"write {write}"] if write is not None else []
+        verbs += [f"read {read}"] if read is not None else []
+        self.label = f"{' and '.join(verbs)} of unit {unit}"
+        pdu = self._start if self._pack is None else self._start + self._pack(dict.fromkeys(self.writes, 0.0))
         self._head = self._reply_head(pdu)
         if read is None:
             self._reply_length = 5  # function, address, and the value or the number of registers
@@ -89,7 +82,7 @@ class ModbusExchange(Single):
     def encode(self) -> bytes:
         """Return the request with the numbers of the image. Raises `ValueError`: a number is not finite."""
         try:
-            pdu = self._make(self._image.values)
+            pdu = self._start if self._pack is None else self._start + self._pack(self._image.values)
         except ValueError as error:
             raise ValueError(f"{self.label}: {error}") from None
         if self._read is None:
@@ -131,38 +124,36 @@ def _pdu(request: ModbusPDU) -> bytes:
     return bytes((request.function_code,)) + request.encode()
 
 
-_Writer = tuple[bytes, Callable[[Mapping[str, float]], bytes]]  # request that writes zeros, and a function for numbers
+_Pack = Callable[[Mapping[str, float]], bytes]
 
 
-def _writer(block: RegisterBlock, functions: Sequence[int]) -> _Writer:
-    is_single = block.count == 1
-    if block.table == "coil":
-        return _coil_writer(
-            block, WriteSingleCoilRequest if is_single and 5 in functions else WriteMultipleCoilsRequest
+def _parts(
+    read: RegisterBlock | None, write: RegisterBlock | None, functions: Sequence[int]
+) -> tuple[bytes, _Pack | None]:
+    """Return the constant beginning of a request, and the function that makes its rest from the numbers to write."""
+    if write is None:
+        assert read is not None
+        return _pdu(_READ_REQUESTS[read.table](address=read.address, count=read.count)), None
+    is_single = write.count == 1
+    if write.table == "coil":
+        return b"", _coil_writer(
+            write, WriteSingleCoilRequest if is_single and 5 in functions else WriteMultipleCoilsRequest
         )
-    kind = WriteSingleRegisterRequest if is_single and 6 in functions else WriteMultipleRegistersRequest
-    return _register_writer(_pdu(kind(address=block.address, registers=[0] * block.count)), block)
+    layout, zeros = Layout(write), [0] * write.count
+    request: ModbusPDU
+    if read is not None:
+        request = ReadWriteMultipleRegistersRequest(read.address, read.count, write.address, zeros)
+    else:
+        kind = WriteSingleRegisterRequest if is_single and 6 in functions else WriteMultipleRegistersRequest
+        request = kind(address=write.address, registers=zeros)
+    return _pdu(request)[: -layout.size], layout.pack
 
 
-def _both(read: RegisterBlock, write: RegisterBlock) -> _Writer:
-    zeros = [0] * write.count
-    return _register_writer(
-        _pdu(ReadWriteMultipleRegistersRequest(read.address, read.count, write.address, zeros)), write
-    )
-
-
-def _register_writer(pdu: bytes, block: RegisterBlock) -> _Writer:
-    """Return the request, and the function that replaces the registers at its end; the bytes before are constant."""
-    layout = Layout(block)
-    head = pdu[: -layout.size]
-    return pdu, lambda values: head + layout.pack(values)
-
-
-def _coil_writer(block: RegisterBlock, kind: type[ModbusPDU]) -> _Writer:
+def _coil_writer(block: RegisterBlock, kind: type[ModbusPDU]) -> _Pack:
     def make(values: Mapping[str, float]) -> bytes:
         bits = [False] * block.count
         for field, number in zip(block.fields, representable_numbers(block.fields, values), strict=True):
             bits[field.address - block.address] = bool(number)
         return _pdu(kind(address=block.address, bits=bits))
 
-    return make(dict.fromkeys(block.names, 0.0)), make
+    return make

@@ -4,11 +4,10 @@ import functools
 import operator
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
-from friction_hil_drivers.serial_line.blocks import merge, nearest_integer, representable_numbers
-from friction_hil_drivers.serial_line.units import saturated
+from friction_hil_drivers.serial_line.blocks import Limits, integer_limits, merge, representable_numbers
 
 Table = Literal["holding", "input", "coil", "discrete"]
 Kind = Literal["int16", "uint16", "int32", "uint32", "float32", "bool"]
@@ -39,30 +38,23 @@ class RegisterField:
     word_order: Order = "big"  # word of 32 bits at the lower address: the high one (big) or the low one
     # byte of a register that is sent first: the high one (big), as Modbus requires, or the low one
     byte_order: Order = "big"
+    # a number is rounded and limited to the range of its type; a position wraps in it, as the drive's counter does
+    limits: Limits = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        is_float = self.kind == "float32"
+        limits = Limits(-_FLOAT32_MAX, _FLOAT32_MAX, is_integer=False) if is_float else None
+        object.__setattr__(self, "limits", limits or integer_limits(self.name, *BOUNDS[self.kind]))
 
     @property
     def end(self) -> int:
         """Address after the last register."""
         return self.address + WIDTHS[self.kind]
 
-    def representable(self, number: float) -> float:
-        """Return the number nearest to ``number`` that can be written: rounded, and limited to the range of its type.
-
-        A position wraps in that range instead, as the drive's counter does. Raises `ValueError`: the number is not
-        finite.
-        """
-        if self.kind == "float32":
-            return saturated(number, -_FLOAT32_MAX, _FLOAT32_MAX)
-        bounds = BOUNDS[self.kind]
-        return nearest_integer(self.name, number, bounds, bounds)
-
     def words(self, number: float) -> list[int]:
-        """Return the registers (or the coil) for a number; see `representable`.
-
-        Raises `ValueError`: the number is not finite.
-        """
+        """Return the registers (or the coil) for a number. Raises `ValueError`: the number is not finite."""
         if self.kind == "bool":
-            return [int(self.representable(number))]
+            return [int(each) for each in representable_numbers((self,), {self.name: number})]
         data = _layout_of(self).pack({self.name: number})
         return list(struct.unpack(f">{len(data) // 2}H", data))
 
@@ -114,10 +106,7 @@ class Layout:
         return self._numbers.unpack(data if self._is_plain else bytes(self._out_of(data)))
 
     def pack(self, values: Mapping[str, float]) -> bytes:
-        """Return the bytes of the block for numbers by signal; see `RegisterField.representable`.
-
-        Raises `ValueError`: a number is not finite.
-        """
+        """Return the bytes of the block for numbers by signal. Raises `ValueError`: a number is not finite."""
         data = self._numbers.pack(*representable_numbers(self._fields, values))
         return data if self._is_plain else bytes(self._into(data + b"\0"))
 
@@ -143,8 +132,8 @@ def merged(fields: Iterable[RegisterField], *, max_gap: int, max_count: int, ali
     ``alignment``: blocks begin and end at its multiples.
     """
     tables: dict[Table, list[RegisterField]] = {}
-    for field in fields:
-        tables.setdefault(field.table, []).append(field)
+    for each in fields:
+        tables.setdefault(each.table, []).append(each)
     return [
         RegisterBlock(table, *block)
         for table, of_table in sorted(tables.items())

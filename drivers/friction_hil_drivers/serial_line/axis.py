@@ -170,7 +170,8 @@ class SerialAxis:
                 self._velocity = derived_velocity(way, elapsed_s, self._velocity, self._period_s)
             self._position, self._position_s = position, time_s
         if not fresh.isdisjoint(self.state_signals):
-            self.read_state()
+            if list(map(values.get, self.state_signals)) != self._state_numbers:
+                self.read_state()
             self._state_s = time_s
         elif math.isnan(self._state_s):
             self._state_s = time_s
@@ -198,12 +199,10 @@ class SerialAxis:
     def read_state(self) -> DriveState:
         """Return the state that the image shows."""
         values = self.image.values
-        numbers = list(map(values.get, self.state_signals))
-        if numbers != self._state_numbers:
-            self._state_numbers, self.state = numbers, state_of(self._description, values)
-            self._why = meaning_of(self._description, values) if self.state is DriveState.FAULT else ""
-            has_word = self._description.state_machine == "cia402" and self.state is not DriveState.OPERATION_ENABLED
-            self._status = profile.status_words(int(values["status"])) if has_word and "status" in values else ""
+        self._state_numbers, self.state = list(map(values.get, self.state_signals)), state_of(self._description, values)
+        self._why = meaning_of(self._description, values) if self.state is DriveState.FAULT else ""
+        has_word = self._description.state_machine == "cia402" and self.state is not DriveState.OPERATION_ENABLED
+        self._status = profile.status_words(int(values["status"])) if has_word and "status" in values else ""
         return self.state
 
     @property

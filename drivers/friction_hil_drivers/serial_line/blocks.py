@@ -1,11 +1,19 @@
 """Blocks of consecutive signals in the memory of a drive, each read or written by one request. Pure."""
 
+import math
 from collections.abc import Iterable, Mapping
-from typing import Protocol, TypeVar
-
-from friction_hil_drivers.serial_line.units import saturated
+from typing import NamedTuple, Protocol, TypeVar
 
 _WRAPPING = ("position", "position_command")
+
+
+class Limits(NamedTuple):
+    """Numbers that a drive can hold for a signal."""
+
+    low: float
+    high: float
+    is_integer: bool
+    turn: int | None = None  # number of integers from `low` on in which a position wraps, as a counter does
 
 
 class MemoryField(Protocol):
@@ -26,28 +34,22 @@ class MemoryField(Protocol):
         """Address after the last one of the signal."""
         ...
 
-    def representable(self, number: float) -> float:
-        """Return the number nearest to ``number`` that the drive can hold.
-
-        Raises `ValueError`: the number is not finite.
-        """
+    @property
+    def limits(self) -> Limits:
+        """Numbers that the drive can hold."""
         ...
 
 
 AnyField = TypeVar("AnyField", bound=MemoryField)
 
 
-def nearest_integer(name: str, number: float, bounds: tuple[int, int], type_bounds: tuple[int, int]) -> int:
-    """Round a number and limit it to bounds; a position wraps within the bounds of its type, as a counter does.
-
-    ``bounds``: least and greatest number that the drive accepts; ``type_bounds``: of the type. Raises `ValueError`: the
-    number is not finite.
-    """
-    kept = saturated(number, *bounds)
+def integer_limits(name: str, low: int, high: int, greatest: int | None = None) -> Limits:
+    """Return the limits of an integer from ``low`` to ``high``; ``greatest``: magnitude that the drive accepts."""
     if name in _WRAPPING:
-        low, high = type_bounds
-        return (round(number) - low) % (high - low + 1) + low
-    return round(kept)
+        return Limits(low, high, is_integer=True, turn=high - low + 1)
+    if greatest is not None:
+        low, high = max(low, -greatest), min(high, greatest)
+    return Limits(low, high, is_integer=True)
 
 
 def representable_numbers(fields: Iterable[MemoryField], values: Mapping[str, float]) -> list[float]:
@@ -55,12 +57,13 @@ def representable_numbers(fields: Iterable[MemoryField], values: Mapping[str, fl
 
     Raises `ValueError`: a value is not finite; the message names its signal.
     """
-    numbers = []
+    numbers: list[float] = []
     for field in fields:
-        try:
-            numbers.append(field.representable(values[field.name]))
-        except ValueError as error:
-            raise ValueError(f"{field.name}: {error}") from None
+        number, (low, high, is_integer, turn) = values[field.name], field.limits
+        if not math.isfinite(number):
+            raise ValueError(f"{field.name}: {number} cannot be sent to a drive")
+        number = min(max(number, low), high) if turn is None else (round(number) - low) % turn + low
+        numbers.append(round(number) if is_integer else number)
     return numbers
 
 

@@ -2,7 +2,7 @@
 
 import select
 import time
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -31,8 +31,9 @@ class SerialBus:
     listening: Plan  # requests of a cycle that only reads
     plan: Plan  # requests of a cycle that also writes the commands; the same as `listening` in a dry run
     rate: str = ""  # time of a cycle on the wire, as text
-    _is_commanded: bool = False  # the last cycle had commands
-    _commands: dict[str, frozenset[Exchange]] = field(default_factory=dict)  # that carry those of an axis
+    _selector: LineSelector = field(default_factory=LineSelector)
+    is_commanded: bool = False  # the last cycle had commands
+    commands: dict[str, frozenset[Exchange]] = field(default_factory=dict)  # that carry those of an axis
     _background_index: int = 0
     _is_step_turn: bool = True  # False after a step: its effect has to be read first
     _last_step: Exchange | None = None
@@ -48,11 +49,7 @@ class SerialBus:
         writing = [each for each in (*self.plan.poll, *self.plan.push) if each.writes]
         for axis in self.axes:
             drive = self.read_exchange(axis.name, "position").addressees
-            self._commands[axis.name] = frozenset(each for each in writing if drive <= each.addressees)
-
-    def has_lost_command(self, axis: str) -> bool:
-        """Return True if the command of the last cycle to this axis was not written to the line."""
-        return self._is_commanded and not self._commands[axis] <= self.scheduler.sent
+            self.commands[axis.name] = frozenset(each for each in writing if drive <= each.addressees)
 
     def request_feedback(self, deadline_ns: int | None, *, is_commanding: bool, is_read: bool) -> None:
         """Send the poll of a cycle.
@@ -93,14 +90,23 @@ class SerialBus:
             self._is_step_turn = self._last_step not in scheduler.sent
         self._stops = {}
         scheduler.sent.clear()
-        self._is_commanded = is_commanding
+        self.is_commanded = is_commanding
         scheduler.deadline_ns = None
         plan = self.plan if is_commanding else self.listening
         is_step_queued = bool(steps) and self._is_step_turn and self._enqueue_step(steps)
         scheduler.queue.extend(plan.push)
         if plan.background and not is_step_queued:
-            self._enqueue_background(plan.background, end_ns)
-        scheduler.flush()
+            index = (self._background_index + 1) % len(plan.background)
+            exchange = plan.background[index]
+            if end_ns is None or time.monotonic_ns() + self._ending_ns[exchange] <= end_ns:
+                self._background_index = index
+                scheduler.queue.append(exchange)
+            elif not scheduler.last_error:
+                scheduler.last_error = f"{exchange.label}: no time was left for it"
+        if not scheduler.state.is_normal:
+            scheduler.flush()
+        elif scheduler.queue or scheduler.line.descriptor < 0:
+            scheduler.advance()
         if is_step_queued and stopping and not scheduler.state.is_normal:
             self._stops = {axis: step for axis, step in steps.items() if axis in stopping}
 
@@ -124,17 +130,6 @@ class SerialBus:
                 return True
         return False
 
-    def _enqueue_background(self, background: Sequence[Exchange], end_ns: int | None) -> None:
-        """Queue the next background read if its reply can arrive before the next cycle."""
-        index = (self._background_index + 1) % len(background)
-        exchange = background[index]
-        if end_ns is not None and time.monotonic_ns() + self._ending_ns[exchange] > end_ns:
-            if not self.scheduler.last_error:
-                self.scheduler.last_error = f"{exchange.label}: no time was left for it"
-            return
-        self._background_index = index
-        self.scheduler.queue.append(exchange)
-
     def finish_background_read(self, deadline_ns: int) -> None:
         """Wait for the reply to the last background read, at most for a fraction of the time until ``deadline_ns``."""
         scheduler = self.scheduler
@@ -142,7 +137,7 @@ class SerialBus:
         now = time.monotonic_ns()
         scheduler.poll()
         until_ns = now + round(_BACKGROUND_FRACTION * (deadline_ns - now))
-        if not run_schedulers((scheduler,), until_ns, LineSelector()):
+        if not run_schedulers((scheduler,), until_ns, self._selector):
             scheduler.end_cycle()
 
     def write_exchange(self, axis: str, names: Iterable[str]) -> Exchange:
@@ -192,7 +187,7 @@ class SerialBus:
         for _ in range(attempts):
             scheduler.enqueue(exchanges, done)
             scheduler.poll()
-            run_schedulers([scheduler], time.monotonic_ns() + round(limit_s * 1e9), LineSelector())
+            run_schedulers([scheduler], time.monotonic_ns() + round(limit_s * 1e9), self._selector)
             if is_done:
                 return
             scheduler.end_cycle()

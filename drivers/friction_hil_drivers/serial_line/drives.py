@@ -143,6 +143,7 @@ class SerialDrives(Driver):
         self._dry_run = dry_run
         self._margin_ns = round(min(_COMPUTATION_S, 0.1 * configuration.period_s) * 1e9)
         self._selector = LineSelector()  # for the wait that ends at the same time in each period
+        self._plain_selector = LineSelector()
         self.buses: list[SerialBus] = []
         self._schedulers: list[BusScheduler] = []
         self._axes: list[SerialAxis] = []  # in the order of the configuration
@@ -198,7 +199,8 @@ class SerialDrives(Driver):
         self._end_ns = end_ns
         deadline_ns = end_ns - self._margin_ns if is_real else time.monotonic_ns() + _SIMULATED_TIMEOUT_NS
         for bus in self.buses:
-            if not (bus.protocol.ahead_chars or bus.scheduler.is_finished):
+            scheduler = bus.scheduler
+            if (scheduler.outstanding or scheduler.queue) and not bus.protocol.ahead_chars:
                 bus.finish_background_read(deadline_ns)
             # in simulated time the wire takes no time: it is unknown when a reply will come
             bus.request_feedback(
@@ -212,13 +214,13 @@ class SerialDrives(Driver):
         elif not is_real:
             self._note_timeout()
         self._is_read = False
-        for scheduler in self._schedulers:
-            if not is_over:
+        if not is_over:
+            for scheduler in self._schedulers:
                 scheduler.end_cycle()
         for each, axis, bus in zip(feedback, self._axes, self._bus_of, strict=True):
             scheduler = bus.scheduler
             axis.fill(each, time_s, scheduler.last_error)
-            each.is_setpoint_lost = bus.has_lost_command(axis.name)
+            each.is_setpoint_lost = bus.is_commanded and not bus.commands[axis.name] <= scheduler.sent
             if scheduler.refusals.count >= _MAX_REFUSALS:
                 text = f"the drive refuses its commands: {scheduler.last_error}"
                 each.message = coded(text, codes.COMMANDS_REFUSED)
@@ -253,7 +255,7 @@ class SerialDrives(Driver):
                 is_sent = False
         if not is_sent:  # replies are awaited at the start of the next cycle only
             until_ns = time.monotonic_ns() + _SIMULATED_TIMEOUT_NS if end_ns is None else end_ns
-            run_schedulers(self._schedulers, until_ns, LineSelector(), until_answered=False)
+            run_schedulers(self._schedulers, until_ns, self._plain_selector, until_answered=False)
 
     def warm_caches(self) -> None:
         """Read what has come since the last cycle, so that the next cycle need not; see `Drives.warm_caches`."""

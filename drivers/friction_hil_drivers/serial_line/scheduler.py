@@ -118,19 +118,70 @@ class BusScheduler(ReplyReceiver):
 
     def flush(self) -> None:
         """Send the requests that may be sent now, and drop those that would have to wait for a late reply."""
-        if self.state.timeliness is Timeliness.LATE:
-            self.poll()
-            for exchange in [each for each in self.queue if not self._late.permit(each)]:
-                self.queue.remove(exchange)
-                self._callbacks.pop(exchange, None)
-        else:
+        if self.state.timeliness is not Timeliness.LATE:
             self.advance()
+            return
+        self.poll()
+        for exchange in [each for each in self.queue if not self._late.permit(each)]:
+            self.queue.remove(exchange)
+            self._callbacks.pop(exchange, None)
 
     def advance(self) -> None:
         """Handle the bytes that were read, then send the requests that may be sent."""
         if self.line.descriptor < 0:  # not `is_open`: evaluated several times a cycle
             self._reopen()
             return
+        if self._received or not self.state.is_normal:
+            self._take_received()
+        while self.queue:
+            found = (self.queue, 0) if self.state.timeliness is Timeliness.ON_TIME else self._choose()
+            if found is None:
+                return
+            queue, index = found
+            now_ns = self._now_ns()
+            verdict = self._verdict(queue[index], now_ns)
+            if verdict is _WAIT:
+                return
+            if queue is not self.queue:
+                self._replace_queue(queue)
+            if self._received and not self.outstanding:  # otherwise it is the beginning of an expected reply
+                self._take_unsolicited()
+            data, sending = b"", []
+            while verdict is _SEND:
+                exchange = queue[index]
+                del queue[index]
+                data += exchange.constant or exchange.encode()
+                sending.append(exchange)
+                if exchange.reply_size:
+                    self.outstanding.append(exchange)
+                if not queue:
+                    break
+                index = 0
+                verdict = self._verdict(queue[0], now_ns, len(data))
+            if verdict is _TOO_LATE:
+                self._drop_queue(queue[index])
+            if data:
+                try:
+                    self.line.write(data)
+                except LineGoneError as gone:
+                    self._lose_line(gone)
+                    return
+                self.sent.update(sending)
+                self._sent_ns = now_ns
+                self._unread_chars += len(data)
+                self.busy_until_ns = max(self.busy_until_ns, now_ns) + len(data) * self._character_ns
+                if self._silence_ns and not self.outstanding:
+                    self._quiet_until_ns = self.busy_until_ns + self._silence_ns
+                for exchange in sending:
+                    if exchange.reports_refusal:
+                        self.refusals.unconfirmed.append(exchange)
+                    if self._callbacks and exchange in self._callbacks and not exchange.reply_size:
+                        self._callbacks.pop(exchange)()
+            if self.outstanding:
+                return
+
+    def _take_received(self) -> None:
+        """Handle the bytes that were read."""
         if self.state.is_discarding:
             self._discard(self._now_ns())
         elif self.outstanding:
@@ -138,11 +189,12 @@ class BusScheduler(ReplyReceiver):
                 self._take_replies()
         elif self.state.timeliness is Timeliness.LATE:
             self._take_late_reply(self._now_ns())
-        try:
-            while self.queue and self._send_next():
-                pass
-        except LineGoneError as gone:
-            self._lose_line(gone)
+
+    def _choose(self) -> tuple[deque[Exchange], int] | None:
+        """Return what may be asked while a drive is late or silent, and the index of the first; None for nothing."""
+        queue = deque(self._late.for_others(self.queue))
+        index = self._late.first_to_send(queue)
+        return None if index is None else (queue, index)
 
     def end_cycle(self) -> None:
         """End a cycle: drop requests that were not sent, and treat outstanding replies as late or lost."""
@@ -160,42 +212,6 @@ class BusScheduler(ReplyReceiver):
                 self.state.apply(LineEvent.REPLY_MISSED)
             self._expect_late()
             self.line.acknowledge()
-
-    def _send_next(self) -> bool:
-        """Send the next request, or several together; return True if another one may be sent without a wait."""
-        index, queue = 0, self.queue
-        if self.state.timeliness is not Timeliness.ON_TIME:
-            queue = deque(self._late.for_others(queue))
-            first = self._late.first_to_send(queue)
-            if first is None:
-                return False
-            index = first
-        now_ns = self._now_ns()
-        verdict = self._verdict(queue[index], now_ns)
-        if verdict is _WAIT:
-            return False
-        if queue is not self.queue:
-            self._replace_queue(queue)
-        if self._received and not self.outstanding:  # otherwise it is the beginning of an expected reply
-            self._take_unsolicited()
-        data = b""
-        sending: list[Exchange] = []
-        while verdict is _SEND:
-            exchange = queue[index]
-            del queue[index]
-            data += exchange.constant or exchange.encode()
-            sending.append(exchange)
-            if exchange.reply_size:
-                self.outstanding.append(exchange)
-            if not queue:
-                break
-            index = 0
-            verdict = self._verdict(queue[0], now_ns, len(data))
-        if verdict is _TOO_LATE:
-            self._drop_queue(queue[index])
-        if data:
-            self._write(data, sending, now_ns)
-        return not self.outstanding
 
     def _verdict(self, exchange: Exchange, now_ns: int, chars: int = 0) -> Verdict:
         """Decide if a request may be sent; ``chars``: of other requests that precede it in the same write."""
@@ -246,22 +262,6 @@ class BusScheduler(ReplyReceiver):
         for each in self.queue:
             self._callbacks.pop(each, None)
         self.queue.clear()
-
-    def _write(self, data: bytes, exchanges: Sequence[Exchange], now_ns: int) -> None:
-        """Write requests to the line, and note those without a reply as carried out."""
-        self.line.write(data)
-        size = len(data)
-        self._unread_chars += size
-        self._sent_ns = now_ns
-        self.busy_until_ns = max(self.busy_until_ns, now_ns) + size * self._character_ns
-        if self._silence_ns and not self.outstanding:
-            self._quiet_until_ns = self.busy_until_ns + self._silence_ns
-        self.sent.update(exchanges)
-        for exchange in exchanges:
-            if exchange.reports_refusal:
-                self.refusals.unconfirmed.append(exchange)
-            if self._callbacks and not exchange.reply_size and exchange in self._callbacks:
-                self._callbacks.pop(exchange)()
 
     def _lose_line(self, gone: LineGoneError) -> None:
         self.last_error = str(gone)

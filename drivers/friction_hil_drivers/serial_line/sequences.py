@@ -98,18 +98,8 @@ class Sequencer:
                 # a step that waits for a state is repeated: some drives need it twice
                 return step.write
             self._index, self._is_written, self._since_s = self._index + 1, False, time_s
-        return self._controlword(request, state) if self._description.state_machine == "cia402" else {}
-
-    def _sequence(self, request: Request) -> tuple[Step, ...]:
-        description = self._description
-        return {
-            Request.ENABLE: (*self._before, *description.enable),
-            Request.DISABLE: description.disable,
-            Request.QUICK_STOP: description.quick_stop or description.disable,
-            Request.RESET_FAULT: description.reset_fault,
-        }[request]
-
-    def _controlword(self, request: Request, state: DriveState) -> Mapping[str, float]:
+        if self._description.state_machine != "cia402":
+            return {}
         word = profile.next_controlword(state, request, self._word)
         is_reached = {
             Request.ENABLE: state is DriveState.OPERATION_ENABLED,
@@ -119,6 +109,15 @@ class Sequencer:
             return {}
         self._next_word = word
         return {"control": word}
+
+    def _sequence(self, request: Request) -> tuple[Step, ...]:
+        description = self._description
+        return {
+            Request.ENABLE: (*self._before, *description.enable),
+            Request.DISABLE: description.disable,
+            Request.QUICK_STOP: description.quick_stop or description.disable,
+            Request.RESET_FAULT: description.reset_fault,
+        }[request]
 
 
 def watchdog_steps(description: Description, time_s: float) -> tuple[Step, ...]:
