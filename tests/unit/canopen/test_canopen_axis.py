@@ -33,6 +33,7 @@ from tests.canopen_axis_bench import (
     UNITS,
     Bench,
 )
+from tests.messages import codes_in
 
 # --- feedback
 
@@ -135,7 +136,7 @@ def test_the_statusword_is_decoded_by_its_state_bits(word, state):
 def test_an_enabled_drive_in_another_mode_is_a_fault():
     bench = Bench(Mode.CSP)
     assert bench.heard(state=0x0233, mode=0).message == ""
-    assert bench.heard(state=0x0237, mode=10).message == "the drive is in mode 10 and not in CSP (8) [FH-233]"
+    assert codes_in(bench.heard(state=0x0237, mode=10).message) == "FH-233"
     assert Bench(Mode.CST).heard(mode=10).message == ""
     assert Bench(is_listened_to=True).heard(mode=3).message == ""  # another master chose the mode
 
@@ -203,10 +204,10 @@ def test_a_restart_of_the_drive_is_a_fault_that_stays():
     bench = Bench()
     bench.heard()
     bench.axis.handlers[HEARTBEAT](BOOT_UP)
-    assert bench.heard().message == "node 5 restarted (boot-up message) [FH-231]"
+    assert codes_in(bench.heard().message) == "FH-231"
     bench.axis.handlers[HEARTBEAT](OPERATIONAL)
     for _ in range(5):
-        assert bench.cycle(after_ms=200).message == "node 5 restarted (boot-up message) [FH-231]", "the cause"
+        assert codes_in(bench.cycle(after_ms=200).message) == "FH-231", "the cause"
 
 
 @pytest.mark.parametrize(("state", "name"), [(PRE_OPERATIONAL, "pre-operational"), (STOPPED, "stopped")])
@@ -227,7 +228,7 @@ def test_three_missing_heartbeats_are_a_loss():
         assert bench.heard(after_ms=150).message == ""
         bench.axis.handlers[HEARTBEAT](OPERATIONAL)
     assert bench.heard(after_ms=300).message == ""
-    assert bench.heard(after_ms=1).message == "no heartbeat from node 5 for more than 300 ms [FH-230]"
+    assert codes_in(bench.heard(after_ms=1).message) == "FH-230"
     bench.axis.handlers[HEARTBEAT](OPERATIONAL)
     assert "no heartbeat" in bench.heard().message  # a loss is not forgotten
 

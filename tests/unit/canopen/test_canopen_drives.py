@@ -1,9 +1,11 @@
 """The driver on a bus that hands every frame to a simulated drive and back."""
 
+import can
 import numpy as np
 import pytest
 
 from friction_hil.drive import Command, Request
+from friction_hil.errors import BusError
 from tests.canopen_bench import Bench, BenchBus, Driven
 
 CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
@@ -65,3 +67,16 @@ def test_a_drive_is_configured_for_a_model_that_depends_on_the_load():
     model = {"axis": "rotary", "friction": friction, "mechanics": {"inertia": 2e-4}}
     with Driven(model=model) as driven:
         assert driven.facts.torque_resolution > 0.0
+
+
+def test_a_bus_that_is_not_open_or_fails_is_an_error(driven):
+    with pytest.raises(BusError, match="not open"):
+        Driven(node=9).drives.start()
+
+    def fail(msg, timeout=None):
+        raise can.CanOperationError("bus-off")
+
+    driven.bus.send, working = fail, driven.bus.send
+    with pytest.raises(BusError, match=r"bus-off \[FH-202\]"):
+        driven.drives.receive([driven.feedback], 0)
+    driven.bus.send = working

@@ -138,7 +138,7 @@ def test_a_full_send_queue_is_an_error_of_its_own(pair: SocketPair) -> None:
         for _ in range(100_000):  # nobody reads the other end
             bus.send(0x205, bytes(8))
 
-    with pytest.raises(QueueFullError, match=r"cannot send: .* \[FH-202\]"):
+    with pytest.raises(QueueFullError, match=r"\[FH-202\]"):
         fill()
     assert pair.other.recv(64)
     bus.send(0x205, bytes(8))  # there is room again
@@ -155,6 +155,6 @@ def test_a_socketcan_frame_is_sent_as_the_kernel_reads_it(pair: SocketPair) -> N
 def test_a_bus_that_is_gone_is_an_error_with_a_code(pair: SocketPair) -> None:
     bus = bus_on(pair, "socketcan")
     pair.other.close()
-    with pytest.raises(BusError, match=r"the bus socketcan x cannot send: .* \[FH-202\]"):
+    with pytest.raises(BusError, match=r"\[FH-202\]"):
         bus.send(0x080, b"")
     bus.close()

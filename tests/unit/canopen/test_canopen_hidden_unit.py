@@ -35,7 +35,7 @@ def connect(code, tmp_path, monkeypatch, **keys):
 
 
 def test_for_velocity_targets_the_unit_must_be_known(tmp_path, monkeypatch):
-    with pytest.raises(DriveError, match=r"60A9h .*does not show it .*08000022.*velocity_unit.*FH-214"):
+    with pytest.raises(DriveError, match=r"60A9h.*08000022.*velocity_unit.*FH-214"):
         connect(NOT_NOW, tmp_path, monkeypatch, mode="csv")
 
 

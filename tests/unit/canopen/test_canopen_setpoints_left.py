@@ -153,7 +153,7 @@ def test_a_set_point_that_cannot_be_read_is_written_and_called_unknown():
     drives.close()
     assert left(bus.bench) == NOTHING
     [text] = drives.leftovers
-    assert text.endswith("6071h target torque is to be 0 and stays not shown [FH-222]")
+    assert text.endswith("stays not shown [FH-222]")
     bus.bench.write(0x6071, 0, "h", 50)
     [stop] = inventory(bus).stop([NODE])
     assert left(bus.bench) == NOTHING

@@ -10,6 +10,7 @@ from friction_hil_drivers.canopen.wire.frames import FrameBus
 from friction_hil.drive import Request
 from friction_hil.errors import DriveError
 from tests.canopen_bench import NODE, Bench, BenchBus, Driven
+from tests.messages import codes_in
 from tests.servo_drives import axis_dict, configuration
 
 UPLOAD, BOOT_UP = 0x40, (0x700 + NODE, b"\x00")
@@ -139,8 +140,8 @@ def test_a_second_drive_that_is_switched_on_in_mid_run_ends_it_and_the_first_is_
     bus.second = Bench()
     bus.answers.put(can.Message(arbitration_id=BOOT_UP[0], data=BOOT_UP[1], is_extended_id=False))
     feedback = driven.cycle()
-    assert feedback.message == "node 5 restarted (boot-up message) [FH-231]"
-    assert any("a second node with this number was switched on [FH-264]" in text for text in feedback.notices)
+    assert codes_in(feedback.message) == "FH-231"
+    assert any("[FH-264]" in text for text in feedback.notices)
     assert feedback.is_reachable
     assert feedback.state.is_powered
     assert not driven.cycle(Request.DISABLE, 300).state.is_powered
@@ -153,10 +154,10 @@ def test_scan_and_show_name_two_drives_and_a_stop_proves_nothing():
     [entry] = found.scan().drives
     assert (entry.node, entry.answers) == (NODE, True)
     assert "two nodes answer as node 5" in entry.problem
-    with pytest.raises(DriveError, match=r"two nodes answer as node 5 .*FH-264"):
+    with pytest.raises(DriveError, match=r"FH-264"):
         found.show(NODE)
     assert all(data[0] & 0xE0 in (UPLOAD, 0x60, 0x80) for _, data in bus.sent)
-    with pytest.raises(DriveError, match=r"two nodes answer as node 5 .*FH-264"):
+    with pytest.raises(DriveError, match=r"FH-264"):
         found.reset_axes({"x": (NODE, 0)})
     assert isinstance(found.meet([NODE])[NODE], DriveError)
     [stop] = found.stop([NODE])
@@ -180,7 +181,7 @@ def test_a_node_whose_sdo_another_master_uses_is_not_read_without_the_users_word
     bus = PolledBus(2)
     found = inventory(bus)
     for read in (found.scan, lambda: found.show(NODE)):
-        with pytest.raises(DriveError, match=r"reads or writes node 5 .*--may-disturb \[FH-265\]"):
+        with pytest.raises(DriveError, match=r"--may-disturb.*\[FH-265\]"):
             read()
     assert found.meet([NODE]) == {}
     assert bus.sent == []
@@ -197,7 +198,7 @@ def test_a_node_whose_sdo_another_master_uses_is_not_read_without_the_users_word
 def test_reading_ends_with_the_first_request_of_another_master():
     bus = PolledBus(later=3)
     found = inventory(bus)
-    with pytest.raises(DriveError, match=r"reads or writes node 5 .*FH-265"):
+    with pytest.raises(DriveError, match=r"FH-265"):
         found.show(NODE)
     found.close()
     assert len(bus.sent) <= 4

@@ -15,6 +15,7 @@ from friction_hil.daemon.pacing import LockedPacer
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode
 from friction_hil.drive.phase_lock import PhaseLock
 from friction_hil.errors import DriveError
+from tests.messages import codes_in
 
 T = 1_000_000
 ENABLED, DISABLED = 0x1237, 0x0250
@@ -313,7 +314,7 @@ def test_an_offset_of_somebody_else_is_a_fault_at_its_first_frame():
     heard = sidecar.steps(300)
     first = next(k for k, (_, _, message) in enumerate(heard) if message)
     assert abs(first + 50 - 200) <= 2
-    assert heard[first][2] == "somebody else sends 501h, the torque offset of node 1 [FH-249]"
+    assert codes_in(heard[first][2]) == "FH-249"
 
 
 def test_the_daemons_own_offsets_on_a_bus_that_echoes_them_are_none_of_somebody_else():
@@ -382,7 +383,7 @@ def test_two_nodes_are_told_from_frames_that_a_bus_doubles(late_ns):
     """The second node may be so slow that its TPDO comes after the next SYNC."""
     heard_rhythm(double=0.0).require_one_sender(0x181, "x", 1)
     heard_rhythm(double=0.4, late_ns=late_ns).require_one_sender(0x181, "x", 1)
-    with pytest.raises(DriveError, match=r"x: 181h comes twice with each SYNC: two nodes have the number 1, .*FH-264"):
+    with pytest.raises(DriveError, match=r"181h.*FH-264"):
         heard_rhythm(double=1.0, late_ns=late_ns).require_one_sender(0x181, "x", 1)
 
 

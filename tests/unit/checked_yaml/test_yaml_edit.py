@@ -73,7 +73,7 @@ def test_exactly_one_value_is_another(text: str, gain: float) -> None:
     ],
 )
 def test_what_would_change_more_is_refused(text: str) -> None:
-    with pytest.raises(FrictionHilError, match=r"axes\.x\.compensation\.gain: 1\.0 by hand"):
+    with pytest.raises(FrictionHilError, match=r"axes\.x\.compensation\.gain: "):
         with_value(text, STEPS, 1.0)
 
 

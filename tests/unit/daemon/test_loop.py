@@ -23,6 +23,7 @@ from tests.loop_run import (
     axis,
     model,
 )
+from tests.messages import codes_in
 from tests.servo_drives import PERIOD_S
 
 # --- physics
@@ -216,7 +217,7 @@ def test_missed_periods_are_counted_and_bridged():
 def test_too_many_missed_periods_in_a_row_are_a_fault():
     assert Run(clock=LateClock({300: 9_000_000}), duration_s=1.0).result.faults == []
     run = Run(clock=LateClock({300: 10_000_000}), duration_s=1.0)
-    assert run.result.faults == ["the loop was late by 10000 µs (10 periods) [FH-113]"]
+    assert codes_in(run.result.faults) == ["FH-113"]
     assert run.requests() == STOPPED_BY_FAULT
     run.assert_left_disabled()
 

@@ -19,6 +19,7 @@ from friction_hil.drive import DriveState, Request
 from friction_hil.drive.codes import code_of
 from friction_hil.errors import BusError
 from tests.loop_run import MODES, STOPPED_BY_FAULT, Drives, Run, axis
+from tests.messages import codes_in
 from tests.servo_drives import configuration, make_loop
 
 FILE = "unit/daemon/test_loop_breaks.py"  # as messages show it
@@ -79,7 +80,7 @@ def test_states_that_cannot_be_read_back_are_reported_as_unknown(error, fault):
     loop, *_ = make_loop(config, drives, duration_s=0.3)
     result = loop.run()
     assert re.fullmatch(fault, result.faults[0])
-    assert result.faults[1:] == ["x: the state of the drive after the stop is unknown: it may have power [FH-120]"]
+    assert codes_in(result.faults[1:]) == ["x FH-120"]
     assert result.drive_states == [DriveState.UNKNOWN]
 
 
@@ -178,7 +179,7 @@ def test_a_mistake_in_the_computation_stops_the_axes_in_good_order(mode):
         axes[0].compensator = Broken()
 
     run = Run(axis(mode), axis(mode, node=2), on_axes=sabotage)
-    assert run.result.faults == ["x: the computation failed: ZeroDivisionError: by hand [FH-111]"]
+    assert codes_in(run.result.faults) == ["x FH-111"]
     for k in (0, 1):
         assert run.requests(k) == STOPPED_BY_FAULT
     broken = run.column("cycle") >= 400
@@ -211,7 +212,7 @@ def test_a_failure_in_warming_the_caches_stops_the_axes_in_good_order():
             drives.warm_caches = lambda: 1 / 0
 
     run = Run(before=before, clock=Ready())
-    assert run.result.faults == ["warming the caches failed: ZeroDivisionError: division by zero [FH-112]"]
+    assert codes_in(run.result.faults) == ["FH-112"]
     assert run.requests() == STOPPED_BY_FAULT
     run.assert_left_disabled()
 
@@ -253,5 +254,5 @@ def test_a_warning_of_the_cycle_in_which_the_computation_fails_is_not_lost():
         axes[0].notices = Notices()
 
     run = Run(on_axes=sabotage)
-    assert run.result.faults == ["x: the computation failed: ZeroDivisionError: by hand [FH-111]"]
+    assert codes_in(run.result.faults) == ["x FH-111"]
     assert run.result.warnings == ["look out"]
