@@ -16,27 +16,27 @@ from friction_hil.config.load import only_driver
 from friction_hil.daemon.assembly import experiment_note, ramp_s
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare, state_folder
+from friction_hil.daemon.companion.client import ring_of
 from friction_hil.daemon.companion.paths import series_name
 from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.journal import make_journal
 from friction_hil.daemon.control.lock import ControlSocket
 from friction_hil.daemon.control.mailbox import MailboxReader
-from friction_hil.daemon.control.service import ControlService, Memories
+from friction_hil.daemon.control.packed import room
 from friction_hil.daemon.figures import AxisFigures, Condition, FollowingErrors
 from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.learning_board import LearningBoard, first_report
 from friction_hil.daemon.learning_service import LearningService
-from friction_hil.daemon.live_service import LiveService
 from friction_hil.daemon.log import LoopResult, Sink
 from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.notices import adaptation_notice
 from friction_hil.daemon.notify import NotifyingSink, ServiceManager
+from friction_hil.daemon.processes import LEARNING, control_server, learning_process, live_server
 from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
 from friction_hil.daemon.run import LoopSettings
-from friction_hil.daemon.spawner.client import Spawner
 from friction_hil.daemon.static_torque import static_torque_note
 from friction_hil.daemon.stop import StopRequest
-from friction_hil.daemon.tended_process import TendedProcess
+from friction_hil.daemon.supervisor import Beside
 from friction_hil.daemon.uncertainty import uncertainty_table
 from friction_hil.drive import AxisFacts, Clock, Drives, FaultCode, unit_table
 from friction_hil.drive.finding import complaints
@@ -95,16 +95,14 @@ class _CompanionSink:
     def __init__(
         self,
         companion: Companion,
-        services: "Sequence[TendedProcess]",
         period_s: float,
+        learning: LearningService | None,
+        mailbox: MailboxReader | None,
         *,
         is_real: bool,
-        learning: LearningService | None = None,
-        mailbox: MailboxReader | None = None,
     ) -> None:
-        self._learning, self._mailbox = None if is_real else learning, mailbox
+        self._learning, self._mailbox = learning, mailbox
         self._companion = companion
-        self._services = services
         self._is_real = is_real
         self._looks = max(1, round(_LOOK_S / period_s))  # rows between two looks at the companion
         self._left = self._looks
@@ -117,21 +115,22 @@ class _CompanionSink:
         self._left -= 1
         if not self._left:
             self._look(row)
-        if self._learning is not None and self._mailbox is not None:
+        if not self._is_real and self._learning is not None and self._mailbox is not None:
             mailbox = self._mailbox
-            self._learning.await_tick(int(row[_CYCLE]), lambda: mailbox.has_news, lambda: self._look(row))
+            said = self._learning.await_tick(int(row[_CYCLE]), lambda: mailbox.has_news, lambda: self._look(row))
+            if said:
+                self._companion.push_event(row[_CYCLE], "notice", said)
 
     def event(self, cycle: int, name: str, text: str) -> None:
         self._companion.push_event(cycle, name, text)
 
     def _look(self, row: Array) -> None:
-        """Start again what has died beside the loop; what has happened to it belongs in the recording too."""
+        """Take what has happened beside the loop into the recording."""
         self._left = self._looks
-        for problem in self._companion.tend():
-            self._companion.push_event(row[_CYCLE], "warning", f"recording: {problem}")
-        for service in self._services:
-            for problem in service.tend():
-                self._companion.push_event(row[_CYCLE], service.severity, problem)
+        for name, text in self._companion.tend():
+            self._companion.push_event(row[_CYCLE], name, text)
+        if self._learning is not None and LEARNING in self._companion.over:
+            self._learning.give_up()
 
     def _wait_for_room(self, row: Array) -> None:
         """Wait until a row would not be lost, but not forever: the axes have to come to rest all the same."""
@@ -165,7 +164,7 @@ def run_session(
             result = _run(prepared, configuration, settings, clock, stop, report)
         finally:
             recorded = companion.close()
-            learned = {} if prepared.learning is None else prepared.learning.report()
+            learned = {} if prepared.board is None else prepared.board.report()
     for axis in axes:
         unit = POSITION_UNITS[configuration.axes[axis.name].model.axis]
         if notice := adaptation_notice(axis.name, unit, axis.compensator):
@@ -182,9 +181,8 @@ class _Prepared:
     axes: list[AxisLoop]
     path_time: PathTime
     companion: Companion
-    control: ControlService | None
-    live: LiveService | None
-    learning: LearningService | None
+    mailbox: MailboxReader | None
+    board: LearningBoard | None
 
 
 def _prepare(
@@ -240,36 +238,27 @@ def _prepare(
     journal = make_journal()
     stack.callback(os.close, journal)
     job = _job(configuration, settings, path, started_ns, facts, axes, shadows)
-    spawner = Spawner()  # by which the loop does not wait for a process that it starts again
-    stack.callback(spawner.close)
-    companion = Companion.start(job, journal, spawner.spawn)
-    stack.callback(companion.close)
-    board = None
-    learning_axes = {name: axis for name, axis in configuration.axes.items() if axis.compensation.learning != "off"}
-    if settings.control is not None and learning_axes:
-        board = LearningBoard()
-        board.say(-1, {"axes": {name: _first_report(axis) for name, axis in learning_axes.items()}})
-        stack.callback(board.close)
-    control = None
+    ring = ring_of(job)
+    others: list[Beside] = []
+    mailbox = board = None
     if settings.control is not None:
-        control_job = _control_job(configuration, settings, drives, facts, job)
+        name, control_job = settings.control.path.stem, _control_job(configuration, settings, drives, facts, job)
         if control_job.has_network:
             _compile_plain(configuration.period_s)
-        memories = Memories(companion.ring_descriptor, journal, None if board is None else board.descriptor)
-        control = ControlService(spawner.spawn, settings.control, memories, control_job)
-        stack.callback(control.close)
-    live = None
-    if settings.control is not None and configuration.live is not None:
-        live = LiveService(spawner.spawn, settings.control.path.stem, configuration.live)
-        stack.callback(live.close)
-    learning = None
-    if settings.control is not None and board is not None:
-        socket = str(settings.control.path)
-        learning = LearningService(
-            spawner.spawn, board, socket, configuration.period_s, is_simulated=settings.is_paced_by_sync
-        )
-        stack.callback(learning.close)
-    return _Prepared(drives, axes, path_time, companion, control, live, learning)
+        mailbox = MailboxReader(room(len(facts)))  # brings the changes to the loop
+        learning_axes = {name: axis for name, axis in configuration.axes.items() if axis.compensation.learning != "off"}
+        if learning_axes:
+            board = LearningBoard()
+            board.say(-1, {"axes": {name: _first_report(axis) for name, axis in learning_axes.items()}})
+            stack.callback(board.close)
+            others.append(learning_process(settings.control.path, board, is_simulated=settings.is_paced_by_sync))
+        given = [settings.control.descriptor, ring.descriptor, mailbox.descriptor, journal]
+        others.insert(0, control_server(control_job, [*given, -1 if board is None else board.descriptor], stack))
+        if configuration.live is not None:
+            others.insert(1, live_server(name, configuration.live, stack))
+    companion = Companion.start(job, journal, others, ring)
+    stack.callback(companion.close)
+    return _Prepared(drives, axes, path_time, companion, mailbox, board)
 
 
 def _compile_plain(period_s: float) -> None:
@@ -325,18 +314,10 @@ def _run(
             is_follower=prepared.drives.is_follower,
             is_waiting=settings.is_waiting,
         )
-        control = prepared.control
-        beside = (control, prepared.live, prepared.learning)
-        services: list[TendedProcess] = [each for each in beside if each is not None]
-        mailbox = None if control is None else control.mailbox
-        sink: Sink = _CompanionSink(
-            prepared.companion,
-            services,
-            configuration.period_s,
-            is_real=clock.is_real,
-            learning=prepared.learning,
-            mailbox=mailbox,
-        )
+        mailbox, board = prepared.mailbox, prepared.board
+        period_s, is_simulated = configuration.period_s, settings.is_paced_by_sync
+        learning = None if board is None else LearningService(board, period_s, is_simulated=is_simulated)
+        sink: Sink = _CompanionSink(prepared.companion, period_s, learning, mailbox, is_real=clock.is_real)
         with contextlib.ExitStack() as stack:
             if manager := ServiceManager.from_environment(os.environ):
                 stack.callback(manager.close)

@@ -3,6 +3,7 @@
 import contextlib
 import math
 import os
+import select
 import sys
 import time
 from collections.abc import Mapping
@@ -39,7 +40,6 @@ _LOOK_S = 0.02
 _PATIENCE_S = 30.0  # the process of the control socket imports at its first request
 _SIMULATED_LOOK_S = 5e-4
 _LARGEST_SHARE = 0.25  # of a processor
-_NICENESS = 5
 _FOREVER = 2**62  # cycle that no run reaches
 _ALIKE = 0.05  # differences of a proposal from the former one that are not worth another notice
 _IDLE = "the axis is not in compensated motion"
@@ -358,26 +358,16 @@ def _is_alike(proposed: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
 def main(socket: str, board: int, pace: str) -> None:
     """Learn until the daemon ends."""
     is_simulated = pace == "simulated"
-    if hasattr(os, "sched_setscheduler"):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    os.nice(0 if is_simulated else _NICENESS)
-    os.set_blocking(0, False)
+    control = select.poll()
+    control.register(0, 0)  # standard input: no event but the hang-up, the signal to end, which is always reported
     memory = LearningBoard(board)
     try:
         learning = Learning(Path(socket), memory, is_simulated=is_simulated)
-        while not (learning.has_ended or _is_closed()):
+        while not (learning.has_ended or control.poll(0)):
             if not learning.look():
                 time.sleep(_SIMULATED_LOOK_S if is_simulated else _LOOK_S)
     except DaemonGoneError:
         return
-
-
-def _is_closed() -> bool:
-    """Return True if the control process has closed this one's standard input: the signal to end."""
-    try:
-        return os.read(0, 1) == b""
-    except BlockingIOError:
-        return False
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +17,6 @@ import pytest
 
 import friction_hil as fh
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, client, free_path
-from friction_hil.daemon.spawner.client import Process, Spawner, spawn_directly
 from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.interrupts import Interrupted
@@ -42,14 +41,8 @@ def job(tmp_path: Path) -> Job:
 
 
 @pytest.fixture
-def spawner() -> Iterator[Spawner]:
-    with contextlib.closing(Spawner()) as started:
-        yield started
-
-
-@pytest.fixture
-def companion(job: Job, spawner: Spawner) -> Iterator[Companion]:
-    with Companion.start(job, spawn=spawner.spawn) as started:
+def companion(job: Job) -> Iterator[Companion]:
+    with Companion.start(job) as started:
         yield started
 
 
@@ -85,7 +78,7 @@ def test_every_row_and_event_is_recorded(companion: Companion, job: Job) -> None
     report = companion.close()
     assert report == CompanionReport((str(job.path),), 2500, 0, ())
     assert companion.close() is report
-    assert not companion.is_alive
+    assert companion.process.poll() == 0
     for axis in ("x", "y"):
         assert cycles(report.recording, axis) == list(range(2500))
     read = fh.recordings.read(str(job.path), "x")
@@ -144,44 +137,66 @@ def test_a_worker_that_dies_again_and_again_is_given_up(companion: Companion) ->
         companion.next_message()
     companion.push(row(0))
     report = companion.close()
-    assert not companion.is_alive
     assert (report.rows, report.lost) == (0, 1)
-    assert "3 workers of the companion died at once" in report.problems[-1]
+    assert "3 times at once: nothing more is recorded" in report.problems[-1]
 
 
-def test_the_death_of_the_supervisor_stops_nothing(companion: Companion) -> None:
+def kill_supervisor(companion: Companion) -> None:
+    """Kill the supervisor, and wait for the next one."""
+    before = companion.supervisor_pid
+    os.kill(before, signal.SIGKILL)
+    while companion.supervisor_pid == before:
+        assert companion.next_message()
+
+
+def test_the_death_of_the_supervisor_stops_nothing_and_the_companion_starts_another_one(companion: Companion) -> None:
     push(companion, 0, 100)
-    companion.process.kill()
-    companion.process.wait()
+    kill_supervisor(companion)
     push(companion, 100, 200)
-    assert companion.next_message() == {"problem": "the supervisor of the companion died; its worker goes on"}
+    assert "supervisor died" in str(companion.next_message())
+    kill_supervisor(companion)  # one that the companion has started
+    push(companion, 200, 300)
     report = companion.close()
-    assert cycles(report.recording) == list(range(200))
+    assert len(report.recording) == 1
+    assert cycles(report.recording) == list(range(300))
+    assert len(report.problems) == 2
+
+
+def test_the_next_supervisor_starts_the_companion_that_was_there_before_it(companion: Companion) -> None:
+    push(companion, 0, 100)
+    kill_supervisor(companion)
+    os.kill(first := companion.worker_pid, signal.SIGKILL)
+    while companion.worker_pid == first:
+        assert companion.next_message()
+    push(companion, 100, 200)
+    report = companion.close()
+    assert (report.rows, report.lost) == (200, 0)
+    assert cycles(report.recording[1:]) == list(range(200))
 
 
 def kill_both(companion: Companion) -> None:
-    """Kill supervisor and worker, as ``pkill -9 -f companion`` does."""
-    for pid in (companion.process.pid, companion.worker_pid):
-        with contextlib.suppress(ProcessLookupError):  # one of them may have ended with the other
-            os.kill(pid, signal.SIGKILL)
+    """Kill supervisor and companion, with no time for one to start the other."""
+    for pid in (companion.worker_pid, companion.supervisor_pid):
+        os.kill(pid, signal.SIGSTOP)
+    for pid in (companion.worker_pid, companion.supervisor_pid):
+        os.kill(pid, signal.SIGKILL)
 
 
-def tend(companion: Companion) -> list[str]:
+def tend(companion: Companion) -> list[tuple[str, str]]:
     """Look after the companion until it has something to say."""
-    while not (problems := companion.tend()):
+    while not (events := companion.tend()):
         os.sched_yield()
-    return problems
+    return events
 
 
-def test_a_dead_companion_is_told_at_once_and_started_again(
+def test_a_killed_companion_is_told_at_once_and_started_again(
     job: Job, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    told = "the companion process died (signal SIGKILL); the next one takes over"
-    # in the test itself: the spawner, and what it starts, inherit where the output goes now
-    with contextlib.closing(Spawner()) as spawner, Companion.start(job, spawn=spawner.spawn) as companion:
+    told = "the companion process died (signal SIGKILL); the next one takes over, and the loop goes on"
+    with Companion.start(job) as companion:  # in the test itself: it inherits where the output goes now
         push(companion, 0, 9500)
-        kill_both(companion)
-        assert tend(companion) == [told]
+        os.kill(companion.worker_pid, signal.SIGKILL)
+        assert tend(companion) == [("warning", f"recording: {told}")]
         push(companion, 9500, 12_000)
         report = companion.close()
     assert told in capfd.readouterr().err
@@ -190,46 +205,26 @@ def test_a_dead_companion_is_told_at_once_and_started_again(
     assert sorted(set(cycles(report.recording))) == list(range(12_000))
 
 
-def test_a_companion_that_dies_at_the_end_is_started_once_more(companion: Companion) -> None:
+def test_when_all_processes_are_killed_what_the_ring_has_is_recorded_at_the_end(companion: Companion) -> None:
+    push(companion, 0, 100)
+    kill_both(companion)
+    ((name, text),) = tend(companion)
+    assert name == "warning"
+    assert "nothing more is recorded until the run ends" in text
+    for cycle in range(100, 200):
+        companion.push(row(cycle))
+        assert companion.tend() == []
+    report = companion.close()
+    assert (report.rows, report.lost) == (200, 0)
+    assert cycles(report.recording[1:]) == list(range(200))
+
+
+def test_processes_that_die_at_the_end_are_started_once_more(companion: Companion) -> None:
     kill_both(companion)
     companion.push(row(0))
     report = companion.close()
     assert (report.rows, report.lost) == (1, 0)
     assert cycles(report.recording[1:]) == [0.0]
-
-
-def test_a_companion_that_is_killed_again_and_again_is_given_up(
-    companion: Companion, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("friction_hil.daemon.companion.job._SHORT_LIFE_S", 600.0)  # a busy machine is no reason
-    for _ in range(2):
-        kill_both(companion)
-        tend(companion)
-        while not companion.worker_pid:  # the next worker is ready
-            companion.tend()
-    kill_both(companion)
-    problem = "3 companion processes were killed at once (signal SIGKILL): nothing more is recorded"
-    assert tend(companion)[-1] == problem
-    assert companion.is_given_up
-    companion.push(row(0))
-    report = companion.close()
-    assert (report.rows, report.lost, report.problems[-1]) == (0, 1, problem)
-
-
-def test_a_companion_that_cannot_be_started_again_ends_no_run(companion: Companion, spawner: Spawner) -> None:
-    spawner.process.kill()
-    spawner.process.wait()
-    kill_both(companion)
-    (problem,) = tend(companion)
-    assert problem == (
-        "the companion process died (signal SIGKILL), and another one cannot be started (the process that "
-        "starts others has died): nothing more is recorded"
-    )
-    for cycle in range(3):
-        companion.push(row(cycle))
-        assert companion.tend() == []
-    report = companion.close()
-    assert (report.rows, report.lost, report.problems) == (0, 3, (problem,))
 
 
 def test_a_system_without_processes_for_the_companion_is_told(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -242,10 +237,8 @@ def test_a_system_without_processes_for_the_companion_is_told(job: Job, monkeypa
 
 
 def test_the_death_by_a_signal_without_a_name_is_told_too(companion: Companion) -> None:
-    os.kill(companion.worker_pid, signal.SIGSTOP)  # or it might say first that it goes on alone
-    os.kill(companion.process.pid, signal.SIGRTMIN + 3)
-    os.kill(companion.worker_pid, signal.SIGKILL)
-    assert tend(companion) == [f"the companion process died (signal {signal.SIGRTMIN + 3}); the next one takes over"]
+    os.kill(companion.worker_pid, signal.SIGRTMIN + 3)
+    assert f"died (signal {signal.SIGRTMIN + 3})" in tend(companion)[0][1]
 
 
 def stop(companion: Companion) -> None:
@@ -310,25 +303,19 @@ def test_a_signal_ends_the_wait_for_a_file_that_does_not_open(job: Job, monkeypa
     with pytest.raises(UsageError, match=r"run\.mcap is a pipe: a recording needs a file"):
         Companion.start(job)
     monkeypatch.setattr(client, "prepare", lambda *_, **__: None)  # as if the server of the folder did not answer
-    started: list[Process] = []
-
-    def spawn(words: Sequence[str], descriptors: Sequence[int], stdout: int | None) -> Process:
-        started.append(spawn_directly(words, descriptors, stdout))
-        return started[0]
-
-    def is_opening() -> bool:
-        return len(members(started[0].pid)) == 2 if started else False
+    started: list[Companion] = []
+    monkeypatch.setattr(Companion, "_begin", lambda self, begin=Companion._begin: (started.append(self), begin(self)))
 
     def end() -> None:
-        while not is_opening():
+        while not (started and len(members(started[0].process.pid)) == 2):
             os.sched_yield()
         os.kill(os.getpid(), signal.SIGTERM)
 
     with stop_on_signals() as request, request.raised():
         threading.Thread(target=end).start()
         with pytest.raises(Interrupted, match="SIGTERM"):
-            Companion.start(replace(job, overwrite=True), spawn=spawn)
-    while members(started[0].pid):  # nothing is left behind
+            Companion.start(replace(job, overwrite=True))
+    while members(started[0].process.pid):  # nothing is left behind
         os.sched_yield()
 
 
@@ -443,7 +430,7 @@ def test_the_status_line_tells_how_it_goes(job: Job, capfd: pytest.CaptureFixtur
 
 def test_the_companion_needs_no_compiler() -> None:
     code = (
-        "import sys, friction_hil.daemon.companion.__main__ as main\n"
+        "import sys, friction_hil.daemon.companion.__main__, friction_hil.daemon.supervisor\n"
         "assert 'numpy' not in sys.modules\n"
         "import friction_hil.daemon.companion.worker\n"
         "assert 'numba' not in sys.modules\n"
@@ -504,10 +491,8 @@ def test_a_killed_companion_and_its_successor_number_their_files_on(job: Job, tm
         push(companion, 0, 2500)
         while companion.free_slots() < 8000 - 500:
             os.sched_yield()
-        for pid in (companion.process.pid, companion.worker_pid):
-            os.kill(pid, signal.SIGKILL)
-        while not companion.tend():
-            os.sched_yield()
+        os.kill(companion.worker_pid, signal.SIGKILL)
+        tend(companion)
         push(companion, 2500, 4600)
         report = companion.close()
     assert (report.rows, report.lost) == (4600, 0)

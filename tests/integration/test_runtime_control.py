@@ -37,7 +37,7 @@ STRIBECK = {
 
 
 def children(pid, word):
-    """Processes that a process and its spawner have started, by a word of their command."""
+    """Processes that a process and its supervisor have started, by a word of their command."""
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -45,7 +45,7 @@ def children(pid, word):
             words = (folder / "cmdline").read_text()
             if int(fields[1]) == pid and word in words and fields[0] != "Z":
                 found.append(int(folder.name))
-            elif int(fields[1]) == pid and "friction_hil.daemon.spawner" in words:
+            elif int(fields[1]) == pid and "friction_hil.daemon.supervisor" in words:
                 found += children(int(folder.name), word)
     return found
 

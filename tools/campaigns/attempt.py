@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 from tools.campaigns.can_wire import CanWire
 from tools.campaigns.machine import Machine
-from tools.campaigns.processes import COMPANION, SERVER, SPAWNER, Process, descendants
+from tools.campaigns.processes import ROLES, Process, descendants
 from tools.campaigns.serial_wire import SerialWire
 
 Choice = TypeVar("Choice")
@@ -105,16 +105,8 @@ class Attempt:
             self.known[process.pid] = process
 
     def children(self, who: str) -> Iterator[Process]:
-        """Yield the daemon's spawner, server, supervisor or worker that live."""
+        """Yield the daemon's supervisor, worker (the companion) or server that live."""
         self.look_for_children()
-        spawners = {process.pid for process in self.known.values() if SPAWNER in process.words}
         for process in self.known.values():
-            role = ""
-            if COMPANION in process.words:
-                role = "supervisor" if process.parent in spawners else "worker"
-            elif SERVER in process.words:
-                role = "server"
-            elif process.pid in spawners:
-                role = "spawner"
-            if role == who and process.is_alive:
+            if f"friction_hil.daemon.{ROLES[who]} " in process.words and process.is_alive:
                 yield process

@@ -229,10 +229,10 @@ FAULTS = (
     ),
     Fault("kill-daemon", "SIGKILL of the daemon", ALL, attacks.kill("daemon"), killed="daemon"),
     Fault("kill-worker", "SIGKILL of the process that records", ALL, attacks.kill("worker"), words="recording:"),
-    Fault("kill-supervisor", "SIGKILL of its supervisor", ALL, attacks.kill("supervisor")),
+    Fault("kill-supervisor", "SIGKILL of its supervisor", ALL, attacks.kill("supervisor"), words="supervisor died"),
     Fault("kill-companion", "SIGKILL of both", ALL, attacks.kill("supervisor", "worker"), words="recording:"),
     Fault("kill-server", "SIGKILL of the control socket's process", ALL, attacks.kill("server"), words="control"),
-    Fault("kill-spawner", "SIGKILL of the process that starts these", ALL, attacks.kill("spawner", "server")),
+    Fault("kill-spawner", "SIGKILL of all of them", ALL, attacks.kill("supervisor", "worker", "server"), words="died"),
     Fault(
         "kill-drive",
         "SIGKILL of the simulated drive",

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-COMPANION, SERVER, SPAWNER = (f"friction_hil.daemon.{each}" for each in ("companion", "control", "spawner"))
+ROLES = {"supervisor": "supervisor", "worker": "companion", "server": "control"}  # with the modules that they run
 _LOOK_S = 0.01
 
 

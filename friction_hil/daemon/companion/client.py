@@ -1,4 +1,4 @@
-"""Control process's side of the companion."""
+"""Control process's side of the companion, and of all other processes beside the loop."""
 
 import contextlib
 import json
@@ -6,21 +6,27 @@ import math
 import os
 import select
 import signal
+import subprocess
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from friction_hil.daemon.companion.job import MOST_SHORT_LIVES, Job, Lives, signal_text
+from friction_hil.daemon import supervisor
+from friction_hil.daemon.companion.job import Job
 from friction_hil.daemon.companion.paths import prepare
+from friction_hil.daemon.lives import MOST_SHORT_LIVES, make_lives
 from friction_hil.daemon.ring import RingWriter
 from friction_hil.daemon.shared_document import make_document
-from friction_hil.daemon.spawner.client import Process, Spawn, spawn_directly
+from friction_hil.daemon.supervisor import Beside
 from friction_hil.errors import RecordingError
 
-_RING_S = 8.0  # of rows: what a restart of the worker may take, and an unfinished chunk
+COMPANION = "the companion process"
+_RING_S = 8.0  # of rows: what a restart of the companion may take, and an unfinished chunk
 _RING_ROWS_MIN = 1024
 _PATIENCE_S = 10.0  # without any progress, for the end of the recording
+_END_S = 5.0  # for that of the processes
 _SLICE_S = 0.1
 
 
@@ -36,40 +42,61 @@ class CompanionReport:
     black_boxes: tuple[str, ...] = ()  # files of faults, each with the minute before it
 
 
-class Companion:
-    """A running companion process. Create it with `start` and `close` it in any case.
+def ring_of(job: Job) -> RingWriter:
+    """Return the ring of a job."""
+    return RingWriter(job.row_width, max(_RING_ROWS_MIN, math.ceil(_RING_S / job.period_s)))
 
-    ``push``, ``push_event`` and ``free_slots`` never wait, and work on if the companion dies: rows that no companion
-    takes in time are lost, and counted.
+
+class Companion:
+    """The companion that records, and what else runs beside the loop. Create it with `start`, `close` it in any case.
+
+    ``push``, ``push_event``, ``free_slots`` and ``tend`` never wait, and work on if the companion dies: rows that no
+    companion takes in time are lost, and counted.
     """
 
-    def __init__(self, job: Job, journal_descriptor: int, spawn: Spawn) -> None:
-        self._spawn = spawn
-        self._journal_descriptor = journal_descriptor
-        self._ring = RingWriter(job.row_width, max(_RING_ROWS_MIN, math.ceil(_RING_S / job.period_s)))
-        self._job_descriptor = make_document("job", asdict(job))
-        self._lives = Lives()
+    def __init__(self, job: Job, journal: int, others: Sequence[Beside], ring: RingWriter) -> None:
+        self._ring = ring
+        self.push = ring.push  # methods of `friction_hil.daemon.ring.RingWriter`
+        self.push_event = ring.push_event
+        self.free_slots = ring.free_slots
         self._received = b""
         self._paths: list[str] = []
-        self._opened = 0  # files so far, also those that were removed since
         self._black_boxes: list[str] = []
         self._problems: list[str] = []
+        self._news: list[tuple[str, str]] = []
         self._report: CompanionReport | None = None
-        self._is_woken = False
-        self.push = self._ring.push  # methods of `friction_hil.daemon.ring.RingWriter`
-        self.push_event = self._ring.push_event
-        self.free_slots = self._ring.free_slots
-        self.worker_pid = 0  # of the process that writes the recording
-        self.is_given_up = False  # no companion records any more: it ended by itself, or died again and again
-        self.process: Process  # the supervisor
+        self._is_woken = self._is_done = self._is_alone = False
+        self._starts = 0
+        self.worker_pid = self.supervisor_pid = 0  # of the process that records, and of the one that started it
+        self.over: set[str] = set()  # titles of processes that are not started any more
+        minute = -1 if job.black_box is None else os.memfd_create("friction_hil-minute")
+        given = [ring.descriptor, make_document("job", asdict(job)), journal, minute]
+        recording = Beside(
+            title=COMPANION,
+            loss="nothing more is recorded",
+            words=["-m", "friction_hil.daemon.companion", *map(str, given)],
+            descriptors=[each for each in given if each >= 0],
+            is_heir=True,
+        )
+        processes, lives = [recording, *others], make_lives(2 + len(others))
+        self._inherited = [*{lives, *(each for process in processes for each in process.descriptors)}]
+        content = {"lives": lives, "descriptors": self._inherited, "processes": [asdict(each) for each in processes]}
+        self._plan = make_document("plan", content)
+        self._life, self._end = os.pipe()  # standard input of all processes, and its other end, which ends them
+        self._reports = -1
+        self._own = [*(each for each in given if each not in (journal, -1)), lives, self._plan, self._life]
+        self._poll = select.poll()
         self._launch()
 
     @classmethod
-    def start(cls, job: Job, journal_descriptor: int = -1, spawn: Spawn = spawn_directly) -> "Companion":
-        """Start the process; return when it has opened its file and is ready for rows.
+    def start(
+        cls, job: Job, journal: int = -1, others: Sequence[Beside] = (), ring: RingWriter | None = None
+    ) -> "Companion":
+        """Start the processes; return when the companion has opened its file and is ready for rows.
 
-        Missing folders of the path are made. ``journal_descriptor`` is the journal of the changes of the run, see
-        `friction_hil.daemon.control.journal`; -1 for none. ``spawn`` starts this companion, and those after it.
+        Missing folders of the path are made. ``journal``: that of the changes of the run, see
+        `friction_hil.daemon.control.journal`; -1 for none. ``others`` are started with it; ``ring`` is that which they
+        know, from `ring_of`.
 
         Raises `UsageError`: the path does not end in ``.mcap``; `RecordingError`: the file cannot be made or exists
         already, or the process does not start.
@@ -77,45 +104,43 @@ class Companion:
         if job.path is not None:
             prepare(Path(job.path), overwrite=job.overwrite)
         try:
-            companion = cls(job, journal_descriptor, spawn)
+            companion = cls(job, journal, others, ring or ring_of(job))
         except OSError as error:  # too many processes, no memory
-            raise RecordingError(f"the companion process cannot be started: {error.strerror}") from error
+            raise RecordingError(f"{COMPANION} cannot be started: {error.strerror}") from error
         try:
             companion._begin()
         except BaseException:  # a signal too: opening a file may take forever
-            companion.process.kill()  # and with it a worker that is still opening its file
+            companion._kill()
             companion.process.wait()
             companion._close_descriptors()
             raise
         return companion
 
     @property
-    def ring_descriptor(self) -> int:
-        """Memory of the ring, for those who only look."""
-        return self._ring.descriptor
+    def is_given_up(self) -> bool:
+        """True if no companion records any more: it has died again and again."""
+        return COMPANION in self.over
 
-    @property
-    def is_alive(self) -> bool:
-        """True while the supervisor runs."""
-        return self.process.poll() is None
+    def tend(self) -> list[tuple[str, str]]:
+        """Take the messages of the processes; return new events, each its name and text.
 
-    def tend(self) -> list[str]:
-        """Take the messages of the companion, and start another one where it has died; return new problems.
-
-        To be called several times a second during the run; it never waits for the companion, nor, with a spawner, until
-        one is started.
+        To be called several times a second during the run; it never waits.
         """
-        known = len(self._problems)
-        while not self.is_given_up and self._poll.poll(0):
-            if not self._read() and not self._restart():
-                break
+        while not self._is_alone and self._poll.poll(0):
+            if not self._read():  # nobody is left who could start another one, and the loop must not wait for a fork
+                self._is_alone = True
+                self._report_problem("all processes beside the loop died: nothing more is recorded until the run ends")
             while self._take_message() is not None:
                 pass
-        self._wake_if_late()
-        return self._problems[known:]
+        is_late = self._ring.free_slots() < self._ring.capacity // 2
+        if is_late and not self._is_woken:  # it may have been stopped (SIGSTOP)
+            self._wake()
+        self._is_woken = is_late
+        news, self._news = self._news, []
+        return news
 
     def close(self, patience_s: float = _PATIENCE_S) -> CompanionReport:
-        """Mark the end of the rows, and wait until the recording is finished.
+        """Mark the end of the rows, wait until the recording is finished, and end all processes.
 
         A companion that was stopped (SIGSTOP) is continued. One that makes no progress for ``patience_s`` goes on in
         the background, and the report says so. A second call returns the same report.
@@ -127,14 +152,13 @@ class Companion:
         rows, lost = self._ring.rows_kept, self._ring.rows_lost
         pending = self._ring.rows_pushed - rows - lost
         if is_finished:
-            self.process.wait()
             lost, pending = lost + pending, 0
         else:
             self._problems.append(
                 f"the recording is not finished: process {self.worker_pid} made no progress for {patience_s:g} s; it "
                 f"has yet to write {pending} rows, and goes on in the background"
             )
-        self._close_descriptors()
+        self._end_all(is_finished=is_finished)
         files, black_boxes = tuple(self._paths), tuple(self._black_boxes)
         self._report = CompanionReport(files, rows, lost, tuple(self._problems), pending, black_boxes)
         return self._report
@@ -145,79 +169,55 @@ class Companion:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _launch(self, death: str = "") -> None:
-        """Start a supervisor, whose first worker writes the next file of the recording.
-
-        Raises `OSError`: the system makes no process; nothing has changed.
-        """
-        descriptors = [self._ring.descriptor, self._job_descriptor, self._journal_descriptor]
-        command = ["-m", "friction_hil.daemon.companion", *map(str, (*descriptors, self._opened + 1, death))]
-        self.process = self._spawn(command, [each for each in descriptors if each >= 0], None)
-        self._lives.begin()
-        self.worker_pid = 0
-        assert self.process.stdout is not None
-        self._poll = select.poll()
-        self._poll.register(self.process.stdout, select.POLLIN)
+    def _launch(self) -> None:
+        """Start a supervisor. Raises `OSError`: the system makes no process."""
+        reports, theirs = os.pipe()
+        try:
+            self.process = subprocess.Popen(
+                supervisor.command(self._plan),
+                stdin=self._life,
+                stdout=theirs,
+                pass_fds=(self._plan, *self._inherited),
+                env=os.environ | supervisor.ENVIRONMENT,
+                process_group=0,  # Ctrl-C is not meant for it, nor for those that it starts
+            )
+        except OSError:
+            os.close(reports)
+            raise
+        finally:
+            os.close(theirs)
+        if self._reports >= 0:
+            self._poll.unregister(self._reports)
+            os.close(self._reports)
+        self._reports, self._received, self._is_alone = reports, b"", False
+        self.supervisor_pid = self.process.pid
+        self._starts += 1
+        self._poll.register(reports, select.POLLIN)
 
     def _begin(self) -> None:
-        answer = self.next_message()
-        if answer is None:
-            raise RecordingError(f"the companion process did not start (exit status {self.process.wait()})")
-        if "failed" in answer:
-            raise RecordingError(answer["failed"])
-
-    def _restart(self) -> bool:
-        """Start another companion after the death of supervisor and worker; return False if none is there now."""
-        status = self.process.poll()
-        if status is None:  # both have closed their output: the supervisor is about to be dead
-            return False
-        if status >= 0:
-            self.is_given_up = True  # it has said why, or has done its work
-            return False
-        death, pipes = signal_text(-status), (self.process.stdin, self.process.stdout)
-        if self._lives.end():
-            self.is_given_up = True
-            self._problems.append(
-                f"{MOST_SHORT_LIVES} companion processes were killed at once ({death}): nothing more is recorded"
-            )
-            return False
-        try:
-            self._launch(death)
-        except OSError as error:  # too many processes, no memory: no reason to end a run
-            self.is_given_up = True
-            self._problems.append(
-                f"the companion process died ({death}), and another one cannot be started ({error.strerror}): nothing "
-                "more is recorded"
-            )
-            return False
-        _close(*pipes)
-        self._received = b""
-        return True
-
-    def _wake_if_late(self) -> None:
-        """Continue a companion that may have been stopped (SIGSTOP), once each time the ring is half full."""
-        is_late = self._ring.free_slots() < self._ring.capacity // 2
-        if is_late and not self._is_woken:
-            self._wake()
-        self._is_woken = is_late
+        while not self.worker_pid:
+            answer = self.next_message()
+            if answer is None or self.is_given_up:
+                raise RecordingError(f"{COMPANION} did not start")
+            if "failed" in answer:
+                raise RecordingError(answer["failed"])
 
     def _wake(self) -> None:
-        self.process.send_signal(signal.SIGCONT)
-        if self.worker_pid:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.kill(self.worker_pid, signal.SIGCONT)
+        for pid in (self.supervisor_pid, self.worker_pid):
+            if pid:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.kill(pid, signal.SIGCONT)
 
     def next_message(self) -> dict[str, Any] | None:
-        """Wait for the next message of the companion; None when it has ended."""
+        """Wait for the next message of the processes; None when all have ended."""
         while (message := self._take_message()) is None:
             if not self._read():
                 return None
         return message
 
     def _read(self) -> bool:
-        """Read what the companion has sent; return False when it has ended."""
-        assert self.process.stdout is not None
-        data = os.read(self.process.stdout.fileno(), 1 << 16)
+        """Read what the processes have sent; return False when all have ended."""
+        data = os.read(self._reports, 1 << 16)
         self._received += data
         return bool(data)
 
@@ -230,20 +230,29 @@ class Companion:
         message: dict[str, Any] = json.loads(line)
         if message.get("opened"):
             self._paths.append(message["opened"])
-            self._opened += 1
         if message.get("removed") in self._paths:
             self._paths.remove(message["removed"])
         if "black_box" in message:
             self._black_boxes.append(message["black_box"])
         if "problem" in message:
-            self._problems.append(message["problem"])
+            self._report_problem(message["problem"])
+        if "text" in message:
+            self._news.append((message["severity"], message["text"]))
+        if "over" in message:
+            self.over.add(message["over"])
+        self._is_done = self._is_done or "done" in message
         self.worker_pid = message.get("pid", self.worker_pid)
+        self.supervisor_pid = message.get("supervisor", self.supervisor_pid)
         return message
+
+    def _report_problem(self, text: str) -> None:
+        self._problems.append(text)
+        self._news.append(("warning", f"recording: {text}"))
 
     def _receive_all(self, patience_s: float) -> bool:
         """Take all messages until no companion works any more; return False after ``patience_s`` without progress."""
         progress, since_s = -1, time.monotonic()
-        while True:
+        while not (self._is_done or self.is_given_up):
             self._wake()
             if not self._poll.poll(_SLICE_S * 1e3):
                 if (now_done := self._ring.rows_done) != progress:
@@ -252,23 +261,41 @@ class Companion:
                     return False
             elif self._read():
                 since_s = time.monotonic()
-            elif self._ring.rows_done == self._ring.rows_pushed or self.is_given_up:
+            elif self._starts > MOST_SHORT_LIVES or not self._start_again():
                 return True
-            else:
-                self.process.wait()
-                if not self._restart():
-                    return True
             while self._take_message() is not None:
                 pass
+        return True
+
+    def _start_again(self) -> bool:
+        """Start another supervisor after the loop; return False if that cannot be."""
+        self.process.wait()
+        try:
+            self._launch()
+        except OSError as error:
+            self._problems.append(f"{COMPANION} died, and another one cannot be started ({error.strerror})")
+            return False
+        return True
+
+    def _end_all(self, *, is_finished: bool) -> None:
+        """End all processes; one that has yet to finish the recording goes on, and its supervisor with it."""
+        os.close(self._end)
+        self._end = -1
+        self._wake()
+        end_s = time.monotonic() + _END_S
+        while is_finished and (not self._poll.poll(_SLICE_S * 1e3) or self._read()):  # until the last one has ended
+            if time.monotonic() > end_s:
+                self._kill()
+        if is_finished:
+            self.process.wait()
+        self._close_descriptors()
+
+    def _kill(self) -> None:
+        """Kill what is left: all processes are of one group."""
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.process.pid, signal.SIGKILL)
 
     def _close_descriptors(self) -> None:
-        _close(self.process.stdin, self.process.stdout)
-        os.close(self._ring.descriptor)
-        os.close(self._job_descriptor)
-
-
-def _close(*pipes: IO[bytes] | None) -> None:
-    for pipe in pipes:
-        if pipe is not None:
-            with contextlib.suppress(BrokenPipeError):
-                pipe.close()
+        for each in (*self._own, self._reports, self._end):
+            if each >= 0:
+                os.close(each)

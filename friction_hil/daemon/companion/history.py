@@ -1,7 +1,7 @@
 """The last minute of rows, in memory that outlives a worker: what a file of a fault begins with.
 
-The supervisor allocates the memory (`friction_hil.daemon.companion.memory`) before it forks a worker, so that the next
-worker finds in it what the dead one had kept. Its size is fixed. States of the compensators, which take several times
+All companions of a run share the memory (`friction_hil.daemon.companion.memory`), so that the next one finds in it what
+the dead one had kept. Its size is fixed. States of the compensators, which take several times
 the place of the columns, are kept once a second and after each gap in ``cycle``, where a replay needs them.
 """
 

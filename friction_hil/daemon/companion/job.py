@@ -1,12 +1,10 @@
-"""Messages between the control process and the companion."""
+"""Messages between the control process and those beside it."""
 
 import contextlib
-import ctypes
 import json
 import os
 import signal
 import sys
-import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +13,7 @@ from friction_hil.printable import printable
 if TYPE_CHECKING:
     from friction_hil.recordings.columns import AxisKind
 
-CANNOT_OPEN = 2  # exit status of a first worker that could not open its file and has reported why
-MOST_SHORT_LIVES = 3
-_SHORT_LIFE_S = 5.0
 _OUTPUT = 1
-_PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,28 +55,6 @@ class Job:
         return len(self.axes) * (len(self.columns) + self.state_width)
 
 
-class Lives:
-    """Count of short lives in a row: what dies at once again and again is not started any more."""
-
-    def __init__(self) -> None:
-        self._born_s = 0.0
-        self._short = 0
-
-    def begin(self) -> None:
-        """Note a birth."""
-        self._born_s = time.monotonic()
-
-    def end(self) -> bool:
-        """Note a death; return True if it was one short life too many."""
-        self._short = self._short + 1 if time.monotonic() - self._born_s < _SHORT_LIFE_S else 0
-        return self._short >= MOST_SHORT_LIVES
-
-
-def die_with_parent(*, is_wanted: bool) -> None:
-    """Let the kernel kill this process when its parent dies, or not any more."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL if is_wanted else 0)
-
-
 def signal_text(number: int) -> str:
     """Return ``signal SIGKILL``; real-time signals have no names."""
     try:
@@ -94,8 +66,10 @@ def signal_text(number: int) -> str:
 def say(**message: Any) -> None:
     """Send the control process a message.
 
-    ``opened`` (path or None), of a first or further file, with ``pid``; ``removed`` and ``black_box`` (paths);
-    ``failed``; ``problem``; or ``progress``, while the end of the work takes long.
+    The companion says ``opened`` (path or None), of a first or further file, with ``pid``; ``removed`` and
+    ``black_box`` (paths); ``failed``; ``problem``; ``done``; and ``progress``, while the end of the work takes long.
+    The supervisor says its number (``supervisor``), ``text`` with its ``severity``, and ``over`` (title of a process
+    that is not started any more).
     """
     # the control process may be gone: the recording still has to be finished
     with contextlib.suppress(BrokenPipeError):

@@ -1,7 +1,8 @@
-"""Memory for the rows of the last minute; made by the supervisor, which imports no numpy."""
+"""Memory for the rows of the last minute; it outlives each companion of a run."""
 
 import math
 import mmap
+import os
 
 from friction_hil.daemon.companion.job import Job
 
@@ -24,9 +25,10 @@ def size_bytes(job: Job) -> int:
     return HEADER_BYTES + 8 * (rows_kept(job) * len(job.axes) * len(job.columns) + states)
 
 
-def allocate(job: Job) -> mmap.mmap:
-    """Return the memory, all of it present, shared by this process and its children.
+def allocate(job: Job, descriptor: int) -> mmap.mmap:
+    """Return the memory behind a descriptor, all of it present; what an earlier companion has kept there stays.
 
     Raises `OSError`: there is not enough.
     """
-    return mmap.mmap(-1, size_bytes(job), flags=mmap.MAP_SHARED | mmap.MAP_ANONYMOUS | mmap.MAP_POPULATE)
+    os.posix_fallocate(descriptor, 0, size_bytes(job))
+    return mmap.mmap(descriptor, size_bytes(job), flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)

@@ -1,4 +1,4 @@
-"""Worker: drains the ring, writes the recording and the files of faults, prints the status line."""
+"""Work of the companion: drains the ring, writes the recording and the files of faults, prints the status line."""
 
 import mmap
 import os
@@ -8,11 +8,13 @@ import time
 from friction_hil.daemon.companion.black_box import BlackBox
 from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.history import History
-from friction_hil.daemon.companion.job import CANNOT_OPEN, Job, die_with_parent, say, warn
+from friction_hil.daemon.companion.job import Job, say, warn
+from friction_hil.daemon.companion.memory import allocate
 from friction_hil.daemon.companion.recorder import Recorder
 from friction_hil.daemon.companion.status import StatusLine
 from friction_hil.daemon.companion.uncertainty import UncertaintyColumn
 from friction_hil.daemon.ring import RingReader
+from friction_hil.daemon.supervisor import COMPANION, Heir
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.recording import Array
 
@@ -21,15 +23,14 @@ _PAUSE_MS = 20
 _STANDSTILL_S = 2.0  # between two looks at the ring
 
 
-def work(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None, changes: Changes) -> int:
-    """Serve the ring until it is closed and drained, or the control process is gone.
+def work(job: Job, ring_descriptor: int, memory: int, changes: Changes, heir: Heir) -> int:
+    """Serve the ring until it is closed and drained, or the control process is gone; return the exit status.
 
-    Returns the exit status: 0, or ``CANNOT_OPEN`` after the reason was reported to the control process. ``number``: 1
-    for the first worker of a run; a later one writes the next file of the recording. ``memory``: of the last minute,
-    which all workers of a supervisor share; None if faults get no files.
+    The first companion of a run reports that its file cannot be opened; a later one writes the next file of the
+    recording. ``memory``: of the last minute, which all companions of a run share; -1 if faults get no files.
     """
-    ring = RingReader(ring_descriptor)
-    outputs = _Outputs(job, ring, memory, changes)
+    ring, number = RingReader(ring_descriptor), heir.lives.starts(COMPANION)
+    outputs = _Outputs(job, ring, None if memory < 0 else allocate(job, memory), changes)
     path = None
     if outputs.recorder is not None:
         try:
@@ -37,25 +38,23 @@ def work(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None, 
         except (OSError, RecordingError) as error:
             reason = error.strerror if isinstance(error, OSError) else str(error)
             if number == 1:
+                heir.lives.finish(COMPANION)
                 say(failed=f"{job.path} cannot be written: {reason}")
-                return CANNOT_OPEN
+                return 1
             warn(f"the recording cannot go on: {reason}; it is tried again")
-    parent = os.getppid()  # read while its death would end this process too: so it is the supervisor
-    die_with_parent(is_wanted=False)  # only while the file is being opened, which may take forever
     say(opened=path and str(path), pid=os.getpid())
     status = StatusLine(job) if job.status_line else None
     control = select.poll()
     control.register(_INPUT, 0)  # no event but the hang-up, which is always reported
     looked_s = time.monotonic()
     while True:
-        if os.getppid() != parent:
-            parent = os.getppid()
-            warn("the supervisor of the companion died; its worker goes on")
         stood_s, looked_s = time.monotonic() - looked_s, time.monotonic()
         if stood_s > _STANDSTILL_S:
             warn(f"the companion stood still for {stood_s:.1f} s (stopped, or held up by the disk); it goes on")
         is_gone = bool(control.poll(0))
         is_last = is_gone or ring.is_closed
+        if not is_last:
+            heir.look()
         rows = ring.drain()
         outputs.take(rows, ring.drain_events())
         if status:
@@ -65,8 +64,10 @@ def work(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None, 
         if not len(rows):
             control.poll(_PAUSE_MS)
     outputs.close(was_abandoned=is_gone and not ring.is_closed)
+    heir.lives.finish(COMPANION)
     if status:
         status.close(ring.lost)
+    say(done=True)
     return 0
 
 

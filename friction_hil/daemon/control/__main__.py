@@ -1,7 +1,6 @@
 """Process of the control socket. It imports nothing heavy before somebody asks for something that needs it."""
 
 import os
-import signal
 import sys
 import threading
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 from friction_hil.daemon.control.journal import entries
 from friction_hil.daemon.control.server import serve
 from friction_hil.daemon.shared_document import read_document
+from friction_hil.daemon.supervisor import Heir
 
 _INPUT = 0
 
@@ -46,16 +46,12 @@ class _LazyDesk:
         return Desk(ControlJob(**read_document(self._job)), *self._descriptors)
 
 
-def main(descriptor: int, ring: int, mailbox: int, journal: int, job: int, learning: int | None = None) -> None:
-    """Serve the socket until the daemon ends."""
-    for ignored in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(ignored, signal.SIG_IGN)
-    if hasattr(os, "sched_setscheduler"):
-        # the loop's real-time priority is not meant for checking values
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    desk = _LazyDesk(ring, mailbox, journal, job, learning)
+def main(descriptor: int, ring: int, mailbox: int, journal: int, job: int, learning: int, plan: int) -> None:
+    """Serve the socket until the daemon ends; ``learning`` is -1 without a process that learns."""
+    heir = Heir(plan)
+    desk = _LazyDesk(ring, mailbox, journal, job, learning if learning >= 0 else None)
     threading.Thread(target=desk.begin, daemon=True).start()
-    serve(descriptor, desk.answer, _INPUT)
+    serve(descriptor, desk.answer, _INPUT, heir.look)
     os._exit(0)  # threads may wait for clients that never hang up
 
 

@@ -18,6 +18,7 @@ from friction_hil.drive.socket_owner import peer
 
 LONGEST_LINE = 1 << 20  # bytes of a request
 MOST_CLIENTS = 32
+_LOOK_MS = 500
 _HUNG_UP = f"hung up: {MOST_CLIENTS} clients are connected, and this one was silent for the longest time"
 
 
@@ -133,10 +134,13 @@ def _line(answer: dict[str, Any]) -> bytes:
     return json.dumps(answer).encode() + b"\n"
 
 
-def serve(descriptor: int, answer: Callable[[bytes, int], dict[str, Any]], control: int) -> None:
-    """Serve until ``control`` is closed at its other end: then the daemon has ended."""
+def serve(
+    descriptor: int, answer: Callable[[bytes, int], dict[str, Any]], control: int, look: Callable[[], None]
+) -> None:
+    """Serve until ``control`` is closed at its other end: then the daemon has ended. Call ``look`` now and then."""
     with ControlServer(descriptor, answer) as server:
         threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 3600.0}, daemon=True).start()
         end = select.poll()
         end.register(control, 0)  # no event but the hang-up, which is always reported
-        end.poll()
+        while not end.poll(_LOOK_MS):
+            look()

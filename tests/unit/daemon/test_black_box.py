@@ -38,7 +38,7 @@ class Bench:
 
     def __init__(self, folder, memory_of=None, **options):
         self.job = make_job(folder, **options)
-        self.memory = memory.allocate(self.job) if memory_of is None else memory_of.memory
+        self.memory = memory.allocate(self.job, os.memfd_create("minute")) if memory_of is None else memory_of.memory
         self.history = History(self.job, self.memory)
         self.box = BlackBox(self.job, self.history, Changes(-1))
         self.cycle = 0 if memory_of is None else memory_of.cycle

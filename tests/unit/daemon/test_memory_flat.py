@@ -3,6 +3,7 @@
 What Python allocates is counted, to the byte; `tools/bench loop memory` measures the memory of whole processes.
 """
 
+import os
 import tracemalloc
 from pathlib import Path
 
@@ -67,7 +68,7 @@ def test_the_process_that_records_keeps_no_more_than_an_entry_of_a_chunk(tmp_pat
     )
     ring = RingWriter(job.row_width, ROWS_PER_S)
     reader = RingReader(ring.descriptor)
-    outputs = _Outputs(job, reader, allocate(job), Changes(-1))
+    outputs = _Outputs(job, reader, allocate(job, os.memfd_create("minute")), Changes(-1))
     assert outputs.recorder is not None
     outputs.recorder.open(1)
     row = np.random.default_rng(1).normal(size=(2, len(NAMES) + 6))

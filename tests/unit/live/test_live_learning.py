@@ -3,8 +3,6 @@
 import json
 import os
 import struct
-import subprocess
-import sys
 import threading
 from dataclasses import asdict
 
@@ -159,19 +157,10 @@ def test_an_axis_that_only_proposes_says_what_it_would_do():
 def test_a_process_that_is_not_started_any_more_is_not_shown_as_learning():
     board = LearningBoard()
     board.say(250, {"axes": {"x": LEARNED}, "cpu_share": 0.01})
-    wrong = [sys.executable, "-c", "raise SystemExit(2)"]  # so that another start would fail in the same way
-
-    def spawn(command, descriptors, stdout):
-        return subprocess.Popen(wrong, stdin=subprocess.PIPE)
-
-    service = LearningService(spawn, board, "mill.sock", 1e-3, is_simulated=False)
-    service.process.wait()
-    assert "nothing is learned any more" in service.tend()[0]
-    assert service.tend() == []
+    LearningService(board, 1e-3, is_simulated=False).give_up()
     found = board.report()["axes"]["x"]
     assert (found["doing"], found["reason"], found["re_identified"]) == ("ended", "its process died", 3)
     assert board.done_cycle == 250
-    service.close()
     board.close()
 
 
@@ -179,16 +168,9 @@ def test_simulated_time_does_not_wait_for_ever_for_a_process_that_hangs(monkeypa
     monkeypatch.setattr(learning_service, "_PATIENCE_S", 0.05)
     board = LearningBoard()
 
-    def spawn(command, descriptors, stdout):
-        return subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL)
-
-    service = LearningService(spawn, board, "mill.sock", 1e-3, is_simulated=True)
-    told: list[str] = []
-    for cycle in (249, 499):
-        service.await_tick(cycle, lambda: False, lambda: told.extend(service.tend()))
-        told.extend(service.tend())
-    assert told == ["the process that learns has done nothing for 0.05 s: the run goes on without it"]
-    service.close()
+    service = LearningService(board, 1e-3, is_simulated=True)
+    told = [service.await_tick(cycle, lambda: False, lambda: None) for cycle in (249, 499)]
+    assert told == ["the process that learns has done nothing for 0.05 s: the run goes on without it", ""]
     board.close()
 
 

@@ -8,11 +8,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from friction_hil.daemon.spawner.client import Spawn, Spawner, spawn_directly
 
 from friction_hil.config import Realtime
 from friction_hil.daemon.latency import is_fifo_allowed
 from friction_hil.daemon.realtime import punctuality
-from friction_hil.daemon.spawner.client import Spawn, Spawner, spawn_directly
 from tools.benchmarks.loop.daemon import running
 from tools.benchmarks.report import Row, compare, rounds
 
