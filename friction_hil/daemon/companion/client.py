@@ -1,6 +1,7 @@
 """Control process's side of the companion, and of all other processes beside the loop."""
 
 import contextlib
+import ctypes
 import json
 import math
 import os
@@ -28,6 +29,7 @@ _RING_ROWS_MIN = 1024
 _PATIENCE_S = 10.0  # without any progress, for the end of the recording
 _END_S = 5.0  # for that of the processes
 _SLICE_S = 0.1
+_PR_SET_CHILD_SUBREAPER = 36
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +68,7 @@ class Companion:
         self._news: list[tuple[str, str]] = []
         self._report: CompanionReport | None = None
         self._is_woken = self._is_done = self._is_alone = False
-        self._starts = 0
+        self._starts = self._group = 0
         self.worker_pid = self.supervisor_pid = 0  # of the process that records, and of the one that started it
         self.over: set[str] = set()  # titles of processes that are not started any more
         minute = -1 if job.black_box is None else os.memfd_create("friction_hil-minute")
@@ -86,6 +88,8 @@ class Companion:
         self._reports = -1
         self._own = [*(each for each in given if each not in (journal, -1)), lives, self._plan, self._life]
         self._poll = select.poll()
+        # what outlives a supervisor becomes a child of this process: it stays in its tree
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
         self._launch()
 
     @classmethod
@@ -191,6 +195,7 @@ class Companion:
             os.close(self._reports)
         self._reports, self._received, self._is_alone = reports, b"", False
         self.supervisor_pid = self.process.pid
+        self._group = self._group or self.process.pid
         self._starts += 1
         self._poll.register(reports, select.POLLIN)
 
@@ -288,12 +293,15 @@ class Companion:
                 self._kill()
         if is_finished:
             self.process.wait()
+            with contextlib.suppress(ChildProcessError):
+                while os.waitpid(-self._group, os.WNOHANG)[0]:  # those that have outlived their supervisor
+                    pass
         self._close_descriptors()
 
     def _kill(self) -> None:
         """Kill what is left: all processes are of one group."""
         with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self.process.pid, signal.SIGKILL)
+            os.killpg(self._group, signal.SIGKILL)
 
     def _close_descriptors(self) -> None:
         for each in (*self._own, self._reports, self._end):

@@ -57,7 +57,7 @@ def command(
 
     start: to Operation enabled. compute: processor time of the control process in a cycle, in simulated time.
     lateness: of the cycles, against cyclictest. memory: of all processes; --duration 3600 for an hour.
-    restart: how long the loop is held up when the processes beside it are killed and started again.
+    restart: lateness of the loop when the processes beside it are killed and started again.
     """
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name, _stressed(stress):

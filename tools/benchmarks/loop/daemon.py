@@ -26,7 +26,7 @@ from tools.benchmarks.report import note
 
 DEMO = Path(__file__).parents[3] / "config/demo.yaml"
 NAME = "bench"
-_NAMES = {"friction_hil.daemon.companion": "supervisor", "friction_hil.daemon.control": "server"}
+_NAMES = {"friction_hil.daemon.companion": "worker", "friction_hil.daemon.control": "server"}
 _PATIENCE_S = 60.0
 # A busy machine is to be measured: nothing that watches a drive on a live bus is to end the run.
 _MOST_MISSED, _HEARTBEAT_S = 1000, 10.0
@@ -82,8 +82,7 @@ class Daemon:
         for pid in _descendants(self.pid):
             words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
             module = next((word for word in words if word.startswith("friction_hil.daemon.")), words[0])
-            name = _NAMES.get(module) or module.rpartition(".")[2]
-            found["worker" if name in found else name] = pid
+            found[_NAMES.get(module) or module.rpartition(".")[2]] = pid
         return found
 
 
