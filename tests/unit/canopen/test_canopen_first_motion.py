@@ -1,7 +1,5 @@
 """Whole runs of the loop on a simulated CANopen drive whose units are not those that are assumed."""
 
-import math
-
 import numpy as np
 import pytest
 from friction_hil_drivers.canopen.drives import CanopenDrives
@@ -108,13 +106,6 @@ def test_60a9h_is_believed_and_yet_examined():
     assert "0.1 rpm" in run.facts[0].units[1].value
 
 
-def test_the_drive_may_be_slower_than_its_unit_says():
-    run = Run({"velocity_unit": "counts/s"}, NO_UNIT, velocity_unit="rpm")
-    (fault,) = run.result.faults
-    assert "[FH-123]" in fault or "[FH-124]" in fault
-    assert run.moved() < BOUND
-
-
 @pytest.mark.parametrize("position", [0.0, 3.0, -3.0])
 def test_a_reversed_drive_is_found_out(position):
     run = Run({"is_reversed": True}, position=position)
@@ -129,28 +120,6 @@ def test_a_blocked_axis_is_found_out():
     (fault,) = run.result.faults
     assert "does not move although" in fault
     assert fault.endswith("[FH-124]")
-
-
-@pytest.mark.deep
-@pytest.mark.parametrize("encoder", [1024, 4096, 1 << 20])
-@pytest.mark.parametrize("unit", ["counts/s", "rpm"])
-def test_coarse_and_fine_encoders(encoder, unit):
-    # a limit of fewer counts per period would be exceeded by the rounding of the reported velocity alone
-    counted = 4.0 * 2.0 * math.pi / encoder / PERIOD_S
-    limits = LIMITS | {"velocity": max(LIMITS["velocity"], counted)}
-    run = Run({"velocity_unit": unit}, servo={"encoder": {"counts": encoder}}, limits=limits)
-    assert run.result.faults == []
-    assert run.moved(LoopState.FIRST_MOTION) < max(BOUND, 96.0 * 2.0 * math.pi / encoder)
-
-
-@pytest.mark.deep
-@pytest.mark.parametrize("friction", [0.0, 0.02, 0.15, 0.3])
-def test_friction_is_no_fault(friction):
-    dry = {"friction": {"model": "coulomb", "parameters": {"coulomb": friction, "static": 1.5 * friction}}}
-    run = Run(
-        servo={**dry, "motor": {"rated_torque": 0.64, "peak_torque": 2.0}}, limits=LIMITS | {"following_error": 3.0}
-    )
-    assert run.result.faults == []
 
 
 @pytest.mark.parametrize("load", [-0.1, 0.1])
