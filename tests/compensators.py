@@ -3,6 +3,8 @@
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import reduce
+from operator import getitem
 from typing import Any
 
 import numpy as np
@@ -51,8 +53,8 @@ def quantised(position: Any, step: float) -> Any:
 
 
 def field(one: Compensator, name: str) -> Any:
-    """Value of a field of the state."""
-    return one.state.view(STATE)[0][name]
+    """Value of a field of the state, such as ``cycle`` or ``limit_cycle.alternations``."""
+    return reduce(getitem, name.split("."), one.state.view(STATE)[0])
 
 
 # --- inputs

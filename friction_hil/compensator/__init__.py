@@ -1,6 +1,6 @@
 """Friction compensator: measured and demanded motion, friction model, gain, limits, torque.
 
-Pure: one compiled step over one flat state record, the same in the daemon and in replay.
+Pure: one compiled step over one state record, the same in the daemon and in replay.
 
 `kernel` is the step, `records` its settings and state, `reference` the velocities that the model is given, `load` and
 `temperature` the load torque and temperature that it is given, `transmission` the offset of the motor across gap and

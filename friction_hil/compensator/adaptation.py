@@ -10,13 +10,35 @@ with the weight of one full forgetting time, and stays between bounds.
 import math
 from typing import Any
 
+import numpy as np
+
 from friction_hil.numerics.jit import inlined
 
+STATE = np.dtype(
+    [
+        ("factor", "f8", (2,)),  # learned, for positive and negative torque
+        ("weight", "f8", (2,)),
+        ("product", "f8", (2,)),
+        ("filtered_velocity", "f8"),
+        ("filtered_torque", "f8"),
+        ("filtered_model", "f8"),
+        ("sliding_s", "f8"),
+        ("sliding_travel", "f8"),  # since then
+        ("learned_s", "f8"),  # in which it has learned
+    ]
+)
 FILTER_S = 0.02
 _SETTLED = 5.0  # filter times of sliding in one direction before the fit begins
 SETTLED_S = _SETTLED * FILTER_S
 DEFLECTIONS = 10.0  # of the presliding, as travel before the fit begins; the softest of several elements yields last
 MOVING_NOISES = 4.0  # velocity, in its own noise, that counts as sliding
+
+
+def begin(r: Any, level: float) -> None:
+    """Forget what was learned, before the first cycle and with another model, whose friction level is ``level``."""
+    r["factor"] = 1.0
+    r["weight"] = r["product"] = level**2
+    r["sliding_s"] = r["sliding_travel"] = r["learned_s"] = 0.0
 
 
 @inlined
@@ -26,13 +48,12 @@ def forget(r: Any) -> None:
 
 
 @inlined
-def learn(c: Any, r: Any, model: float, torque: float, load: float, dt: float) -> None:
+def learn(c: Any, r: Any, v: float, model: float, torque: float, load: float, dt: float) -> None:
     """Update the factor of the present direction with one cycle.
 
-    ``model``: friction of the model without any factor, ``torque``: actual torque of the drive, ``load``: load torque,
-    all in N m.
+    ``v``: measured velocity, ``model``: friction of the model without any factor, ``torque``: actual torque of the
+    drive, ``load``: load torque, all in N m.
     """
-    v = r.motion.velocity
     direction = 1.0 if v > 0.0 else -1.0
     is_sliding = abs(v) >= MOVING_NOISES * c.noise
     if not is_sliding or direction * model <= 0.0 or not math.isfinite(torque):

@@ -13,29 +13,39 @@ that is found then, or between torques of opposite directions, one of which has 
 import math
 from typing import Any
 
+import numpy as np
+
 from friction_hil.numerics.jit import inlined
 
+STATE = np.dtype(
+    [
+        ("left", "f8"),  # of the difference at a change of settings, 1 to 0
+        ("directed", "f8"),  # part of that difference which changes sign with the friction
+        ("fixed", "f8"),  # part which does not; in the first cycle, the torque of the former settings
+    ]
+)
 _REVERSING_S = 0.01
 _CALM_S = 0.1  # a torque that changes by the friction level within less belongs to a reversal
-BEGINNING = 2.0  # value of ``bridge_left`` that a change sets
+BEGINNING = 2.0  # value of ``left`` that a change sets
 
 
 @inlined
-def cross(c: Any, r: Any, friction: float, wanted: float, dt: float) -> float:
+def cross(c: Any, r: Any, last: float, friction: float, wanted: float, dt: float) -> float:
     """Return the torque of this cycle, N m: ``wanted`` and what is left of the difference at the last change.
 
-    ``friction``: torque of the model; ``wanted``: the same with gain and fades, N m. ``dt``: since the last cycle, s.
+    ``last``: torque of the last cycle; ``friction``: of the model; ``wanted``: the same with gain and fades, N m.
+    ``dt``: since the last cycle, s.
     """
-    if r.bridge_left <= 0.0 or not math.isfinite(wanted):
+    if r.left <= 0.0 or not math.isfinite(wanted):
         return wanted
     developed = min(max(2.0 * friction / c.level, -1.0), 1.0) if c.level > 0.0 else 0.0
-    if r.bridge_left > 1.0:
-        difference = r.bridge_fixed - wanted  # until now, it was the torque of the former settings
-        is_reversing = abs(r.bridge_fixed - r.compensation) * _CALM_S > c.level * dt or r.bridge_fixed * wanted < 0.0
-        r.bridge_left = min(_REVERSING_S / c.fade_s, 1.0) if is_reversing else 1.0
-        difference /= r.bridge_left
-        r.bridge_directed = difference * developed
-        r.bridge_fixed = difference * (1.0 - developed * developed)
+    if r.left > 1.0:
+        difference = r.fixed - wanted  # until now, it was the torque of the former settings
+        is_reversing = abs(r.fixed - last) * _CALM_S > c.level * dt or r.fixed * wanted < 0.0
+        r.left = min(_REVERSING_S / c.fade_s, 1.0) if is_reversing else 1.0
+        difference /= r.left
+        r.directed = difference * developed
+        r.fixed = difference * (1.0 - developed * developed)
     else:
-        r.bridge_left = max(r.bridge_left - dt / c.fade_s, 0.0)
-    return float(wanted + r.bridge_left * (r.bridge_directed * developed + r.bridge_fixed))
+        r.left = max(r.left - dt / c.fade_s, 0.0)
+    return float(wanted + r.left * (r.directed * developed + r.fixed))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from friction_hil.compensator import adaptation
 from friction_hil.compensator.bridge import BEGINNING
 from friction_hil.numerics.jit import Array, StructuredArray
 
@@ -17,18 +18,16 @@ def carry_over(old: StructuredArray, new: StructuredArray, state: StructuredArra
     None: the model stays.
     """
     r, before, after = state[0], old[0], new[0]
-    r["bridge_left"] = BEGINNING
+    r["bridge"]["left"] = BEGINNING
     if friction is not None or after["adaptation_s"] == 0.0:
-        r["factor"] = 1.0
-        r["weight"] = r["product"] = after["level"] ** 2
-        r["sliding_s"] = r["sliding_travel"] = r["learned_s"] = 0.0
+        adaptation.begin(r["adaptation"], after["level"])
     if friction is None:
         return
     r["friction"] = 0.0
     r["friction"][: friction.size] = friction
-    r["gain_factor"] = 1.0
-    r["alternations"] = 0.0
-    if not (np.isfinite(r["temperature"]) and np.isfinite(after["reference_temperature"])):
-        r["temperature"] = after["reference_temperature"]
+    r["limit_cycle"]["gain_factor"] = 1.0
+    r["limit_cycle"]["alternations"] = 0.0
+    if not (np.isfinite(r["temperature"]["given"]) and np.isfinite(after["reference_temperature"])):
+        r["temperature"]["given"] = after["reference_temperature"]
     if not before["heat_capacity"] > 0.0:
-        r["body_temperature"] = after["first_temperature"]
+        r["temperature"]["body"] = after["first_temperature"]

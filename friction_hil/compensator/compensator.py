@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from friction_hil.compensator import adaptation, kernel, prediction, records, reference, velocity
+from friction_hil.compensator import adaptation, kernel, prediction, records, reference
 from friction_hil.compensator.change import carry_over
 from friction_hil.compensator.kernel import RESULTS
+from friction_hil.compensator.records import place
 from friction_hil.compensator.reference import SOURCES
 from friction_hil.compensator.velocity import VelocityEstimator
 from friction_hil.errors import UsageError
@@ -214,7 +215,7 @@ class Compensator:
         if self._former is not None:
             settings, state = self._former
             self._former = None
-            self._state[0]["bridge_fixed"] = kernel.whole_step(settings, state, *map(float, inputs))
+            self._state[0]["bridge"]["fixed"] = kernel.whole_step(settings, state, *map(float, inputs))
 
     def replay(self, inputs: Sequence[Array]) -> tuple[Array, Array]:
         """Compute many cycles at once; return compensation and velocity estimate, (n,).
@@ -340,17 +341,10 @@ class Compensator:
         return self._flat.item(_GAIN_FACTOR)
 
 
-def _index(name: str, of: "np.dtype[np.void]" = records.STATE) -> int:
-    """Return the index of a field in the flat view of a state."""
-    assert of.fields is not None
-    return int(of.fields[name][1]) // 8
-
-
-_VELOCITY = _index("motion") + _index("velocity", velocity.STATE)
-_FADE, _COMPENSATION, _IS_FAULTY = _index("fade"), _index("compensation"), _index("is_faulty")
-_LOAD, _TEMPERATURE = _index("load_torque"), _index("temperature")
-_OFFSET_NOW, _OFFSET_SENT = _index("offset_now"), _index("offset_sent")
-_GAIN_FACTOR, _LEARNED_S = _index("gain_factor"), _index("learned_s")
+_VELOCITY, _FADE, _COMPENSATION = place("motion.velocity"), place("fade"), place("compensation")
+_LOAD, _TEMPERATURE, _IS_FAULTY = place("load_torque"), place("temperature.given"), place("is_faulty")
+_OFFSET_NOW, _OFFSET_SENT = place("transmission.offset_now"), place("transmission.offset_sent")
+_GAIN_FACTOR, _LEARNED_S = place("limit_cycle.gain_factor"), place("adaptation.learned_s")
 
 
 def _check_offset(settings: CompensatorSettings) -> None:

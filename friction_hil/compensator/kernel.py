@@ -27,7 +27,7 @@ RESTING_S = 0.3  # without motion: time until the compensation fades out, and fa
 def _update_velocity(c: Any, r: Any, cycle: float, position: float, drive_velocity: float, torque: float) -> None:
     """Give fresh feedback to the velocity estimator, with the known torque on the inertia where that is used."""
     net = 0.0
-    if c.uses_torque > 0.0 and r.has_demand > 0.0:
+    if c.uses_torque > 0.0 and r.reference.has_demand > 0.0:
         # Without a demand a hand moves the axis with an unknown torque: the known rest would mislead the estimate.
         # The torque is the mean over the cycle that ends here. The friction is that of the reference velocity, which
         # holds while the axis follows its demand. What exceeds the level is viscous: held over a cycle, it must
@@ -48,10 +48,8 @@ def _restart(
     r.measured_torque = torque
     r.resting_position = position
     r.resting_s = RESTING_S
-    r.guided_velocity = r.motion.velocity
-    reference.forget(r, demand)
-    reference.forget_changes(r)
-    adaptation.forget(r)
+    reference.begin(r.reference, r.motion.velocity, demand)
+    adaptation.forget(r.adaptation)
 
 
 @inlined
@@ -75,20 +73,13 @@ def _estimate(
         elapsed = 1.0
         _restart(c, r, cycle, position, drive_velocity, torque, demand)
     else:
-        if has_demand and r.has_demand == 0.0:
-            reference.forget(r, demand)
-        elif r.has_demand > 0.0 and not has_demand:
-            reference.forget_changes(r)
-        reference.remember(r, demand, elapsed)
+        reference.remember(r.reference, r.motion.velocity, demand, has_demand, elapsed)
         if is_fresh:
             _update_velocity(c, r, cycle, position, drive_velocity, torque)
         else:
             velocity.predict(c.motion, r.motion, cycle, 0.0)
     r.cycle = cycle
-    r.has_demand = 1.0 if has_demand else 0.0
-    if is_fresh:
-        r.has_error = 1.0 if math.isfinite(position_demand) else 0.0
-        r.error = position_demand - position if r.has_error > 0.0 else 0.0
+    reference.see(r.reference, position, position_demand, has_demand, is_fresh)
     return float(elapsed * c.period_s)
 
 
@@ -105,7 +96,9 @@ def _friction(
     dt: float,
 ) -> tuple[float, float, float]:
     """Run the friction model; return its torque, the part that the motor feels, and the velocity of its level."""
-    state_velocity, level_velocity = reference.model_velocities(c, r, velocity_demand_ahead, dt)
+    state_velocity, level_velocity = reference.model_velocities(
+        c, r.reference, r.motion.velocity, velocity_demand_ahead, dt
+    )
     reached = position + c.lead_s * level_velocity  # position at which the torque will act
     r.load_torque = load.transmitted_torque(c, reached, position_demand, velocity_demand_ahead, acceleration)
     friction = kernel.step(
@@ -124,7 +117,7 @@ def _friction(
     r.friction_torque = friction
     felt = friction
     if c.load_share > 0.0:
-        felt = transmission.felt_at_motor(c, r, friction, state_velocity, dt)
+        felt = transmission.felt_at_motor(c, r.transmission, friction, state_velocity, dt)
     return friction, felt, level_velocity
 
 
@@ -159,11 +152,11 @@ def _gain(
     """Return the factor on the model's torque: gain, fades, dead band and adaptation."""
     change = dt / c.fade_s
     r.fade = min(r.fade + change, 1.0) if is_enabled > 0.0 else max(r.fade - change, 0.0)
-    gain = (c.gain_positive if friction > 0.0 else c.gain_negative) * r.fade * r.gain_factor
+    gain = (c.gain_positive if friction > 0.0 else c.gain_negative) * r.fade * r.limit_cycle.gain_factor
     gain *= _standstill_fade(c, r, position, keeps_torque, dt)
     if c.dead_band > 0.0:
         gain *= min(abs(level_velocity) / c.dead_band, 1.0)
-    return float(gain * adaptation.factor(r, friction))
+    return float(gain * adaptation.factor(r.adaptation, friction))
 
 
 @compiled
@@ -187,31 +180,35 @@ def whole_step(
     torque = torque / c.torque_ratio
     has_demand = math.isfinite(velocity_demand_ahead)
     keeps_torque = has_demand or c.source == reference.MEASURED
-    if r.cycle < 0.0:
+    is_first = r.cycle < 0.0
+    if is_first:
         r.standstill_fade = 1.0 if keeps_torque else 0.0
-    celsius = temperature.follow(c, r, measured_temperature, c.period_s * max(cycle - r.cycle, 0.0))
+    passed = max(cycle - r.cycle, 0.0)
+    celsius = temperature.follow(c, r.temperature, measured_temperature, is_first, c.period_s * passed)
     motor_demand = position_demand
     motor_velocity, motor_velocity_ahead = velocity_demand, velocity_demand_ahead
     if c.offset_acceleration > 0.0:
-        elapsed = cycle - r.cycle if r.cycle >= 0.0 else 1.0
+        offset, elapsed = r.transmission, cycle - r.cycle if r.cycle >= 0.0 else 1.0
         ahead = position_demand + c.lead_s * velocity_demand_ahead
-        transmission.follow(c, r, elapsed, ahead, velocity_demand_ahead, acceleration_demand_ahead, has_demand)
-        motor_demand += r.offset_now
-        motor_velocity += r.offset_now_velocity
-        motor_velocity_ahead += r.offset_ahead_velocity
+        transmission.follow(
+            c, offset, elapsed, ahead, velocity_demand_ahead, acceleration_demand_ahead, has_demand, r.fade
+        )
+        motor_demand += offset.offset_now
+        motor_velocity += offset.velocity_now
+        motor_velocity_ahead += offset.velocity_ahead
     dt = _estimate(c, r, cycle, position, velocity, torque, motor_demand, motor_velocity, has_demand, is_fresh > 0.0)
     friction, felt, level_velocity = _friction(
         c, r, position, position_demand, motor_velocity_ahead, acceleration_demand_ahead, celsius, has_demand, dt
     )
     if c.heat_capacity > 0.0:
-        temperature.observe(c, r, friction, level_velocity, torque, dt)
+        temperature.observe(c, r.temperature, friction, level_velocity, torque, dt)
     if c.adaptation_s > 0.0 and is_fresh > 0.0:
-        adaptation.learn(c, r, friction, torque, load.gravity(c, position), dt)
+        adaptation.learn(c, r.adaptation, r.motion.velocity, friction, torque, load.gravity(c, position), dt)
     wanted = _gain(c, r, position, felt, level_velocity, keeps_torque, is_enabled, dt) * felt
     r.is_faulty = 0.0 if math.isfinite(wanted) else 1.0
-    wanted = bridge.cross(c, r, friction, wanted, dt)
+    wanted = bridge.cross(c, r.bridge, r.compensation, friction, wanted, dt)
     r.compensation = limit_torque(wanted, r.compensation, c.torque_limit, c.torque_slew * dt)
-    limit_cycle.watch(c, r, r.compensation, motor_velocity_ahead, dt)
+    limit_cycle.watch(c, r.limit_cycle, r.compensation, motor_velocity_ahead, dt)
     return float(r.compensation)
 
 
@@ -252,5 +249,5 @@ def replay(
         )
         results[1, k] = r.motion.velocity
         results[2, k] = r.load_torque
-        results[3, k] = r.temperature
-        results[4, k] = r.offset_now
+        results[3, k] = r.temperature.given
+        results[4, k] = r.transmission.offset_now

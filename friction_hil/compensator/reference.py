@@ -20,6 +20,8 @@ time, not later by the whole delay.
 import math
 from typing import Any
 
+import numpy as np
+
 from friction_hil.compensator import prediction
 from friction_hil.numerics.jit import inlined
 
@@ -40,20 +42,42 @@ _SMOOTHING_CYCLES = 15.0
 _JUDGING_CYCLES = 30.0  # over which predicted changes are compared with true ones
 
 
+STATE = np.dtype(
+    [
+        ("deviation_square", "f8"),
+        ("prediction", prediction.STATE),
+        ("has_demand", "f8"),
+        ("error", "f8"),  # demanded less measured position; 0 where unknown
+        ("has_error", "f8"),
+        ("evidence", "f8"),  # that the axis deviates by more than the rounding of the encoder, 0 to 1
+        ("error_square", "f8"),
+        ("guided_direction", "f8"),  # of a static map on an axis moved by hand, -1 to 1
+        ("guided_velocity", "f8"),
+        ("last_velocity", "f8"),
+        ("slope", "f8"),  # of the velocity estimate, smoothed
+        ("slopes", "f8", (HORIZON,)),  # newest first
+        ("velocities", "f8", (HORIZON,)),  # of the same cycles
+        ("change_square", "f8"),  # of the predicted change of velocity, smoothed
+        ("change_product", "f8"),  # of the predicted and the true change, smoothed
+        ("demands", "f8", (HISTORY,)),  # demanded velocity, newest first
+    ]
+)
+
+
 @inlined
 def forget(r: Any, demand: float) -> None:
     """Start anew, as if the demand had always been ``demand``."""
     r.deviation_square = 0.0
-    prediction.forget(r)
+    prediction.forget(r.prediction)
     r.error = r.error_square = r.has_error = r.evidence = 0.0
     for k in range(HISTORY):
         r.demands[k] = demand
 
 
 @inlined
-def forget_changes(r: Any) -> None:
-    """Start the prediction of changes anew from the present velocity."""
-    r.last_velocity = r.motion.velocity
+def forget_changes(r: Any, velocity: float) -> None:
+    """Start the prediction of changes anew from the present ``velocity``."""
+    r.last_velocity = velocity
     r.slope = 0.0
     r.change_square = r.change_product = 0.0
     for k in range(HORIZON):
@@ -61,8 +85,23 @@ def forget_changes(r: Any) -> None:
 
 
 @inlined
-def remember(r: Any, demand: float, cycles: float) -> None:
-    """Shift the demanded velocity into the history, once for each cycle that passed."""
+def begin(r: Any, velocity: float, demand: float) -> None:
+    """Start anew with an estimated ``velocity``, as if the demand had always been ``demand``."""
+    r.guided_velocity = velocity
+    forget(r, demand)
+    forget_changes(r, velocity)
+
+
+@inlined
+def remember(r: Any, velocity: float, demand: float, has_demand: bool, cycles: float) -> None:
+    """Shift the demanded velocity into the history, once for each cycle that passed.
+
+    ``velocity``: the estimate of the last cycle. With a demand that appears or disappears the past means nothing.
+    """
+    if has_demand and r.has_demand == 0.0:
+        forget(r, demand)
+    elif r.has_demand > 0.0 and not has_demand:
+        forget_changes(r, velocity)
     for _ in range(min(int(cycles), HISTORY)):
         for k in range(HISTORY - 1, 0, -1):
             r.demands[k] = r.demands[k - 1]
@@ -70,11 +109,20 @@ def remember(r: Any, demand: float, cycles: float) -> None:
 
 
 @inlined
-def deviation(c: Any, r: Any) -> float:
+def see(r: Any, position: float, position_demand: float, has_demand: bool, is_fresh: bool) -> None:
+    """Keep what is known of demand and following error in this cycle."""
+    r.has_demand = 1.0 if has_demand else 0.0
+    if is_fresh:
+        r.has_error = 1.0 if math.isfinite(position_demand) else 0.0
+        r.error = position_demand - position if r.has_error > 0.0 else 0.0
+
+
+@inlined
+def deviation(c: Any, r: Any, velocity: float) -> float:
     """Return measured less demanded velocity at the moment to which the estimate belongs."""
     whole = int(c.delay_cycles)
     part = c.delay_cycles - whole
-    return float(r.motion.velocity - (1.0 - part) * r.demands[whole] - part * r.demands[whole + 1])
+    return float(velocity - (1.0 - part) * r.demands[whole] - part * r.demands[whole + 1])
 
 
 @inlined
@@ -107,14 +155,13 @@ def admitted(c: Any, r: Any) -> float:
 
 
 @inlined
-def expected_change(c: Any, r: Any, dt: float) -> tuple[float, float]:
+def expected_change(c: Any, r: Any, v: float, dt: float) -> tuple[float, float]:
     """Return the expected change of velocity until the torque acts, and its ratio to the predicted change.
 
     The prediction extends the slope of the estimate: right in a motion led by hand, wrong in noise, in steps of the
     encoder and where the axis sticks. The ratio is the regression of true on predicted changes, the mean of their
     product over the mean square of the prediction, less the part of that square that the encoder could have caused.
     """
-    v = r.motion.velocity
     cycles = int(c.judged_cycles)
     elapsed = int(dt / c.period_s + 0.5)  # more than 1 after missed periods
     before = cycles - elapsed  # of the prediction that was made for now
@@ -136,15 +183,15 @@ def expected_change(c: Any, r: Any, dt: float) -> tuple[float, float]:
 
 
 @inlined
-def guided_velocities(c: Any, r: Any, change: float, ratio: float, dt: float) -> tuple[float, float]:
+def guided_velocities(c: Any, r: Any, measured: float, change: float, ratio: float, dt: float) -> tuple[float, float]:
     """Return the velocities for state and level of an axis that is moved by hand, without a demand.
 
     A hand cannot be told from the spring's own swing. A model spring that is too soft leaves the axis most of its
     own, whatever the delay. A static map has no spring; its direction follows with a hysteresis of
     `REVERSAL_COUNTS`. The level's velocity is smoothed the more, the less the predictions come true.
     """
-    v = r.motion.velocity + change
-    level = r.guided_velocity + ratio * (r.motion.velocity - r.guided_velocity) + change
+    v = measured + change
+    level = r.guided_velocity + ratio * (measured - r.guided_velocity) + change
     if c.is_static == 0.0:
         return STIFFNESS_FRACTION * v, level
     r.guided_direction = min(max(r.guided_direction + v * dt / (REVERSAL_COUNTS * c.resolution), -1.0), 1.0)
@@ -152,22 +199,22 @@ def guided_velocities(c: Any, r: Any, change: float, ratio: float, dt: float) ->
 
 
 @inlined
-def model_velocities(c: Any, r: Any, ahead: float, dt: float) -> tuple[float, float]:
+def model_velocities(c: Any, r: Any, measured: float, ahead: float, dt: float) -> tuple[float, float]:
     """Return the velocities for the model's state and for its level.
 
-    ``ahead``: demanded velocity when the torque will act, NaN without a demand; ``dt``: since the last cycle, s.
+    ``measured``: estimated velocity; ``ahead``: the one demanded when the torque will act, NaN without a demand;
+    ``dt``: since the last cycle, s.
     """
-    measured = r.motion.velocity
     r.guided_velocity += c.guided_coefficient * (measured - r.guided_velocity)
     if not math.isfinite(ahead):
-        change, ratio = expected_change(c, r, dt)
+        change, ratio = expected_change(c, r, measured, dt)
         if c.source == MEASURED:
             # the state stays with the measured velocity: with a predicted one, the whole model spring would oscillate
             predicted = measured + change
             return measured, predicted if predicted * measured > 0.0 else 0.0
-        return guided_velocities(c, r, change, ratio, dt)
-    d = deviation(c, r)
-    prediction.remember(r, d, dt / c.period_s + 0.5)
+        return guided_velocities(c, r, measured, change, ratio, dt)
+    d = deviation(c, r, measured)
+    prediction.remember(r.prediction, d, dt / c.period_s + 0.5)
     r.deviation_square += (d * d - r.deviation_square) / _SMOOTHING_CYCLES
     if c.source == MEASURED:
         return ahead + d, ahead + d
@@ -175,7 +222,7 @@ def model_velocities(c: Any, r: Any, ahead: float, dt: float) -> tuple[float, fl
         return ahead, ahead
     r.error_square += (r.error * r.error - r.error_square) / _SMOOTHING_CYCLES
     u = reference_velocity(c, r, ahead)
-    level = ahead + admitted(c, r) * prediction.predicted(c, r)
+    level = ahead + admitted(c, r) * prediction.predicted(c, r.prediction)
     if u > 0.0:
         level = max(level, 0.0)
     elif u < 0.0:

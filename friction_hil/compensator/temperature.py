@@ -11,8 +11,16 @@ follows its source no faster than `SLEW`, so that a sensor that appears, fails o
 import math
 from typing import Any
 
+import numpy as np
+
 from friction_hil.numerics.jit import inlined
 
+STATE = np.dtype(
+    [
+        ("given", "f8"),  # to the model, as far as it depends on one
+        ("body", "f8"),  # of the observer
+    ]
+)
 LOWEST, HIGHEST = -60.0, 250.0  # deg C: what lies outside is no temperature of a motor, but a code for "no sensor"
 SLEW = 1.0  # K/s
 
@@ -31,15 +39,15 @@ def observe(c: Any, r: Any, friction: float, velocity: float, torque: float, dt:
         heat += c.copper_loss * torque * torque
     if not math.isfinite(heat):
         return
-    cooled = r.body_temperature - c.ambient
+    cooled = r.body - c.ambient
     # exact for a heat that is constant over dt
     kept = math.exp(-dt / (c.thermal_resistance * c.heat_capacity))
     body = c.ambient + kept * cooled + (1.0 - kept) * c.thermal_resistance * heat
-    r.body_temperature = min(max(body, LOWEST), HIGHEST)
+    r.body = min(max(body, LOWEST), HIGHEST)
 
 
 @inlined
-def follow(c: Any, r: Any, measured: float, dt: float) -> float:
+def follow(c: Any, r: Any, measured: float, is_first: bool, dt: float) -> float:
     """Return the temperature for the model, deg C; NaN for a model that does not depend on it."""
     if math.isnan(c.reference_temperature):
         return math.nan
@@ -47,9 +55,9 @@ def follow(c: Any, r: Any, measured: float, dt: float) -> float:
     if is_plausible(measured):
         source = measured
     elif c.heat_capacity > 0.0:
-        source = r.body_temperature
-    if r.cycle < 0.0:
-        r.temperature = source  # nothing is commanded yet
+        source = r.body
+    if is_first:
+        r.given = source  # nothing is commanded yet
     else:
-        r.temperature += min(max(source - r.temperature, -SLEW * dt), SLEW * dt)
-    return float(r.temperature)
+        r.given += min(max(source - r.given, -SLEW * dt), SLEW * dt)
+    return float(r.given)

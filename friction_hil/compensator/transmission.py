@@ -18,6 +18,8 @@ wound up, or over the presliding of the friction where that is softer, and that 
 import math
 from typing import Any
 
+import numpy as np
+
 from friction_hil.compensator import load
 from friction_hil.numerics.jit import inlined
 
@@ -25,12 +27,22 @@ HISTORY = 16  # cycles of the offset that are kept: the longest lead
 _HEADROOM = 0.5  # of what the path leaves of the velocity limit
 
 
-@inlined
-def forget(r: Any) -> None:
-    """Start without an offset, on neither side."""
-    r.side = r.direction = r.offset = r.offset_velocity = 0.0
-    for k in range(HISTORY):
-        r.offsets[k] = r.offset_velocities[k] = 0.0
+STATE = np.dtype(
+    [
+        ("side", "f8"),  # on which the transmission is in contact, -1, 0 or 1
+        ("direction", "f8"),  # of the last demanded motion, -1, 0 or 1
+        ("offset", "f8"),  # of the position, the newest
+        ("velocity", "f8"),
+        ("offsets", "f8", (HISTORY,)),  # newest first
+        ("velocities", "f8", (HISTORY,)),
+        ("offset_now", "f8"),  # of the drive's demand now
+        ("velocity_now", "f8"),
+        ("velocity_ahead", "f8"),  # when this cycle's torque acts
+        ("offset_sent", "f8"),  # for the set-point of this cycle
+        ("velocity_sent", "f8"),
+        ("wound_up", "f8"),  # torque of the load's friction that the coupling transmits to the motor
+    ]
+)
 
 
 @inlined
@@ -57,17 +69,17 @@ def _advance(c: Any, r: Any, target: float, bound: float) -> None:
     """Move the offset by one period towards ``target``, at no more than the velocity ``bound``."""
     dt = c.period_s
     step = c.offset_acceleration * dt * dt
-    drift = dt * r.offset_velocity
+    drift = dt * r.velocity
     miss = r.offset - target + drift
     if abs(miss) > step:
         push = drift + math.copysign(0.5 * (math.sqrt(step * (step + 8.0 * abs(miss))) - step), miss)
     else:
         push = drift + miss
-    wanted = r.offset_velocity - c.offset_acceleration * dt * min(max(push / step, -1.0), 1.0)
+    wanted = r.velocity - c.offset_acceleration * dt * min(max(push / step, -1.0), 1.0)
     wanted = min(max(wanted, -bound), bound)
     change = c.offset_acceleration * dt
     r.offset = min(max(r.offset + drift, -c.offset_limit), c.offset_limit)
-    r.offset_velocity = min(max(wanted, r.offset_velocity - change), r.offset_velocity + change)
+    r.velocity = min(max(wanted, r.velocity - change), r.velocity + change)
 
 
 @inlined
@@ -81,28 +93,36 @@ def _at(values: Any, cycles: float) -> float:
 
 @inlined
 def follow(
-    c: Any, r: Any, cycles: float, position: float, velocity: float, acceleration: float, has_demand: bool
+    c: Any,
+    r: Any,
+    cycles: float,
+    position: float,
+    velocity: float,
+    acceleration: float,
+    has_demand: bool,
+    fade: float,
 ) -> None:
     """Advance the offset by ``cycles`` and find those of the other moments.
 
-    The demand is that of the load when this cycle's torque acts; without it the offset returns to zero.
+    The demand is that of the load when this cycle's torque acts; without it the offset returns to zero. ``fade``: that
+    of the compensation, 0 to 1.
     """
     target, bound = 0.0, c.offset_velocity
     if has_demand:
-        target = r.fade * _target(c, r, position, velocity, acceleration)
+        target = fade * _target(c, r, position, velocity, acceleration)
         bound = min(bound, max(_HEADROOM * (c.velocity_limit - abs(velocity)), 0.0))
     for _ in range(min(int(cycles), HISTORY)):
         for k in range(HISTORY - 1, 0, -1):
-            r.offsets[k], r.offset_velocities[k] = r.offsets[k - 1], r.offset_velocities[k - 1]
+            r.offsets[k], r.velocities[k] = r.offsets[k - 1], r.velocities[k - 1]
         _advance(c, r, target, bound)
-        r.offsets[0], r.offset_velocities[0] = r.offset, r.offset_velocity
+        r.offsets[0], r.velocities[0] = r.offset, r.velocity
     # the newest offset is that of the set-point which is sent now, or of the torque, whichever acts later
     lead = c.lead_s / c.period_s
     newest = max(lead, c.setpoint_cycles)
-    r.offset_now, r.offset_now_velocity = _at(r.offsets, newest), _at(r.offset_velocities, newest)
-    r.offset_ahead_velocity = _at(r.offset_velocities, newest - lead)
+    r.offset_now, r.velocity_now = _at(r.offsets, newest), _at(r.velocities, newest)
+    r.velocity_ahead = _at(r.velocities, newest - lead)
     sent = newest - c.setpoint_cycles
-    r.offset_sent, r.offset_sent_velocity = _at(r.offsets, sent), _at(r.offset_velocities, sent)
+    r.offset_sent, r.velocity_sent = _at(r.offsets, sent), _at(r.velocities, sent)
 
 
 @inlined

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from friction_hil.compensator import STATE
+from friction_hil.compensator.records import place
 from friction_hil.config import AxisConfig, Configuration, from_dict
 from friction_hil.daemon.companion import state_folder
 from friction_hil.daemon.control.ask import DaemonGoneError, Question, ask
@@ -236,9 +236,7 @@ class Learning:
         for one in self._axes.values():
             one.compile(facts[one.name].position_resolution)
         names, width = list(answer["columns"]), len(answer["columns"]) + answer["state_width"]
-        fields = STATE.fields
-        assert fields is not None
-        gain_factor = len(names) + fields["gain_factor"][1] // 8
+        gain_factor = len(names) + place("limit_cycle.gain_factor")
         wanted = [
             "state",
             "is_enabled",

@@ -76,10 +76,10 @@ def _control(
     ``r`` is the state of the compensator, which has the velocity and the offset of the motor; ``error`` includes it.
     """
     if d.mode == plant.CSP:
-        return row[5] + r.offset_sent, 0.0, integral
+        return row[5] + r.transmission.offset_sent, 0.0, integral
     if d.mode == plant.CSV:
-        return row[6] + r.offset_sent_velocity + controller[0].position_gain * error, 0.0, integral
-    demand, velocity = row[1] + r.offset_now_velocity, r.motion.velocity
+        return row[6] + r.transmission.velocity_sent + controller[0].position_gain * error, 0.0, integral
+    demand, velocity = row[1] + r.transmission.velocity_now, r.motion.velocity
     torque, integral = cascade(controller, integral, error, demand, row[2], velocity, d.period_s, d.torque_limit)
     return 0.0, torque, integral
 
@@ -104,13 +104,13 @@ def _decide(axis: Axis, k: int, row: Array, trace: Array) -> None:
         row[4],
         math.nan,
     )
-    error = row[0] + r.offset_now - position
+    error = row[0] + r.transmission.offset_now - position
     target, own, loop.integral = _control(d, axis.own_controller, loop.integral, row, r, error)
     if d.largest_static > 0.0:
         static = d.offset + load.gravity(c, row[0] + c.lead_s * row[1])
         own += min(max(static, -d.largest_static), d.largest_static)
     torque = limit_torque(own + compensation, loop.torques[0], d.torque_limit, d.torque_slew * d.period_s)
-    trace[0, k], trace[1, k], trace[2, k] = error, compensation, r.gain_factor
+    trace[0, k], trace[1, k], trace[2, k] = error, compensation, r.limit_cycle.gain_factor
     trace[3, k], trace[4, k] = row[0], row[0] - plant.load_position(axis.state)
     for j in range(MOST_DELAY_CYCLES, 0, -1):
         loop.targets[j], loop.torques[j] = loop.targets[j - 1], loop.torques[j - 1]

@@ -10,28 +10,14 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from friction_hil.compensator import prediction, reference
-from friction_hil.compensator.records import settings_type
+from friction_hil.compensator.records import FIXED, settings_type
 from friction_hil.daemon.control.message import AXIS_HEAD, HEAD, TEXT_BYTES, Action, AxisChange, Change
 from friction_hil.daemon.static_torque import StaticTorque
-from friction_hil.friction.dispatch import BOUC_WEN
+from friction_hil.friction.dispatch import FAMILIES
 from friction_hil.friction.kernel import PARAMETER_ROOM, PLAIN_ROOM, STATE_ROOM
 from friction_hil.numerics.jit import Array, StructuredArray
 
 MOST_GAIN = 1.5
-# what a change may not touch: the safety of the axis depends on it, or the motion of its set-point
-_FIXED = (
-    "period_s",
-    "resolution",
-    "torque_limit",
-    "torque_slew",
-    "uses_torque",
-    "delay_cycles",
-    "velocity_limit",
-    "setpoint_cycles",
-    "offset_acceleration",
-    "offset_velocity",
-    "offset_limit",
-)
 _FINITE = ("level", "inertia", "lead_s", "ahead_s", "ahead_noise_square", "noise", "rest", "epsilon", "gate_square")
 _STATIC_ROOM = len(StaticTorque._fields)
 _NOT_KNOWN = "reference_temperature"  # NaN: the model does not depend on temperature
@@ -120,7 +106,7 @@ def _record(numbers: Array, present: StructuredArray, rooms: Collection[int]) ->
     else:
         raise ValueError("the settings of an axis have the wrong size")
     new, old = record[0], present[0]
-    for name in _FIXED:
+    for name, _ in FIXED:
         if new[name] != old[name]:
             raise ValueError(f"{name} is not to be changed")
     assert kind.names is not None
@@ -138,7 +124,7 @@ def _record(numbers: Array, present: StructuredArray, rooms: Collection[int]) ->
         and 0.0 <= new["adaptation_bound"] < 1.0
         and new["level"] >= 0.0
         and new["source"] in reference.SOURCES.values()
-        and new["kind"] in range(BOUC_WEN + 1)
+        and new["kind"] in range(len(FAMILIES))
         and new["judged_cycles"] in range(1, reference.HORIZON + 1)
         and 0.0 <= new["ahead_cycles"] <= prediction.HORIZON
     )

@@ -34,7 +34,7 @@ checked = settings(max_examples=30, deadline=None)
 
 def factors(one):
     """What is learned, of positive and of negative torque."""
-    return np.array(field(one, "factor"))
+    return np.array(field(one, "adaptation.factor"))
 
 
 def uneven(model, positive, negative):

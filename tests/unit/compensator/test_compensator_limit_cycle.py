@@ -183,4 +183,4 @@ def test_a_swing_of_small_torque_is_none():
     t = np.arange(3000) * PERIOD_S
     one.replay(columns(3000, position=amplitude * np.sin(100.0 * t), is_fresh=1.0))
     assert one.gain_factor == 1.0
-    assert field(one, "alternations") == 0.0
+    assert field(one, "limit_cycle.alternations") == 0.0

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from friction_hil.compensator.records import FIXED
 from friction_hil.daemon.assembly import make_compensator
 from friction_hil.daemon.control import journal
 from friction_hil.daemon.control.mailbox import MailboxReader, MailboxWriter
@@ -131,9 +132,7 @@ def test_bytes_that_are_no_change_are_refused(message):
         unpack(message, [PRESENT.record])
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("torque_limit", 0.4), ("period_s", 2e-3), ("gain_positive", 1.6), ("delay_cycles", 40.0)]
-)
+@pytest.mark.parametrize(("name", "value"), [("gain_positive", 1.6), *((name, 40.0) for name, _ in FIXED)])
 def test_what_keeps_an_axis_safe_is_not_to_be_changed(name, value):
     record = WANTED.record.copy()
     record[name] = value
