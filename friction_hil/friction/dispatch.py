@@ -5,6 +5,7 @@ compared in every sample. A tag is part of the type, so that numba compiles the 
 and includes no code of the others, and none of networks for a model without one.
 """
 
+from collections import namedtuple
 from typing import Any
 
 from friction_hil.friction import (
@@ -23,15 +24,13 @@ from friction_hil.friction import (
 from friction_hil.numerics.dual import overloaded, types
 from friction_hil.numerics.jit import Array, compiled
 
+# The one list of families: a place in it is the family's number. Static maps come first.
 _ORDER = (coulomb, stribeck, karnopp, table, power_law, armstrong, dahl, lugre, elasto_plastic, gms, bouc_wen)
-COULOMB, STRIBECK, KARNOPP, TABLE, POWER_LAW, ARMSTRONG, DAHL, LUGRE, ELASTO_PLASTIC, GMS, BOUC_WEN = range(11)
-LAST_STATIC = POWER_LAW
 FAMILIES = {module.FAMILY.name: module.FAMILY for module in _ORDER}
-KINDS = {name: kind for kind, name in enumerate(FAMILIES)}
-FAMILY_STATES = max(armstrong.STATES, gms.STATES)
-
-_STEPS = [module.step for module in _ORDER]
-_coulomb, _stribeck, _karnopp, _table, _power_law, _armstrong, _dahl, _lugre, _elasto_plastic, _gms, _bouc_wen = _STEPS
+# the numbers by the families' names, as attributes, which compiled code takes for constants
+KIND: Any = namedtuple("KIND", FAMILIES)(*range(len(FAMILIES)))  # type: ignore[misc]
+LAST_STATIC = sum(family.is_static for family in FAMILIES.values()) - 1
+FAMILY_STATES = max(getattr(module, "STATES", 0) for module in _ORDER)
 
 
 def tag(kind: int, *, has_network: bool = False) -> tuple[float, ...]:
@@ -71,37 +70,37 @@ def _step_by_number(
     epsilon: float,
 ) -> float:
     # written out, because numba cannot index a table of functions that it inlines; the usual models come first
-    if kind == LUGRE:
-        return _lugre(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
-    if kind == GMS:
-        return _gms(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
-    if kind == DAHL:
-        return _dahl(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
-    if kind == STRIBECK:
-        return _stribeck(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
-    if kind == KARNOPP:
-        return _karnopp(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
-    if kind == ARMSTRONG:
-        return _armstrong(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
-    if kind == TABLE:
-        return _table(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
-    if kind == POWER_LAW:
-        return _power_law(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
-    if kind == ELASTO_PLASTIC:
-        return _elasto_plastic(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
-    if kind == BOUC_WEN:
-        return _bouc_wen(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
-    return _coulomb(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == KIND.lugre:
+        return lugre.step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == KIND.gms:
+        return gms.step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == KIND.dahl:
+        return dahl.step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == KIND.stribeck:
+        return stribeck.step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == KIND.karnopp:
+        return karnopp.step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == KIND.armstrong:
+        return armstrong.step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == KIND.table:
+        return table.step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == KIND.power_law:
+        return power_law.step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == KIND.elasto_plastic:
+        return elasto_plastic.step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == KIND.bouc_wen:
+        return bouc_wen.step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    return coulomb.step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
 
 
 def family_step(kind: Any, *arguments: Any) -> float:
     """Call ``step`` of the family."""
-    return float(_STEPS[number(kind)](*arguments))
+    return float(_ORDER[number(kind)].step(*arguments))
 
 
 @overloaded(family_step)
 def _choose_step(kind: Any, *arguments: Any) -> Any:
-    chosen = _STEPS[kind.count - 1] if isinstance(kind, types.UniTuple) else None
+    chosen = _ORDER[kind.count - 1].step if isinstance(kind, types.UniTuple) else None
     if chosen is not None:
         return lambda kind, *arguments: chosen(*arguments)
     return lambda kind, *arguments: _step_by_number(kind, *arguments)

@@ -8,6 +8,7 @@ from friction_hil.numerics.jit import Array, inlined
 
 _sliding, _steady, _run_with_band = stribeck.step, stribeck.steady, stribeck.run_with_band
 
+BAND = len(stribeck.FAMILY.parameters)  # index of the stick velocity, which comes behind them
 _STICK_VELOCITY = Parameter(
     "stick_velocity", "Dv", "rad/s", "velocity below which the axis sticks", is_lower_allowed=False
 )
@@ -26,7 +27,7 @@ def step(
     epsilon: float,
 ) -> float:
     """Compute the torque of one sample; see `friction_hil.friction.kernel`. A feed-forward ignores the band."""
-    if epsilon == 0.0 and abs(velocity) < p[5]:
+    if epsilon == 0.0 and abs(velocity) < p[BAND]:
         return sticking(applied_torque, modified(p[1], extra, scale))
     return _sliding(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
 
@@ -34,7 +35,7 @@ def step(
 @inlined
 def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
     """Fill ``torque`` for every sample, with the same bits as `step`; return True if every velocity is finite."""
-    return _run_with_band(p, velocity, p[5], applied_torque, torque)
+    return _run_with_band(p, velocity, p[BAND], applied_torque, torque)
 
 
 @inlined

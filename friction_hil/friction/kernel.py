@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from friction_hil.friction import modifiers, network, network_runs
+from friction_hil.friction import karnopp, modifiers, network, network_runs
 from friction_hil.friction.curves import direction
 from friction_hil.friction.dispatch import (
     FAMILY_STATES,
-    KARNOPP,
+    KIND,
     LAST_STATIC,
     each_step,
     family_run,
@@ -111,7 +111,7 @@ def step(
     if velocity != 0.0:
         s[DIRECTION] = direction(velocity, 0.0)
     sign = primal(s[DIRECTION])
-    is_stuck = velocity == 0.0 or (number(kind) == KARNOPP and abs(velocity) < primal(p[HEADER + 5]))
+    is_stuck = velocity == 0.0 or (number(kind) == KIND.karnopp and abs(velocity) < primal(p[HEADER + karnopp.BAND]))
     if is_stuck and epsilon == 0.0 and number(kind) <= LAST_STATIC:
         sign = direction(primal(pushed), 0.0)  # the level is that of the direction in which it would break away
     own = part(p, whole(p[1]) if sign < 0.0 else HEADER)

@@ -89,7 +89,8 @@ class FrictionModel:
         self.parameters = check_all(family.name, family.parameters, parameters)
         family.check(self.parameters)
         self.modifiers = check_modifiers(family, parameters, modifiers or {})
-        self.kind = dispatch.KINDS.get(family.name, dispatch.COULOMB)  # a network alone has Coulomb friction of zero
+        # a network alone has Coulomb friction of zero
+        self.kind = getattr(dispatch.KIND, family.name, dispatch.KIND.coulomb)
         self.values, self._packed_names = self._pack()
         self.free = tuple(dict.fromkeys(name for name, _ in self._packed_names if name is not None))
         self.notes = tuple(self._notes())
