@@ -3,9 +3,11 @@
 import ast
 import inspect
 import textwrap
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from friction_hil.export import arithmetic as math_of
 from friction_hil.export import ir
@@ -15,14 +17,13 @@ from friction_hil.export.values import (
     Known,
     Settings,
     Several,
+    State,
     StateArray,
     StateRecord,
+    Table,
     TableArray,
     TranslationError,
 )
-
-if TYPE_CHECKING:
-    from friction_hil.export.translator import Translator
 
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.FloorDiv: "//", ast.Mod: "%", ast.BitAnd: "&"}
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
@@ -50,10 +51,51 @@ def names_outside(function: Any) -> dict[str, Any]:
     return {**found.builtins, **found.globals, **found.nonlocals}
 
 
+@dataclass(slots=True)
+class Translation(ABC):
+    """What the functions of one program are translated from, and those made so far."""
+
+    state: State  # that the kernels change
+    # kernels that a function of this package stands for: it takes and returns values
+    intrinsics: Mapping[Any, Callable[..., Any]]
+    definitions: Mapping[Any, Any]  # kernels whose source is that of another function
+    passes: Mapping[Any, int]  # largest number of passes of the loops of a kernel that depends on data
+    built_in: Collection[Any] = ()  # kernels of a single expression that takes the place of a call
+    functions: dict[Any, tuple[Function, Any]] = field(default_factory=dict)  # made so far, by what they were made of
+    tables: dict[Any, Table] = field(default_factory=dict)
+
+    def table(self, name: str, values: Any) -> Table:
+        """Return the constant table of an array of the settings."""
+        if name not in self.tables:
+            self.tables[name] = Table(name, values)
+        return self.tables[name]
+
+    @abstractmethod
+    def function(self, kernel: Any, arguments: Sequence[Any]) -> tuple[Function, Any]:
+        """Return the function for a kernel with these arguments, and what a call of it gives."""
+
+    def operands(self, function: Function, kernel: Any, arguments: Sequence[Any]) -> list[Expression]:
+        """Return what a call of the function for a kernel with these arguments passes to its parameters."""
+        plain = python_function(kernel)
+        tree, _, _ = parsed(python_function(self.definitions.get(plain, plain)))
+        names = [each.arg for each in tree.args.args]
+        if tree.args.vararg is not None:
+            names += [f"{tree.args.vararg.arg}_{i}" for i in range(len(arguments) - len(names))]
+        kept = {each.name for each in function.parameters}
+        found: list[Expression] = []
+        for name, value in zip(names, arguments, strict=True):
+            is_part = isinstance(value, (TableArray, StateArray))
+            given = value.begin if is_part else value
+            is_variable = isinstance(given, Expression) and not isinstance(given, Constant)
+            if is_variable and (f"{name}_begin" if is_part else name) in kept:
+                found.append(given)
+        return found
+
+
 class Expressions:
     """Translates the expressions of one function; statements that they need are added to the present block."""
 
-    _translator: "Translator"
+    _translator: Translation
     _function: Any
     _file: str
     _before: int
@@ -334,31 +376,6 @@ class Expressions:
             variables.append(Variable(kind, name, bounds=bounds))
         self._block.append(ir.CallStatement(variables, function, tuple(operands)))
         return variables[0] if is_number else Several(tuple(variables))
-
-
-def passed(value: Any) -> list[Expression]:
-    """Return the variables among what an argument consists of, in the order of `_Body._parameter`."""
-    if isinstance(value, Expression):
-        return [] if isinstance(value, Constant) else [value]
-    if isinstance(value, (TableArray, StateArray)):
-        return passed(value.begin)
-    return []
-
-
-def parameter_names(translator: "Translator", kernel: Any, arguments: Sequence[Any]) -> list[str]:
-    """Return the names of the parameters that take what `passed` returns of the arguments."""
-    plain = python_function(kernel)
-    tree, _, _ = parsed(python_function(translator.definitions.get(plain, plain)))
-    names = [each.arg for each in tree.args.args]
-    if tree.args.vararg is not None:
-        names += [f"{tree.args.vararg.arg}_{i}" for i in range(len(arguments) - len(names))]
-    found: list[str] = []
-    for name, value in zip(names, arguments, strict=True):
-        if isinstance(value, (TableArray, StateArray)):
-            found += [f"{name}_begin"] * len(passed(value))
-        else:
-            found += [name] * len(passed(value))
-    return found
 
 
 def depends(value: Expression, names: set[str], is_stored: bool) -> bool:

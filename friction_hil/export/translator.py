@@ -8,8 +8,7 @@ nothing reads. What has no translation is refused with file and line.
 import ast
 import inspect
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -17,13 +16,12 @@ from friction_hil.export import arithmetic as math_of
 from friction_hil.export import ir
 from friction_hil.export.expressions import (
     Expressions,
+    Translation,
     as_load,
     depends,
     jumps,
     names_outside,
-    parameter_names,
     parsed,
-    passed,
     python_function,
     range_of,
 )
@@ -32,10 +30,8 @@ from friction_hil.export.values import (
     Known,
     Settings,
     Several,
-    State,
     StateArray,
     StateRecord,
-    Table,
     TableArray,
     TranslationError,
 )
@@ -43,24 +39,8 @@ from friction_hil.export.values import (
 _MOST_UNROLLED = 16  # passes of a loop that is written out
 
 
-@dataclass(slots=True)
-class Translator:
+class Translator(Translation):
     """Translates kernels into the functions of one program."""
-
-    state: State  # that the kernels change
-    # kernels that a function of this package stands for: it takes and returns values
-    intrinsics: Mapping[Any, Callable[..., Any]]
-    definitions: Mapping[Any, Any]  # kernels whose source is that of another function
-    passes: Mapping[Any, int]  # largest number of passes of the loops of a kernel that depends on data
-    built_in: Collection[Any] = ()  # kernels of a single expression that takes the place of a call
-    functions: dict[Any, tuple[Function, Any]] = field(default_factory=dict)  # made so far, by what they were made of
-    tables: dict[Any, Table] = field(default_factory=dict)
-
-    def table(self, name: str, values: Any) -> Table:
-        """Return the constant table of an array of the settings."""
-        if name not in self.tables:
-            self.tables[name] = Table(name, values)
-        return self.tables[name]
 
     def function(self, kernel: Any, arguments: Sequence[Any], name: str = "") -> tuple[Function, Any]:
         """Return the function for a kernel with these arguments, and what a call of it gives.
@@ -73,13 +53,6 @@ class Translator:
         if key not in self.functions:
             self.functions[key] = _Body(self, plain, arguments, name).translate()
         return self.functions[key]
-
-    def operands(self, function: Function, kernel: Any, arguments: Sequence[Any]) -> list[Expression]:
-        """Return what a call of the function for a kernel with these arguments passes to its parameters."""
-        kept = {each.name for each in function.parameters}
-        given = [each for value in arguments for each in passed(value)]
-        names = parameter_names(self, kernel, arguments)
-        return [each for each, name in zip(given, names, strict=True) if name in kept]
 
 
 def _key(value: Any) -> Any:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from friction_hil.errors import FrictionHilError
+from friction_hil.export.arithmetic import binary
 from friction_hil.export.ir import Bounds, Constant, Element, Expression, Load, Type
 from friction_hil.numerics.jit import Array
 
@@ -211,8 +212,6 @@ def _within(name: str, index: Expression, size: int) -> Bounds:
 
 def shifted(index: Expression, by: int) -> Expression:
     """Return an index plus a number."""
-    from friction_hil.export.arithmetic import binary  # imported here: it needs these classes
-
     return binary("+", index, Constant("int", by))
 
 
