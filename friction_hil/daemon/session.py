@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from friction_hil.compensator import STATE, Compensator, CompensatorSettings
+from friction_hil.compensator import Compensator, CompensatorSettings
+from friction_hil.compensator.records import place
 from friction_hil.config import RecordingConfig, self_contained
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.load import only_driver
@@ -380,12 +381,6 @@ def _first_report(axis: "AxisConfig") -> dict[str, Any]:
     return first_report(given.learning, POSITION_UNITS[axis.model.axis], given.gain)
 
 
-def _place_in_state(name: str) -> int:
-    """Return the place of a value in the flat state of a compensator."""
-    assert STATE.fields is not None
-    return int(STATE.fields[name][1]) // STATE["cycle"].itemsize
-
-
 def _black_box_path(configuration: "Configuration", path: Path | None) -> Path:
     """Return the path from which those of the files of faults are made."""
     folder = None if configuration.recording is None else configuration.recording.black_box
@@ -430,5 +425,5 @@ def _job(
         black_box=str(_black_box_path(configuration, path)) if settings.has_black_box else None,
         has_joint_states=recording.ros,
         uncertainty={name: table for name, axis in configuration.axes.items() if (table := uncertainty_table(axis))},
-        factors=[_place_in_state(name) for name in ("fade", "standstill_fade", "gain_factor")],
+        factors=[place(name) for name in ("fade", "standstill_fade", "limit_cycle.gain_factor")],
     )
