@@ -28,7 +28,7 @@ from friction_hil.numerics.jit import Array, compiled
 _ORDER = (coulomb, stribeck, karnopp, table, power_law, armstrong, dahl, lugre, elasto_plastic, gms, bouc_wen)
 FAMILIES = {module.FAMILY.name: module.FAMILY for module in _ORDER}
 # the numbers by the families' names, as attributes, which compiled code takes for constants
-KIND: Any = namedtuple("KIND", FAMILIES)(*range(len(FAMILIES)))  # type: ignore[misc]
+KIND: Any = namedtuple("KIND", FAMILIES)(*range(len(FAMILIES)))
 LAST_STATIC = sum(family.is_static for family in FAMILIES.values()) - 1
 FAMILY_STATES = max(getattr(module, "STATES", 0) for module in _ORDER)
 
