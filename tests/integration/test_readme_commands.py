@@ -83,7 +83,7 @@ ELSEWHERE = (
     ("friction-hil demo --pace --json --output", "test_compensation_takes_the_friction_out_of_the_circle"),
     (
         "friction-hil simulate --pace --exit-with-stdin",
-        "test_limits_hold_in_every_cycle_and_nothing_is_left_at_the_end",
+        "test_compensation_takes_the_friction_out_of_two_axes",
     ),
     ("friction-hil simulate --master", "test_compensation_beside_a_master_reduces_its_following_error"),
     ("friction-hil drives scan --bus", "test_scan_finds_the_nodes_and_writes_nothing"),

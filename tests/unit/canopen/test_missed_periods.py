@@ -21,7 +21,7 @@ from friction_hil.drive.encoder import derived_velocity
 from tests.canopen_axis_bench import LAYOUTS, NODE, RPDO1, UNITS
 from tests.loop_run import MODES, LateClock, Run, axis
 from tests.serial_bench import CIA402, TinyDescription
-from tests.unit.canopen.test_sidecar_exchange import ENABLED, Sidecar, T, World
+from tests.unit.canopen.test_sidecar_exchange import Sidecar, T, World, master_and_drive
 
 COUNTS = UNITS.counts_per_unit
 MAX_MISSED = 20
@@ -119,7 +119,7 @@ def test_a_smooth_motion_gives_no_velocity_that_the_axis_did_not_have(drive, pat
 def test_a_sidecar_that_was_held_up_finds_the_velocity_of_the_axis(holds):
     """1000 counts a period: exactly that, in whatever part of a period the loop comes back."""
     world = World()
-    master_at_constant_speed(world, 130 + sum(cycles + periods + 1 for cycles, periods, _ in holds))
+    master_and_drive(world, 130 + sum(cycles + periods + 1 for cycles, periods, _ in holds))
     sidecar = Sidecar(world, max_missed=MAX_MISSED)
     for _ in range(5):
         sidecar.step()
@@ -129,14 +129,6 @@ def test_a_sidecar_that_was_held_up_finds_the_velocity_of_the_axis(holds):
             assert heard.message == ""
             assert not heard.is_fresh or heard.velocity == pytest.approx(1000 / 1e5 / 1e-3)
         world.ns += round((periods + part) * T)
-
-
-def master_at_constant_speed(world, cycles):
-    for k in range(cycles):
-        world.add(k * T, 0x080)
-        world.add(k * T + 150_000, 0x181, ENABLED.to_bytes(2, "little") + (1000 * k).to_bytes(4, "little"))
-        world.add(k * T + 160_000, 0x281, (7).to_bytes(2, "little") + b"\x08")
-        world.add(k * T + 400_000, 0x201, b"\x0f\x00" + (1000 * k + 2500).to_bytes(4, "little"))
 
 
 class Held:
