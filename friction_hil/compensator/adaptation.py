@@ -10,23 +10,19 @@ with the weight of one full forgetting time, and stays between bounds.
 import math
 from typing import Any
 
-import numpy as np
-
 from friction_hil.numerics.jit import inlined
 
-STATE = np.dtype(
-    [
-        ("factor", "f8", (2,)),  # learned, for positive and negative torque
-        ("weight", "f8", (2,)),
-        ("product", "f8", (2,)),
-        ("filtered_velocity", "f8"),
-        ("filtered_torque", "f8"),
-        ("filtered_model", "f8"),
-        ("sliding_s", "f8"),
-        ("sliding_travel", "f8"),  # since then
-        ("learned_s", "f8"),  # in which it has learned
-    ]
-)
+STATE = [
+    ("factor", "f8", (2,)),  # learned, for positive and negative torque
+    ("weight", "f8", (2,)),
+    ("product", "f8", (2,)),
+    ("filtered_velocity", "f8"),
+    ("filtered_torque", "f8"),
+    ("filtered_model", "f8"),
+    ("sliding_s", "f8"),
+    ("sliding_travel", "f8"),  # since then
+    ("learned_s", "f8"),  # in which it has learned
+]
 FILTER_S = 0.02
 _SETTLED = 5.0  # filter times of sliding in one direction before the fit begins
 SETTLED_S = _SETTLED * FILTER_S

@@ -13,17 +13,13 @@ that is found then, or between torques of opposite directions, one of which has 
 import math
 from typing import Any
 
-import numpy as np
-
 from friction_hil.numerics.jit import inlined
 
-STATE = np.dtype(
-    [
-        ("left", "f8"),  # of the difference at a change of settings, 1 to 0
-        ("directed", "f8"),  # part of that difference which changes sign with the friction
-        ("fixed", "f8"),  # part which does not; in the first cycle, the torque of the former settings
-    ]
-)
+STATE = [
+    ("left", "f8"),  # of the difference at a change of settings, 1 to 0
+    ("directed", "f8"),  # part of that difference which changes sign with the friction
+    ("fixed", "f8"),  # part which does not; in the first cycle, the torque of the former settings
+]
 _REVERSING_S = 0.01
 _CALM_S = 0.1  # a torque that changes by the friction level within less belongs to a reversal
 BEGINNING = 2.0  # value of ``left`` that a change sets

@@ -9,18 +9,14 @@ without compensation too, and worse, causes some of them.
 import math
 from typing import Any
 
-import numpy as np
-
 from friction_hil.numerics.jit import inlined
 
-STATE = np.dtype(
-    [
-        ("alternations", "f8"),
-        ("compensation_sign", "f8"),
-        ("demanded_sign", "f8"),
-        ("gain_factor", "f8"),  # below 1 after limit cycles
-    ]
-)
+STATE = [
+    ("alternations", "f8"),
+    ("compensation_sign", "f8"),
+    ("demanded_sign", "f8"),
+    ("gain_factor", "f8"),  # below 1 after limit cycles
+]
 FORGETTING_S = 0.5
 TOO_MANY = 6.0  # changes of sign
 STEP = 0.8  # factor on the gain each time

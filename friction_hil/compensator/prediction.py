@@ -16,8 +16,6 @@ deviation.
 import math
 from typing import Any
 
-import numpy as np
-
 from friction_hil.numerics.jit import inlined
 
 HORIZON = 8  # most cycles that are predicted
@@ -26,20 +24,18 @@ _FORGETTING_CYCLES = 50.0  # several periods of such a swing
 _NOISE_OF_CHANGE = 3.0  # square of the noise of a change from cycle to cycle over that of a velocity by difference
 
 
-STATE = np.dtype(
-    [
-        ("deviations", "f8", (ROOM,)),  # measured less demanded velocity, newest first
-        ("predictions", "f8", (ROOM,)),  # made in the same cycles
-        ("before_square", "f8"),  # smoothed moments of the deviation `before` a prediction, the one a cycle `earlier`
-        ("before_product", "f8"),  # and the one that `came`: before times earlier
-        ("earlier_square", "f8"),
-        ("before_came", "f8"),
-        ("earlier_came", "f8"),
-        ("came_square", "f8"),
-        ("predicted_miss", "f8"),  # mean square error of the predictions, and of the advanced deviation
-        ("advanced_miss", "f8"),
-    ]
-)
+STATE = [
+    ("deviations", "f8", (ROOM,)),  # measured less demanded velocity, newest first
+    ("predictions", "f8", (ROOM,)),  # made in the same cycles
+    ("before_square", "f8"),  # smoothed moments of the deviation `before` a prediction, the one a cycle `earlier`
+    ("before_product", "f8"),  # and the one that `came`: before times earlier
+    ("earlier_square", "f8"),
+    ("before_came", "f8"),
+    ("earlier_came", "f8"),
+    ("came_square", "f8"),
+    ("predicted_miss", "f8"),  # mean square error of the predictions, and of the advanced deviation
+    ("advanced_miss", "f8"),
+]
 
 
 @inlined

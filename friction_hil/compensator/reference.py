@@ -20,8 +20,6 @@ time, not later by the whole delay.
 import math
 from typing import Any
 
-import numpy as np
-
 from friction_hil.compensator import prediction
 from friction_hil.numerics.jit import inlined
 
@@ -42,26 +40,24 @@ _SMOOTHING_CYCLES = 15.0
 _JUDGING_CYCLES = 30.0  # over which predicted changes are compared with true ones
 
 
-STATE = np.dtype(
-    [
-        ("deviation_square", "f8"),
-        ("prediction", prediction.STATE),
-        ("has_demand", "f8"),
-        ("error", "f8"),  # demanded less measured position; 0 where unknown
-        ("has_error", "f8"),
-        ("evidence", "f8"),  # that the axis deviates by more than the rounding of the encoder, 0 to 1
-        ("error_square", "f8"),
-        ("guided_direction", "f8"),  # of a static map on an axis moved by hand, -1 to 1
-        ("guided_velocity", "f8"),
-        ("last_velocity", "f8"),
-        ("slope", "f8"),  # of the velocity estimate, smoothed
-        ("slopes", "f8", (HORIZON,)),  # newest first
-        ("velocities", "f8", (HORIZON,)),  # of the same cycles
-        ("change_square", "f8"),  # of the predicted change of velocity, smoothed
-        ("change_product", "f8"),  # of the predicted and the true change, smoothed
-        ("demands", "f8", (HISTORY,)),  # demanded velocity, newest first
-    ]
-)
+STATE = [
+    ("deviation_square", "f8"),
+    ("prediction", prediction.STATE),
+    ("has_demand", "f8"),
+    ("error", "f8"),  # demanded less measured position; 0 where unknown
+    ("has_error", "f8"),
+    ("evidence", "f8"),  # that the axis deviates by more than the rounding of the encoder, 0 to 1
+    ("error_square", "f8"),
+    ("guided_direction", "f8"),  # of a static map on an axis moved by hand, -1 to 1
+    ("guided_velocity", "f8"),
+    ("last_velocity", "f8"),
+    ("slope", "f8"),  # of the velocity estimate, smoothed
+    ("slopes", "f8", (HORIZON,)),  # newest first
+    ("velocities", "f8", (HORIZON,)),  # of the same cycles
+    ("change_square", "f8"),  # of the predicted change of velocity, smoothed
+    ("change_product", "f8"),  # of the predicted and the true change, smoothed
+    ("demands", "f8", (HISTORY,)),  # demanded velocity, newest first
+]
 
 
 @inlined

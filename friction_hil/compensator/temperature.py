@@ -11,16 +11,12 @@ follows its source no faster than `SLEW`, so that a sensor that appears, fails o
 import math
 from typing import Any
 
-import numpy as np
-
 from friction_hil.numerics.jit import inlined
 
-STATE = np.dtype(
-    [
-        ("given", "f8"),  # to the model, as far as it depends on one
-        ("body", "f8"),  # of the observer
-    ]
-)
+STATE = [
+    ("given", "f8"),  # to the model, as far as it depends on one
+    ("body", "f8"),  # of the observer
+]
 LOWEST, HIGHEST = -60.0, 250.0  # deg C: what lies outside is no temperature of a motor, but a code for "no sensor"
 SLEW = 1.0  # K/s
 

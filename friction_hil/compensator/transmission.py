@@ -18,8 +18,6 @@ wound up, or over the presliding of the friction where that is softer, and that 
 import math
 from typing import Any
 
-import numpy as np
-
 from friction_hil.compensator import load
 from friction_hil.numerics.jit import inlined
 
@@ -27,22 +25,20 @@ HISTORY = 16  # cycles of the offset that are kept: the longest lead
 _HEADROOM = 0.5  # of what the path leaves of the velocity limit
 
 
-STATE = np.dtype(
-    [
-        ("side", "f8"),  # on which the transmission is in contact, -1, 0 or 1
-        ("direction", "f8"),  # of the last demanded motion, -1, 0 or 1
-        ("offset", "f8"),  # of the position, the newest
-        ("velocity", "f8"),
-        ("offsets", "f8", (HISTORY,)),  # newest first
-        ("velocities", "f8", (HISTORY,)),
-        ("offset_now", "f8"),  # of the drive's demand now
-        ("velocity_now", "f8"),
-        ("velocity_ahead", "f8"),  # when this cycle's torque acts
-        ("offset_sent", "f8"),  # for the set-point of this cycle
-        ("velocity_sent", "f8"),
-        ("wound_up", "f8"),  # torque of the load's friction that the coupling transmits to the motor
-    ]
-)
+STATE = [
+    ("side", "f8"),  # on which the transmission is in contact, -1, 0 or 1
+    ("direction", "f8"),  # of the last demanded motion, -1, 0 or 1
+    ("offset", "f8"),  # of the position, the newest
+    ("velocity", "f8"),
+    ("offsets", "f8", (HISTORY,)),  # newest first
+    ("velocities", "f8", (HISTORY,)),
+    ("offset_now", "f8"),  # of the drive's demand now
+    ("velocity_now", "f8"),
+    ("velocity_ahead", "f8"),  # when this cycle's torque acts
+    ("offset_sent", "f8"),  # for the set-point of this cycle
+    ("velocity_sent", "f8"),
+    ("wound_up", "f8"),  # torque of the load's friction that the coupling transmits to the motor
+]
 
 
 @inlined
