@@ -18,33 +18,17 @@ EVENT_TIMERS = tuple(f"{0x1400 + n:X}sub5" for n in range(4))
 
 @dataclass(frozen=True)
 class VendorDrive:
-    """What an EDS says of a drive, where it differs from the EDS of the simulated drive.
+    """What an EDS says of a drive, where it differs from the EDS of the simulated drive."""
 
-    Attributes
-    ----------
-    supported : int or None
-        6502h; None: the file gives no value.
-    lacks : sequence of int or str
-        Indices and sections (``1400sub5``) that the file has not.
-    values : mapping
-        (section, key) -> value.
-    rpdos, tpdos : sequence of sequence of int
-        Mapping of each PDO as delivered; as many as the drive has. Empty: as in the simulated drive.
-    most_entries : int
-        Entries of each PDO.
-    is_fixed : bool
-        The mappings are read-only.
-    works : mapping of str to bool
-        By mode: whether the EDS passes the comparison with the mode, with compensation.
-    """
-
-    supported: int | None = CSP | CSV | CST
-    lacks: Sequence[int | str] = ()
-    values: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    supported: int | None = CSP | CSV | CST  # 6502h; None: the file gives no value
+    lacks: Sequence[int | str] = ()  # indices and sections (1400sub5) that the file has not
+    values: Mapping[tuple[str, str], str] = field(default_factory=dict)  # (section, key) -> value
+    # mapping of each PDO as delivered, as many as the drive has; empty: as in the simulated drive
     rpdos: Sequence[Sequence[int]] = ()
     tpdos: Sequence[Sequence[int]] = ()
-    most_entries: int = 8
-    is_fixed: bool = False
+    most_entries: int = 8  # of each PDO
+    is_fixed: bool = False  # the mappings are read-only
+    # by mode: whether the EDS passes the comparison with the mode, with compensation
     works: Mapping[str, bool] = field(default_factory=lambda: {"csp": True, "csv": True, "cst": True})
 
     def write(self, path: Path) -> Path:

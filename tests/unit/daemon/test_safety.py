@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_hil.daemon.safety import MAX_STALE_CYCLES, LoopState, SafetyLimits, Supervisor
+from friction_hil.daemon.safety import MAX_STALE_CYCLES, LoopState, SafetyLimits, Standstill, Supervisor
 from friction_hil.daemon.sequence import REQUESTS, FaultReset
 from friction_hil.drive import DriveState, Feedback, Request
 from tests.examples import THOROUGH
@@ -133,7 +133,8 @@ def test_a_drive_that_is_out_of_reach_in_the_last_cycle_that_is_bridged_is_told_
     missing.is_reachable = False
     for _ in range(MAX_STALE_CYCLES):
         one.take(missing)
-    assert codes_in(one.find_fault(missing, LoopState.RUNNING, 0.0, 0.0)) == ("x FH-103")
+    fault = one.find_fault(missing, LoopState.RUNNING, 0.0, 0.0)
+    assert fault == "x: commands do not reach the drive any more [FH-103]"
 
 
 @pytest.mark.parametrize("state", [LoopState.ENABLING, LoopState.FIRST_MOTION, LoopState.RUNNING, LoopState.STOPPING])
@@ -426,3 +427,17 @@ def test_asking_for_the_reset_changes_nothing():
     one = FaultReset(True)
     assert not one.is_due(heard(state=DriveState.SWITCHED_ON), LoopState.IDLE, 0.0)
     assert one.is_due(heard(state=DriveState.FAULT), LoopState.IDLE, 0.0)
+
+
+# --- standstill
+
+
+@pytest.mark.parametrize(("period_s", "held"), [(1e-3, 10), (5e-3, 5), (0.1, 1)])
+def test_an_axis_stands_by_its_last_velocity_and_without_feedback_for_a_short_time(period_s, held):
+    slowest = max(1e-3 * 10.0, 2.0 * 1e-4 / period_s)
+    one = Standstill(10.0, 1e-4, period_s)
+    assert not one.take(math.nan, is_usable=False), "nothing is known yet"
+    for velocity, stands in ((slowest, True), (-slowest, True), (-1.001 * slowest, False), (1.001 * slowest, False)):
+        assert one.take(velocity, is_usable=True) is stands
+        lost = [one.take(math.nan, is_usable=False) for _ in range(held + 1)]
+        assert lost == [stands] * held + [False]
