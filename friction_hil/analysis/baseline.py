@@ -1,7 +1,6 @@
 """Following error of a recorded run without and with compensation: the figures that the run printed. Pure."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -38,7 +37,7 @@ def without_and_with(
     running = recording["state"] == LoopState.RUNNING
     columns = following.columns_of(recording, running)
     cycle, error = recording["cycle"][running], following.error(columns)
-    condition = _conditions(cycle, columns, fade_s / cycle_s)
+    condition, _ = following.conditions(cycle, columns, fade_s / cycle_s)
     errors = FollowingErrors(cycle_s, start_s, motion_s)
     missed = np.maximum(np.diff(cycle, prepend=cycle[:1] - 1.0) - 1.0, 0.0).astype(np.int64)
     usable = np.isfinite(error)
@@ -70,17 +69,6 @@ def without_and_with(
             )
         )
     return found[0], found[1]
-
-
-def _conditions(cycle: Array, columns: Any, fade_cycles: float) -> Any:
-    """Return the `Condition` of each row (n,): the compensation fades after each change of ``is_enabled``."""
-    is_on = columns["is_enabled"] == 1.0
-    changed = np.flatnonzero(np.diff(is_on, prepend=False))
-    fading_from = np.full(len(cycle), -np.inf)
-    fading_from[changed] = cycle[changed]
-    is_fading = cycle < np.maximum.accumulate(fading_from) + fade_cycles - 1e-6
-    is_fading |= ~np.isfinite(columns["position_demand"])
-    return np.select([is_fading, is_on], [Condition.FADING, Condition.WITH], Condition.WITHOUT)
 
 
 def _on_grid(index: Array, error: Array, count: int) -> Array:

@@ -105,7 +105,7 @@ class Circularity:
 
 
 def _ratio(before: Laps, after: Laps, axis: str, figure: str) -> float:
-    return float(getattr(before.figures[axis], figure) / getattr(after.figures[axis], figure))
+    return float(getattr(before.figures[axis].times(after.figures[axis]), figure))
 
 
 def ring_scale(radius: float, lowest: float, highest: float) -> RingScale:

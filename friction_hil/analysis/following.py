@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from friction_hil.daemon.figures import RECOVERY_OF_LATE, RECOVERY_OF_MISSED
+from friction_hil.daemon.figures import RECOVERY_OF_LATE, RECOVERY_OF_MISSED, Condition
 from friction_hil.daemon.figures import RECOVERY_S as RECOVERY_S
 from friction_hil.daemon.figures import SETTLE_S as SETTLE_S
 from friction_hil.daemon.figures import Figures as Figures
+from friction_hil.daemon.figures import figures_of as figures_of
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.recording import Array, Recording
 
@@ -32,6 +33,24 @@ def columns_of(recording: Recording, rows: Any, names: Sequence[str] = COLUMNS) 
 def error(columns: Mapping[str, Array]) -> Array:
     """Compute demanded minus measured position (n,), rad or m; NaN in rows without fresh feedback."""
     return np.where(columns["is_fresh"] == 1.0, columns["position_demand"] - columns["position"], np.nan)
+
+
+Fade = tuple[bool, float]  # was the compensation on in the last row, and the cycle up to which it fades
+
+
+def conditions(
+    cycle: Array, columns: Mapping[str, Array], fade_cycles: float, before: Fade = (False, -np.inf)
+) -> tuple[Any, Fade]:
+    """Return the `Condition` of each row (n,), and what further rows need to know of these.
+
+    The compensation fades after each change of ``is_enabled``. A row without a demand belongs to no condition.
+    """
+    is_on = columns["is_enabled"] == 1.0
+    is_changed = np.diff(is_on, prepend=before[0])
+    until = np.maximum.accumulate(np.where(is_changed, cycle + fade_cycles, before[1]))
+    is_fading = (cycle < until - 1e-6) | ~np.isfinite(columns["position_demand"])
+    found = np.select([is_fading, is_on], [Condition.FADING, Condition.WITH], Condition.WITHOUT)
+    return found, (bool(is_on[-1]), float(until[-1])) if cycle.size else before
 
 
 def settled(cycle: Array, mask: Any, settle_cycles: float) -> tuple[float, float]:

@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+import numpy as np
+
 from friction_hil.daemon.delay_fit import DelaySums
+from friction_hil.numerics.jit import Array
 
 _LONGEST_GAP = 10_000  # cycles; a longer one is a fault in any configuration
 _MOST_REASONS = 20
@@ -38,6 +41,12 @@ class ErrorFigures(Figures):
     """Following error in one condition, rad or m, over ``seconds`` of steady motion in it."""
 
     seconds: float
+
+
+def figures_of(error: Array) -> Figures:
+    """Return the figures of an error (n,); infinity if a value is not finite, as in a simulation that diverged."""
+    rms = float(np.sqrt(np.mean(error**2)))
+    return Figures(rms, float(np.max(np.abs(error)))) if math.isfinite(rms) else Figures(math.inf, math.inf)
 
 
 def _ratio(before: float, after: float) -> float:

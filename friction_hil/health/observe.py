@@ -79,9 +79,7 @@ def _windows(recording: Recording, window_s: float) -> Iterator[Recording]:
     count = max(1, round(recording.duration_s / window_s))
     index = np.clip(((time - time[0]) / max(recording.duration_s, 1e-9) * count).astype(int), 0, count - 1)
     for k in range(count):
-        rows = index == k
-        columns = {name: values[rows] for name, values in recording.columns.items()}
-        yield replace(recording, columns=columns, problems=[], restarts=[], events=[])
+        yield replace(recording.at(index == k), problems=[], restarts=[], events=[])
 
 
 def _observed(part: Recording, started_s: float, layout: Layout) -> Observation:

@@ -20,7 +20,6 @@ from friction_hil.live.lateness import LatenessFigures
 from friction_hil.live.reading import LiveFacts, Reading, Rows, Settings
 from friction_hil.live.snapshot import AxisSnapshot, Message, Snapshot
 from friction_hil.live.window import Window
-from friction_hil.numerics.jit import Array
 
 WINDOW_S = 10.0
 _MAP_WINDOWS = 6  # the friction over velocity is of the last so many windows
@@ -168,7 +167,7 @@ class _AxisFigures:
             error=self._error if is_known else math.nan,
             without=self._errors.figures(Condition.WITHOUT) or self._told,
             compensated=self._errors.figures(Condition.WITH),
-            compensation_rms=_rms(self._compensation.values()),
+            compensation_rms=self._compensation.rms(),
             friction=self._friction.figures(),
             is_enabled=bool(settings.compensation["enabled"]) and not is_taken_back,
             gain=float(settings.compensation["gain"]),
@@ -185,10 +184,6 @@ def _drive_state(last: "dict[str, float]") -> DriveState:
     state = last["drive_state"]
     is_read = last["is_fresh"] == 1.0 and math.isfinite(state)
     return DriveState(int(state)) if is_read else DriveState.UNKNOWN
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
 def _whole(value: float) -> int:

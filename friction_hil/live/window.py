@@ -25,6 +25,10 @@ class Window:
         """Return the values that are kept as a view, in no certain order."""
         return self._values[: min(self._count, len(self._values))]
 
+    def rms(self) -> float:
+        """Return the root mean square; NaN without any value."""
+        return float(np.sqrt(np.mean(self.values() ** 2))) if self._count else np.nan
+
     def clear(self) -> None:
         """Forget all values."""
         self._count = 0

@@ -3,7 +3,7 @@
 import shlex
 import textwrap
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -97,6 +97,10 @@ class Recording:
             return False
         values = self.columns[str(name)]
         return not bool(np.isnan(values[:1]).all() and np.isnan(values).all())
+
+    def at(self, rows: NDArray[Any]) -> "Recording":
+        """Return the recording with some rows, which a mask or indices select; restart points stay as they are."""
+        return replace(self, columns={name: values[rows] for name, values in self.columns.items()})
 
     @property
     def period_s(self) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from friction_hil import compensator as compensation
 from friction_hil.config.external_torque import simulated_servo
 from friction_hil.daemon.assembly import lead_s, make_compensator, make_controller
+from friction_hil.daemon.figures import Figures, figures_of
 from friction_hil.daemon.static_torque import static_torque
 from friction_hil.motion.trajectory import Path, PathTime, Trajectory
 from friction_hil.numerics.jit import Array
@@ -36,11 +37,9 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(Figures):
     """Following error of a motion, and the factor on the gain that the guard against limit cycles has left."""
 
-    rms: float  # rad or m; infinity if the simulation diverged
-    peak: float  # as ``rms``
     gain_factor: float  # 1: no limit cycle was found
 
 
@@ -66,10 +65,9 @@ class Rehearsal:
         """
         found = self.trace(servo, model, motion, is_compensated=is_compensated)
         scored = found["error"][-round(motion.duration_s / self.period_s) :]
-        rms = math.sqrt(float(np.mean(scored**2)))
-        if not math.isfinite(rms):
-            return Outcome(math.inf, math.inf, 0.0)
-        return Outcome(rms, float(np.max(np.abs(scored))), float(found["gain_factor"][-1]))
+        figures = figures_of(scored)
+        gain_factor = float(found["gain_factor"][-1]) if math.isfinite(figures.rms) else 0.0
+        return Outcome(figures.rms, figures.peak, gain_factor)
 
     def trace(
         self, servo: "ServoConfig", model: "ModelFile", motion: Motion, *, is_compensated: bool = True

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from friction_hil.daemon.figures import figures_of
 from friction_hil.numerics.jit import Array
 
 SIDES = MOTOR, LOAD = "motor", "load"
@@ -51,9 +52,8 @@ class Course:
 
     def errors(self, side: str) -> Errors:
         """Return RMS and peak of the error of a side; infinity if the simulation diverged."""
-        error = self.error(side)
-        rms = math.sqrt(float(np.mean(error**2)))
-        return Errors(rms, float(np.max(np.abs(error)))) if math.isfinite(rms) else Errors(math.inf, math.inf)
+        found = figures_of(self.error(side))
+        return Errors(found.rms, found.peak)
 
     @property
     def unseen(self) -> float:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 from friction_hil.config import (
     AxisConfig,
@@ -132,7 +131,7 @@ def sliding_part(recording: Recording, configuration: Configuration, part_s: flo
     # the time of the path lags by half of its ramp
     length_s = 0.5 * ramp_s(run.axes.values()) + experiment.sliding_s(sweeps)
     is_kept = cycle < start + length_s / configuration.period_s
-    return replace(recording, columns={key: values[is_kept] for key, values in recording.columns.items()})
+    return recording.at(is_kept)
 
 
 def trial_run(

@@ -9,7 +9,7 @@ first.
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from friction_hil.config import Configuration
 from friction_hil.daemon.safety import LoopState
@@ -82,8 +82,7 @@ def rehearse(
     """
     axis = configuration.axes[recording.axis]
     facts = facts_of(recording.metadata, recording)
-    is_running = recording["state"] == LoopState.RUNNING
-    running = replace(recording, columns={key: values[is_running] for key, values in recording.columns.items()})
+    running = recording.at(recording["state"] == LoopState.RUNNING)
     period_s, resolution = configuration.period_s, facts.position_resolution
     loops = drive_loops(running, axis, resolution)
     fits = [pair for each in found for pair in _worth_a_rehearsal(each)]

@@ -111,7 +111,7 @@ def _estimate(
     if timing is not None and timing.meaning == "late":
         raise RecordingError(f"the reported torque is {_ms(timing.delay_s)} old, and what it shows contains that delay")
     meaning = "instant" if timing is None else timing.meaning or timing.assumed
-    runs = [_running(each) for each in (without, *compensated)]
+    runs = [each.at(each["state"] == LoopState.RUNNING) for each in (without, *compensated)]
     delay_s = _delay_s(axis, facts, without.period_s)
     return identify_torque_lag(runs, axis.mode, delay_s, is_mean=meaning == "mean", resolution=facts.torque_resolution)
 
@@ -120,11 +120,6 @@ def _delay_s(axis: AxisConfig, facts: AxisFacts, period_s: float) -> float:
     """Return the time from a sample until the command is in force; see `friction_hil.daemon.assembly.lead_s`."""
     stated = axis.model.mechanics.delay_s
     return stated if stated > 0.0 else facts.actuation_delay_s - 0.5 * period_s
-
-
-def _running(recording: Recording) -> Recording:
-    is_running = recording["state"] == LoopState.RUNNING
-    return replace(recording, columns={name: values[is_running] for name, values in recording.columns.items()})
 
 
 def _doubt(found: LagEstimate, period_s: float, *, is_age_known: bool) -> str:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from friction_hil.config import AxisConfig
@@ -87,7 +87,9 @@ def find_torque_ratio(without: Recording, compensated: Sequence[Recording], axis
     if delay_s > 0.0:
         return TorqueRatio(former, None, "the torque is read in the background, and not in each period")
     try:
-        found = identify_torque_ratio([_running(each) for each in (without, *compensated)], axis.mode)
+        found = identify_torque_ratio(
+            [each.at(each["state"] == LoopState.RUNNING) for each in (without, *compensated)], axis.mode
+        )
     except RecordingError as error:
         return TorqueRatio(former, None, str(error))
     return TorqueRatio(former, found, _doubt(found, getattr(axis.options, "inverted_torque", None)))
@@ -155,11 +157,6 @@ def _doubt(found: RatioEstimate, inverted: str | None) -> str:
     if not _LEAST < found.ratio < _MOST:
         return f"the trial shows {figures}: the drive does not apply all of the command, or reports another torque"
     return ""
-
-
-def _running(recording: Recording) -> Recording:
-    is_running = recording["state"] == LoopState.RUNNING
-    return replace(recording, columns={name: values[is_running] for name, values in recording.columns.items()})
 
 
 def _rounded(value: float) -> float:

@@ -179,7 +179,7 @@ class _Run:
         if self._path_s.size == 0 or self._path_s[-1] < window[1] - 1.5 * self._cycle_s:
             raise RecordingError(f"{self._path}: {self._axis}: the run ended before all of its motions")
         following.refuse_too_few(self._path, used.size, wanted)
-        return Figures(float(np.sqrt(np.mean(used**2))), float(np.max(np.abs(used))))
+        return following.figures_of(used)
 
     def on_grid(self, window: tuple[float, float]) -> Array:
         """Return the error at each cycle of a part of the path; NaN where it is not known."""

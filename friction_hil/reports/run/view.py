@@ -148,7 +148,7 @@ def _in_order(recording: Recording) -> Recording:
     time = recording[TIME]
     if bool((time[1:] >= time[:-1]).all()):
         return recording
-    return _rows(recording, np.argsort(time, kind="stable"))
+    return recording.at(np.argsort(time, kind="stable"))
 
 
 def _cut(recording: Recording, window: tuple[float, float]) -> Recording:
@@ -160,7 +160,7 @@ def _cut(recording: Recording, window: tuple[float, float]) -> Recording:
         raise RecordingError(
             f"{recording.path}: there are no two rows{begin}{end}: it reaches from {time[0]:g} s to {time[-1]:g} s"
         )
-    return _rows(recording, rows)
+    return recording.at(rows)
 
 
 def _refuse_huge(recording: Recording) -> None:
@@ -171,19 +171,6 @@ def _refuse_huge(recording: Recording) -> None:
                 f"{recording.path}: {name} reaches {reached:.3g} at {at:g} s, too large to be drawn; --from and --to "
                 "leave it out"
             )
-
-
-def _rows(recording: Recording, rows: "np.typing.NDArray[np.intp]") -> Recording:
-    columns = {name: values[rows] for name, values in recording.columns.items()}
-    return Recording(
-        recording.path,
-        recording.axis,
-        columns,
-        recording.metadata,
-        events=recording.events,
-        units=recording.units,
-        others=recording.others,
-    )
 
 
 def _phases(

@@ -9,8 +9,12 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
 
 from friction_hil import errors
+from friction_hil.analysis.baseline import without_and_with
 from friction_hil.cli.output import to_json
 from friction_hil.cli.work.control import _lines
 from friction_hil.config import self_contained
@@ -33,7 +37,7 @@ from friction_hil.live import LiveFacts, LiveFigures, Reading, Rows, Settings, W
 from friction_hil.live.reading import AxisSettings, LiveEvent
 from friction_hil.live.web.content import _values
 from friction_hil.live.web.metrics import metrics_text
-from friction_hil.recordings import columns
+from friction_hil.recordings import Recording, columns
 from tests.servo_drives import axis_dict, configuration
 
 PERIOD_S, FADE_S, RAMP_S = 1e-3, 0.1, 0.2
@@ -91,6 +95,27 @@ def test_only_steady_motion_counts_and_each_condition_by_itself():
     assert x.without.seconds == pytest.approx(2.0 - RAMP_S - SETTLE_S)
     assert x.compensated.seconds == pytest.approx(2.0 - FADE_S - SETTLE_S)
     assert x.error == 0.1
+
+
+@hypothesis_settings(max_examples=15, deadline=None)
+@given(st.sets(st.integers(1, 3998), max_size=2), st.sets(st.integers(0, 3999), max_size=2), st.integers(1200, 2800))
+def test_a_recording_of_the_same_rows_has_the_same_following_error(missed, late, switched):
+    cycle = np.delete(np.arange(4000.0), list(missed))
+    is_fresh = ~np.isin(cycle, list(late))
+    columns_there = {"cycle": cycle, "time_s": cycle * PERIOD_S, "is_enabled": cycle >= switched, "is_fresh": is_fresh}
+    columns_there |= {"position_demand": np.sin(cycle), "position": np.zeros(len(cycle))}
+    columns_there |= {"state": np.full(len(cycle), LoopState.RUNNING), "drive_state": np.zeros(len(cycle))}
+    recorded = Recording("mill.mcap", "x", {name: each.astype(float) for name, each in columns_there.items()})
+    phases = without_and_with(recorded, cycle_s=PERIOD_S, motion_s=math.inf, start_s=RAMP_S, fade_s=FADE_S)
+    figures = LiveFigures(facts(), window_s=20.0)
+    for part in parts(rows(len(cycle), **columns_there), [1, 3, 1500, 700]):
+        figures.take(reading(part))
+    x = figures.snapshot().axes["x"]
+    for live, phase in zip((x.without, x.compensated), phases, strict=True):
+        assert (live is None) == (phase is None)
+        if phase is not None:
+            assert live.rms == pytest.approx(phase.figures.rms, rel=1e-12)
+            assert live.peak == phase.figures.peak
 
 
 def test_compensation_that_was_taken_back_is_shown_as_off_until_it_is_switched_on_again():
