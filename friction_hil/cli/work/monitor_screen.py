@@ -2,13 +2,14 @@
 
 import math
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from friction_hil.daemon import learning_words
 from friction_hil.live import AxisSnapshot, Snapshot
 from friction_hil.live.friction_map import FrictionMap
+from friction_hil.live.values import values_of
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import digits, quantity, shortened
 from friction_hil.printable import printable
@@ -21,6 +22,8 @@ _MOST_LEARNING = 2  # lines of a text
 _BARS = " ▏▎▍▌▋▊▉█"
 _BRAILLE = 0x2800
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+_LEAST_CELL = 11  # characters, so that columns stay where they are
+_LONG = ("Parameters", "Learning")  # what is no value for a table
 _STYLES = {"bold": "1", "red": "31;1", "yellow": "33", "cyan": "36", "dim": "2"}
 _COLOURS = ("red", "yellow", "cyan")
 _MEASURED = "●"
@@ -39,13 +42,13 @@ def screen(shown: Snapshot, width: int, height: int, chosen: int, *, is_coloured
     width -= 1
     axes = list(shown.axes.items())
     name, axis = axes[chosen % len(axes)]
+    values = [(each, dict(values_of(found))) for each, found in axes]
     lines = [_head(shown, width), _timing(shown)]
     footer: list[Line] = [[("q ends" + ("  Tab: next axis" if len(axes) > 1 else ""), "dim")]] if is_live else []
     messages = _messages(shown, width)
-    learning = [[(text, "")] for each in _learning(axes) for text in _wrapped(each, width)[:_MOST_LEARNING]]
+    learning = [[(text, "")] for each in _learning(values) for text in _wrapped(each, width)[:_MOST_LEARNING]]
     room = height - len(lines) - len(footer)
-    tables = [_table(_NOW, axes, width), _table(_ERRORS, axes, width)]
-    for table in tables:
+    for table in _tables(values, width):
         lines += table[: max(0, room - min(len(messages), 2))]
         room = height - len(lines) - len(footer)
     lines += learning[: max(0, room - _LEAST_GRAPH - min(len(messages), _MOST_MESSAGES))]
@@ -106,62 +109,31 @@ def _microseconds(value: float) -> str:
     return quantity(value * 1e-6, "s")
 
 
-_Column = tuple[str, Callable[[AxisSnapshot], str]]
+def _tables(axes: Sequence[tuple[str, dict[str, str]]], width: int) -> list[list[Line]]:
+    """Return tables with a heading and a line for each axis: as many as the values take side by side."""
+    names = ["axis", *(shortened(printable(name), max(4, width // 4)) for name, _ in axes)]
+    first = max(map(len, names))
+    tables: list[list[Line]] = []
+    room = 0
+    for label in dict.fromkeys(label for _, values in axes for label in values if not label.startswith(_LONG)):
+        cells = [label, *(printable(values.get(label, "")) for _, values in axes)]
+        size = max(_LEAST_CELL, *map(len, cells))
+        if size + len(_GAP) > room:
+            room = width - first
+            tables.append([[(name.ljust(first), "dim" if k == 0 else "")] for k, name in enumerate(names)])
+        room -= size + len(_GAP)
+        for line, cell in zip(tables[-1], cells, strict=True):
+            line.append((_GAP + cell.rjust(size), line[0][1]))
+    return tables
 
 
-def _rms(axis: AxisSnapshot, name: str, part: str) -> str:
-    figures = getattr(axis, name)
-    return "-" if figures is None else quantity(getattr(figures, part), axis.unit)
-
-
-# Columns that do not fit are left out, the last ones first.
-_NOW: tuple[_Column, ...] = (
-    ("drive", lambda axis: axis.drive_state),
-    ("position", lambda axis: quantity(axis.position, axis.unit)),
-    ("velocity", lambda axis: quantity(axis.velocity, f"{axis.unit}/s")),
-    ("torque", lambda axis: quantity(axis.torque, axis.torque_unit)),
-    ("compensation", lambda axis: quantity(axis.compensation, axis.torque_unit)),
-    ("temperature", lambda axis: f"{digits(axis.temperature)} °C" if math.isfinite(axis.temperature) else ""),
-    ("model", lambda axis: f"{axis.model} x {axis.gain:g}" if axis.is_enabled else f"{axis.model}, off"),
-)
-_ERRORS: tuple[_Column, ...] = (
-    ("error", lambda axis: quantity(axis.error, axis.unit)),
-    ("rms without", lambda axis: _rms(axis, "without", "rms")),
-    ("rms with", lambda axis: _rms(axis, "compensated", "rms")),
-    ("peak without", lambda axis: _rms(axis, "without", "peak")),
-    ("peak with", lambda axis: _rms(axis, "compensated", "peak")),
-    ("comp. rms", lambda axis: quantity(axis.compensation_rms, axis.torque_unit)),
-)
-_LEAST_CELL = {"drive": len("operation enabled"), "model": 0, "temperature": 0}
-
-
-def _table(columns: Sequence[_Column], axes: Sequence[tuple[str, AxisSnapshot]], width: int) -> list[Line]:
-    """Return a heading and a line for each axis."""
-    names = [shortened(printable(name), max(4, width // 4)) for name, _ in axes]
-    sizes, cells = [max(map(len, (*names, "axis")))], [["axis", *names]]
-    for heading, value in columns:
-        column = [heading, *(printable(value(axis)) for _, axis in axes)]
-        if heading in ("temperature",) and not any(column[1:]):
-            continue
-        size = max(*map(len, column), _LEAST_CELL.get(heading, 11 if len(heading) < 11 else 0))
-        if sum(sizes) + len(_GAP) * len(sizes) + size > width and len(sizes) > 1:
-            break
-        sizes.append(size)
-        cells.append(column)
-    lines: list[Line] = []
-    for k, row in enumerate(zip(*cells, strict=True)):
-        texts = [row[0].ljust(sizes[0]), *(text.rjust(size) for text, size in zip(row[1:], sizes[1:], strict=True))]
-        lines.append([(_GAP.join(texts), "dim" if k == 0 else "")])
-    return lines
-
-
-def _learning(axes: Sequence[tuple[str, AxisSnapshot]]) -> list[str]:
+def _learning(axes: Sequence[tuple[str, dict[str, str]]]) -> list[str]:
     """Return what learning does for each axis, and below the parameters in use with their standard errors."""
     texts = []
-    for name, axis in axes:
-        if axis.learning is not None:
-            texts.append(f"{name} learning {learning_words.summary(axis.learning)}")
-            texts += [f"  {text}" for text in (learning_words.parameters(axis.learning),) if text]
+    for name, values in axes:
+        if "Learning" in values:
+            texts.append(f"{name} learning {values['Learning']}")
+            texts += [f"  {text}" for label, text in values.items() if label == "Parameters with standard errors"]
     return texts
 
 

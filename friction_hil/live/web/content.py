@@ -3,22 +3,21 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from friction_hil.analysis import following
 from friction_hil.analysis.circularity import RING_SHARE
-from friction_hil.daemon import learning_words
 from friction_hil.live import AxisSnapshot, LiveFacts, Rows, Snapshot
 from friction_hil.live.following_error import motion_columns
 from friction_hil.live.friction_map import FrictionMap
 from friction_hil.live.lateness import Lateness
+from friction_hil.live.values import values_of
 from friction_hil.live.web.circle import LiveCircle
 from friction_hil.live.web.strips import WINDOW_S, Points, short
 from friction_hil.numerics.jit import Array
-from friction_hil.numerics.readable import brief, quantity, readable
+from friction_hil.numerics.readable import quantity, readable
 
 ERROR = "error"
 _ABOVE = 1.1  # a range of -0.99 to 0.99 rad is one of rad, not of mrad
@@ -87,7 +86,7 @@ def figures_message(
         by_name = dict(zip(COLUMNS, columns, strict=True))
         strips = [_described(by_name, strip, _unit(facts, name, strip)) for strip in STRIPS]
         axes[name] = {
-            "values": _values(axis),
+            "values": values_of(axis),
             "scales": [{"factor": factor, "unit": unit} for factor, unit, _ in strips],
             "texts": [text for _, _, text in strips],
             "friction": _friction(axis.friction, axis),
@@ -113,49 +112,6 @@ def plain_text(remedy: str) -> str:
 
 def _unit(facts: LiveFacts, axis: str, strip: Strip) -> str:
     return facts.unit(axis, "position" if strip.columns == (ERROR,) else strip.columns[0])
-
-
-def _values(axis: AxisSnapshot) -> list[tuple[str, str]]:
-    """Return names and texts of what is shown of an axis beside its charts."""
-    speed = f"{axis.unit}/s"
-    file = f" ({Path(axis.model_file).name})" if axis.model_file else ""
-    return [
-        ("Drive", axis.drive_state),
-        ("Position", quantity(axis.position, axis.unit)),
-        ("Velocity", quantity(axis.velocity, speed)),
-        ("Torque", quantity(axis.torque, axis.torque_unit)),
-        ("Compensation", quantity(axis.compensation, axis.torque_unit)),
-        ("Compensation, RMS", quantity(axis.compensation_rms, axis.torque_unit)),
-        ("Following error", quantity(axis.error, axis.unit)),
-        ("Error with compensation", _error(axis.compensated, axis.unit)),
-        ("Error without", _error(axis.without, axis.unit)),
-        ("Temperature", f"{axis.temperature:.1f} °C" if math.isfinite(axis.temperature) else "-"),
-        ("Model", f"{axis.model}{file}, gain {axis.gain:g}"),
-        ("Parameters", ", ".join(f"{key} {_parameter(value)}" for key, value in axis.parameters.items())),
-        *_learning(axis),
-    ]
-
-
-def _learning(axis: AxisSnapshot) -> list[tuple[str, str]]:
-    """Return what learning does for an axis, if it does."""
-    if (report := axis.learning) is None:
-        return []
-    found = [
-        ("Learning", learning_words.summary(report)),
-        ("Learning, last", report["last"]),
-        ("Parameters with standard errors", learning_words.parameters(report)),
-    ]
-    return [(name, text) for name, text in found if text]
-
-
-def _error(figures: Any, unit: str) -> str:
-    if figures is None:
-        return "-"
-    return f"{quantity(figures.rms, unit)} RMS, {quantity(figures.peak, unit)} peak"
-
-
-def _parameter(value: Any) -> str:
-    return brief(float(value)) if isinstance(value, int | float) else "..."
 
 
 def _described(columns: Mapping[str, Sequence[float | None]], strip: Strip, unit: str) -> tuple[float, str, str]:

@@ -7,6 +7,8 @@ import pytest
 
 from friction_hil.cli.work.monitor_screen import brief_line, screen, waiting_screen
 from friction_hil.live import LiveEvent, LiveFigures
+from friction_hil.live.web.content import COLUMNS, figures_message
+from friction_hil.numerics.readable import quantity
 from tests.unit.live.test_live import facts, reading, rows
 
 MODEL = {"version": 1, "axis": "rotary", "friction": {"model": "coulomb", "parameters": {"coulomb": 0.1}}}
@@ -47,6 +49,16 @@ def test_figures_fault_and_remedy_are_there_at_the_usual_size(shown):
     )
     assert "q ends" in lines[-1]
     assert re.search(r"≤ 50.0 µs █", text)
+
+
+def test_it_shows_every_value_of_the_page_as_the_page_does(shown):
+    text = "\n".join(plain(screen(shown, 120, 40, 0, is_coloured=False, is_live=False)))
+    page = figures_message(facts(), shown, {"x": ([], [[] for _ in COLUMNS])}, None)["axes"]["x"]["values"]
+    values = {label: value for label, value in page if label != "Parameters"}
+    assert (
+        values["Error with compensation"] == f"{quantity(shown.axes['x'].compensated.rms, 'rad')} RMS, 1.00 mrad peak"
+    )
+    assert all(label in text and value in text for label, value in values.items())
 
 
 def test_measured_friction_is_drawn_above_a_model_that_is_too_low(shown):

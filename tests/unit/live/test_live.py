@@ -35,7 +35,7 @@ from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
 from friction_hil.live import LiveFacts, LiveFigures, Reading, Rows, Settings, Watch, attach, friction_map
 from friction_hil.live.reading import AxisSettings, LiveEvent
-from friction_hil.live.web.content import _values
+from friction_hil.live.values import values_of
 from friction_hil.live.web.metrics import metrics_text
 from friction_hil.recordings import Recording, columns
 from tests.servo_drives import axis_dict, configuration
@@ -334,7 +334,7 @@ def test_who_attaches_after_the_time_without_compensation_sees_its_error_too(fol
             seen = LiveFigures(late.facts, late.faults)
             assert of_x(late, seen).without == told
             text = "1.00 rad RMS, 2.00 rad peak"
-            assert dict(_values(seen.snapshot().axes["x"]))["Error without"] == text
+            assert dict(values_of(seen.snapshot().axes["x"]))["Error without"] == text
             metrics = metrics_text("mill", seen.snapshot(), {})
             assert 'following_error_rms_radians{axis="x",compensation="off",daemon="mill"} 1.0\n' in metrics
             assert to_json(asdict(seen.snapshot()))["axes"]["x"]["without"] == {"rms": 1.0, "peak": 2.0, "seconds": 9.5}

@@ -21,7 +21,7 @@ from friction_hil.daemon.learning_service import LearningService
 from friction_hil.learning.notices import described, fitting
 from friction_hil.learning.proposal import Proposal, Step
 from friction_hil.live import LiveFigures, attach
-from friction_hil.live.web.content import _values
+from friction_hil.live.values import values_of
 from friction_hil.live.web.metrics import metrics_text
 from tests.unit.live.test_live import Daemon, folder  # noqa: F401
 
@@ -74,7 +74,7 @@ def test_the_status_the_monitor_the_page_and_the_metrics_have_it(daemon):
     assert f"learning {SUMMARY}" in brief_line(shown)
     text = " ".join(line.strip() for line in screen(shown, 200, 30, 0, is_coloured=False, is_live=False))
     assert f"x learning {SUMMARY} {PARAMETERS}" in text
-    page = dict(_values(shown.axes["x"]))
+    page = dict(values_of(shown.axes["x"]))
     assert [page["Learning"], page["Parameters with standard errors"]] == [SUMMARY, PARAMETERS]
     families = {each.name: each for each in text_string_to_metric_families(metrics_text("mill", shown, {}))}
     samples = {
