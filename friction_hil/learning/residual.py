@@ -13,6 +13,7 @@ over with them.
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -24,22 +25,8 @@ from friction_hil.friction import FrictionModel
 from friction_hil.friction.modifiers import MAX_HARMONICS
 from friction_hil.identification.ripple import RippleSearch
 from friction_hil.learning.estimate import MECHANICS, LeftOver
-from friction_hil.learning.evidence import (
-    AT_TIMES,
-    EXPLAINED,
-    SAME_ROWS,
-    STRETCHES,
-    Memory,
-    Rows,
-    empty,
-    expected,
-    is_evident,
-    power_of_two,
-    presliding,
-    rows_of,
-)
 from friction_hil.learning.figures import LayerFigures
-from friction_hil.learning.layer import LOAD, REVERSAL, RIPPLE, SPEED, Feature, Layer, pairs
+from friction_hil.learning.layer import LOAD, REVERSAL, RIPPLE, SPEED, Feature, Layer, columns, pairs
 from friction_hil.numerics.jit import Array
 
 SHARE = 0.2  # of the friction level: the torque of a layer is at most so much
@@ -56,6 +43,53 @@ _DISTANCES = tuple(2.0**k for k in range(-3, 6))  # in distances over which the 
 _SPEEDS = tuple(2.0**k for k in range(-6, 1))  # in top speeds
 _OF_TRAVEL = 1e-3  # such a distance where the model has none
 _MOVING = 0.01  # of the top speed: slower rows are at rest, where friction is whatever holds the axis
+SAME_ROWS = 20.0  # rows that show no more than one, because what a model leaves is correlated
+EXPLAINED = 0.1  # of the mean square of what the model leaves: a layer that explains less is not worth a trial
+STRETCHES = 12  # of a window, that count as repeated records
+_REMEMBERED_S = 60.0  # time constant of forgetting
+_EVIDENT = 3.0  # standard errors by which the explained part exceeds chance
+AT_TIMES = 1.5  # the same of what a slow motion shows at a few reversals only
+_EXPECTED = 0.1  # of the friction level: standard deviation of an amplitude before anything was learned
+_SMOOTH = 0.05  # of the friction level: the same of the change from one place of a curve to the next
+_DIFFERENT = 0.015  # and of that of half the difference between both directions
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """Normal equations of weighted rows: ``information`` (m, m) and ``shown`` (m,)."""
+
+    information: Array
+    shown: Array
+
+    def older(self, seconds: float) -> "Memory":
+        """Return what is left of it after some time."""
+        kept = math.exp(-seconds / _REMEMBERED_S)
+        return Memory(kept * self.information, kept * self.shown)
+
+    def with_rows(self, columns: Array, target: Array) -> "Memory":
+        """Return the memory with further rows (k, m), (k,)."""
+        return Memory(self.information + columns.T @ columns, self.shown + columns.T @ target)
+
+    def at(self, index: list[int]) -> "Memory":
+        """Return that of some of the values."""
+        return Memory(self.information[np.ix_(index, index)], self.shown[index])
+
+    def solved(self, mean: Array, prior: Array) -> Array:
+        """Return the values (m,) that are most probable with those, and their information (m, m), expected before."""
+        return np.asarray(np.linalg.solve(self.information + prior, self.shown + prior @ mean))
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Weighted rows of a window."""
+
+    weights: Array  # (k,)
+    # (k, n + m) of the torque of n features with an amplitude of one, and of what is explained by the coordinates
+    columns: Array
+    target: Array  # (k,) what the belief leaves of the torque
+    whole: Array  # (k,) what coordinates of zero would leave of it
+    x: Array  # (m,) coordinates
+    first: Array  # (m,) their standard deviations before anything was learned
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,3 +376,59 @@ def _thinned(values: Array) -> Array:
 def _typical(torque: Array) -> float:
     """Return the median size of a residual, N m or N, above zero."""
     return max(float(np.median(np.abs(torque))), 1e-12)
+
+
+def empty(count: int) -> Memory:
+    """Return the memory of nothing."""
+    return Memory(np.zeros((count, count)), np.zeros(count))
+
+
+def rows_of(left: LeftOver, weights: Array, features: Sequence[Feature]) -> Rows:
+    """Return the rows of a window with weights (k,)."""
+    found = columns(left.belief.model, features, left.gradient)
+    whole = left.torque - left.slopes @ left.belief.x
+    return Rows(
+        weights,
+        weights[:, None] * np.column_stack([found, -left.slopes]),
+        weights * left.torque,
+        weights * whole,
+        left.belief.x,
+        left.belief.first,
+    )
+
+
+def is_evident(before: Array, after: Array, errors: float = _EVIDENT) -> bool:
+    """Return True if weighted residuals (k,) became smaller, by so many errors of what their stretches scatter by."""
+    starts = np.linspace(0, before.size, STRETCHES, endpoint=False).astype(int)
+    gains = np.add.reduceat(before**2 - after**2, starts)
+    error = float(np.std(gains, ddof=1)) / math.sqrt(gains.size)
+    share = float(np.sum(gains)) / max(float(np.sum(before**2)), 1e-300)
+    return share > EXPLAINED and float(np.mean(gains)) > errors * error
+
+
+def expected(features: Sequence[Feature]) -> Array:
+    """Return the information (m, m) with which amplitudes of features are expected about zero, in friction levels.
+
+    Curves are smooth and both directions are alike: the mean of both and half their difference are random walks along
+    the places of a curve.
+    """
+    found = np.eye(len(features)) * _EXPECTED**-2.0
+    for group in (REVERSAL, SPEED, LOAD):
+        own = [i for i, each in enumerate(features) if each.group == group]
+        count = len(own) // 2
+        steps = np.eye(count) - np.eye(count, k=-1)
+        walk = np.kron(steps.T @ steps, np.diag([_SMOOTH**-2.0, _DIFFERENT**-2.0]))
+        both = np.kron(np.eye(count), np.array([[0.5, 0.5], [0.5, -0.5]]))
+        found[np.ix_(own, own)] = SAME_ROWS * both.T @ walk @ both
+    return np.asarray(found)
+
+
+def presliding(model: FrictionModel) -> float:
+    """Return the distance over which the torque builds up after a reversal, rad or m; 0 for a static map."""
+    stiffness = model.presliding_stiffness
+    return model.level / stiffness if stiffness > 0.0 else 0.0
+
+
+def power_of_two(value: float) -> float:
+    """Return the next power of two, so that ranges that hardly differ have the same; 0 for 0."""
+    return float(2.0 ** math.ceil(math.log2(value))) if value > 0.0 else 0.0

@@ -5,18 +5,25 @@ import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from friction_hil import __version__
 from friction_hil.identification import Identification
 from friction_hil.identification.export import as_model_file, standard_errors
 from friction_hil.identification.fine import LAST_BAND_RATIO, RESIDUAL_HZ, ROWS_HZ
 from friction_hil.identification.fits import MECHANICS, Fit
+from friction_hil.identification.frequency_response import FrequencyResponse
 from friction_hil.identification.mechanics import Mechanics
+from friction_hil.identification.resonance import Resonance, two_mass_response
 from friction_hil.models.model_file import ModelFile
+from friction_hil.reports.figures import MEASURED, PREDICTED, new_figure
 from friction_hil.reports.identification_pictures import draw_loops, draw_residuals, draw_time, draw_velocity
 from friction_hil.reports.page import page, picture, table, unordered_list, write_page
-from friction_hil.reports.response_picture import draw_response
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MARK = f'<meta name="generator" content="friction-hil identify {__version__}">'
 _SHOWN = 20  # candidates in the table
@@ -27,6 +34,24 @@ _UNITS = {  # of parameters that are not those of a friction model, on a rotary 
     "gravity.sine": "N m",
     "gravity.cosine": "N m",
 }
+_VELOCITY_CAPTION = (
+    "Grey: measured torque minus inertia, offset and gravity. Blue: the model. Right: the slowest quarter of the "
+    "recording, which shows presliding and the Stribeck curve."
+)
+_RESIDUAL_CAPTION = (
+    "Grey: measured minus predicted torque; orange: its mean. A mean that depends on the velocity is friction that the "
+    "model cannot describe; on the position, cogging or gravity; on time, temperature."
+)
+_LOOP_CAPTION = (
+    "Friction from one reversal to the next but one, over the position from the middle of the travel, from small to "
+    "large travel. Grey: measured; blue: the model."
+)
+_RESPONSE_CAPTION = (
+    "Frequency response of the motor where it slides, velocity over torque. Points: lines of the spectrum with enough "
+    "coherence; grey: the others. Line: two masses on a spring, if the response shows them."
+)
+_POINTS = 1000  # of the fitted line
+_UNUSED = "0.85"  # grey
 
 
 def write_report(
@@ -68,26 +93,6 @@ def write_report(
 """
     text = page(f"friction-hil: friction of {_names(result)}", MARK, body)
     write_page(path, text)
-
-
-_VELOCITY_CAPTION = (
-    "Grey: measured torque minus inertia, offset and gravity. Blue: the model. Right: the slowest quarter of the "
-    "recording, which shows presliding and the Stribeck curve."
-)
-_RESIDUAL_CAPTION = (
-    "Grey: measured minus predicted torque; orange: its mean. A mean that depends on the velocity is friction that the "
-    "model cannot describe; on the position, cogging or gravity; on time, temperature."
-)
-_LOOP_CAPTION = (
-    "Friction from one reversal to the next but one, over the position from the middle of the travel, from small to "
-    "large travel. Grey: measured; blue: the model."
-)
-
-
-_RESPONSE_CAPTION = (
-    "Frequency response of the motor where it slides, velocity over torque. Points: lines of the spectrum with enough "
-    "coherence; grey: the others. Line: two masses on a spring, if the response shows them."
-)
 
 
 def _mechanics(found: Mechanics | None) -> str:
@@ -246,3 +251,29 @@ def _data(result: Identification) -> str:
             f"compared below {RESIDUAL_HZ:g} Hz, at {ROWS_HZ:g} Hz"
         )
     return table(header, rows, ("text",)) + unordered_list(notes)
+
+
+def draw_response(response: FrequencyResponse, resonance: Resonance | None) -> "Figure":
+    """Draw gain, phase and coherence over the frequency, and the two masses that were fitted, if any."""
+    figure = new_figure(11.0, 7.0)
+    gain, phase, coherence = figure.subplots(3, 1, sharex=True, height_ratios=[2, 1, 1])
+    frequency, used = response.frequency_hz, response.is_used
+    degrees = np.degrees(np.angle(response.response))
+    panels: tuple[tuple[Any, Any], ...] = (
+        (gain, np.abs(response.response)),
+        (phase, degrees),
+        (coherence, response.coherence),
+    )
+    for axes, values in panels:
+        axes.plot(frequency[~used], values[~used], ".", color=_UNUSED, markersize=3.0)
+        axes.plot(frequency[used], values[used], ".", color=MEASURED, markersize=5.0)
+    if resonance is not None:
+        low, high = response.band_hz
+        line = np.geomspace(low, high, _POINTS)
+        fitted = two_mass_response(resonance.values, line)
+        gain.plot(line, np.abs(fitted), color=PREDICTED)
+        phase.plot(line, np.degrees(np.angle(fitted)), color=PREDICTED)
+    gain.set(ylabel="velocity / torque", xscale="log", yscale="log")
+    phase.set(ylabel="phase [°]")
+    coherence.set(ylabel="coherence", xlabel="frequency [Hz]", ylim=(0.0, 1.05))
+    return figure

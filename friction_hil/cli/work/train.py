@@ -1,4 +1,4 @@
-"""The work of ``friction-hil train``."""
+"""The work of ``friction-hil train``: a network of a given structure, or one beside the identified model, or none."""
 
 import math
 import signal
@@ -16,12 +16,12 @@ from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.read import kind_of, read_recordings
 from friction_hil.cli.work.result_files import check_result_files
-from friction_hil.cli.work.select_network import say_next, select
 from friction_hil.cli.work.tables import console, new_table, number, print_files, print_table
 from friction_hil.errors import UsageError
+from friction_hil.identification import IdentificationSettings
 from friction_hil.models.files import model_from_argument
-from friction_hil.reports.training_report import write_report
-from friction_hil.training import Progress, TrainedModel
+from friction_hil.reports import selection_report, training_report
+from friction_hil.training import Progress, Selection, TrainedModel
 
 
 def train(
@@ -50,7 +50,13 @@ def train(
         if hidden:
             raise UsageError("--hidden needs a --structure: auto averages small networks of its own")
         training.NetworkSpec(inputs=inputs)  # raises on an unknown input
-        return select(sources, inputs, base, seed, output, report, as_json, verbose, **options)
+        begin = time.monotonic()
+        selection = _select(sources, inputs, base, seed, **options)
+        seconds = time.monotonic() - begin
+        if report is not None:
+            selection_report.write_report(report, selection, seconds)
+        _tell(selection, _print_selection, seconds, output, report, as_json=as_json, verbose=verbose)
+        return 0
     structure = "gated" if structure == "auto" else structure
     spec = training.NetworkSpec(structure=structure, hidden=hidden, inputs=inputs, seed=seed)
     known = None if base is None else model_from_argument(base)
@@ -66,17 +72,63 @@ def train(
     with _stoppable() as goes_on, _progress() as show:
         candidate = training.train_task(task, spec, lambda progress: show(progress) or goes_on())
     seconds = time.monotonic() - begin
-    if output is not None:
-        output.write_text(dump(candidate.model_file()), encoding="utf-8")
     if report is not None:
-        write_report(report, candidate, seconds)
-    if as_json:
-        print_json({**candidate.as_json(seconds), "output": output, "report": report})
-    else:
-        _print(candidate, seconds, verbose=verbose)
-        print_files({"model file": output, "report": report})
-        say_next(output)
+        training_report.write_report(report, candidate, seconds)
+    _tell(candidate, _print, seconds, output, report, as_json=as_json, verbose=verbose)
     return 0
+
+
+def _tell(
+    found: Any,
+    show: Callable[..., None],
+    seconds: float,
+    output: Path | None,
+    report: Path | None,
+    *,
+    as_json: bool,
+    verbose: bool,
+) -> None:
+    """Write the model file, and print the result and how to go on."""
+    if output is not None:
+        output.write_text(dump(found.model_file()), encoding="utf-8")
+    if as_json:
+        print_json({**found.as_json(seconds), "output": output, "report": report})
+        return
+    show(found, seconds, verbose=verbose)
+    print_files({"model file": output, "report": report})
+    if output is None:
+        click.echo("next: the same with --output MODEL.yaml, which writes the model file")
+    else:
+        click.echo(f"next: friction-hil replay ANOTHER_RECORDING --model {output}")
+
+
+def _select(
+    sources: tuple[Path, ...],
+    inputs: tuple[str, ...],
+    base: str | None,
+    seed: int,
+    *,
+    kept_apart: tuple[Path, ...],
+    axis: str | None,
+    is_linear: bool,
+    lowpass_hz: float | None,
+    **reading: Any,
+) -> Selection:
+    """Choose a network and its physical model."""
+    known = None if base is None else model_from_argument(base)
+    with console(stderr=True).status("reading") as status:
+        recordings = read_recordings(sources, axis, **reading)
+        validation = read_recordings(kept_apart, axis, **reading)
+        kind = known.axis if known is not None else kind_of([*recordings, *validation], is_linear=is_linear)
+        return training.select(
+            recordings,
+            validation,
+            known,
+            settings=IdentificationSettings(axis=kind, lowpass_hz=lowpass_hz, seed=seed),
+            inputs=inputs or None,
+            seed=seed,
+            progress=status.update,
+        )
 
 
 def _task_of_recordings(
@@ -199,4 +251,31 @@ def _print(candidate: TrainedModel, seconds: float, *, verbose: bool) -> None:
             compared.add_row(name, f"{100.0 * error:.3f} %", str(gains.get(name, "")))
         print_table(compared)
     for note in (*trained.flags, *(candidate.task.notes if verbose else ())):
+        click.echo(f"- {note}")
+
+
+def _print_selection(found: Selection, seconds: float, *, verbose: bool) -> None:
+    kinds = list(found.physical.errors)
+    shown = [each for each in found.judged if verbose or each in (found.chosen, found.physical)]
+    click.echo(f"{found.chosen.label}: {found.network or 'no network'}, after {seconds:.1f} s")
+    click.echo(
+        f"relative_error of the torque on held-out data; mean square error lower than that of {found.physical.label} by"
+    )
+    table = new_table("model", *(number(text) for kind in kinds for text in (kind, "lower by")))
+    for each in shown:
+        gains = {} if each is found.physical else each.gains(found.physical)
+        cells = [
+            text
+            for kind in kinds
+            for text in (
+                f"{100.0 * each.errors[kind].relative_error:.3f} %" if kind in each.errors else "-",
+                str(gains[kind]) if kind in gains else "",
+            )
+        ]
+        table.add_row(each.label, *cells)
+    print_table(table)
+    click.echo(f"Chosen: {found.chosen.label}, because {found.reason}.")
+    if found.network is None:
+        click.echo("The model file holds this model without a network. --structure trains a network in any case.")
+    for note in found.notes if verbose else ():
         click.echo(f"- {note}")

@@ -15,8 +15,7 @@ from friction_hil.models.files import model_from_argument
 from friction_hil.replay.comparison import replay
 from friction_hil.reports import figures, model_picture, replay_picture
 from friction_hil.reports.circularity_picture import draw_error
-from friction_hil.reports.hysteresis_loops import turning_points
-from friction_hil.reports.identification_pictures import draw_loops, draw_time
+from friction_hil.reports.identification_pictures import draw_loops, draw_time, turning_points
 from friction_hil.reports.numbers import comparison_rows, digits, readable
 from friction_hil.reports.page import picture
 from friction_hil.reports.run.picture import draw_run

@@ -8,7 +8,7 @@ import pytest
 from friction_hil.identification.drive_loop import DriveLoops
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
-from friction_hil.tuning.simulated_axis import simulated_axis
+from friction_hil.tuning.rehearsed import simulated_axis
 
 LOOPS = DriveLoops(80.0, 0.1, 6.0, 1.0, 2e-4, 3e-4, 0.99)
 COULOMB = {"version": 1, "axis": "rotary", "friction": {"model": "coulomb", "parameters": {"coulomb": 0.1}}}
