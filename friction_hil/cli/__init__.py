@@ -60,8 +60,9 @@ COMMANDS = {
     "config": "Make, check, show and describe configurations.",
 }
 
-# A module called set would hide the built-in one from this package; import is a keyword.
-_MODULES = {"set": "set_values", "import": "import_model"}
+# Commands that are not `command` in a module of their name; import is a keyword, set is built in.
+_PLACES = {each: ("control", each) for each in ("status", "start", "stop", "reset")}
+_PLACES |= {"set": ("control", "set_values"), "import": ("import_model", "command")}
 
 # Commands that connect to drives or simulate them. Their loop relies on Linux: real-time priority, shared memory
 # without a name, SocketCAN, pseudo-terminals. All others run wherever Python does.
@@ -106,7 +107,8 @@ class LazyGroup(Group):
         """Import one command; return None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
-        command = importlib.import_module(f"friction_hil.cli.{_MODULES.get(cmd_name, cmd_name)}").command
+        module, name = _PLACES.get(cmd_name, (cmd_name, "command"))
+        command = getattr(importlib.import_module(f"friction_hil.cli.{module}"), name)
         assert isinstance(command, click.Command)
         command.short_help = COMMANDS[cmd_name]
         return command

@@ -63,7 +63,7 @@ def new(driver: str | None, **options: Any) -> None:
     until it is filled in: there are no default limits of torque, velocity and travel. A schema for editors is written
     beside it.
     """
-    from friction_hil.cli.work.new_config import write_new  # imported here: --help must not wait for numba
+    from friction_hil.cli.work.config import write_new  # imported here: --help must not wait for numba
 
     write_new(driver=driver, **options)
 
@@ -71,7 +71,7 @@ def new(driver: str | None, **options: Any) -> None:
 @command.command("examples")
 def list_examples() -> None:
     """List the example configurations."""
-    from friction_hil.cli.work.new_config import print_examples  # imported here: --help must not wait for numba
+    from friction_hil.cli.work.config import print_examples  # imported here: --help must not wait for numba
 
     print_examples()
 

@@ -10,7 +10,6 @@ A. Janot, M. Gautier, M. Brunot, Workshop on Nonlinear System Identification Ben
 
 from friction_hil.identification.fits import Curves, Fit
 from friction_hil.identification.identify import Identification, identify, plausible_fits
-from friction_hil.identification.progress import FitStep
-from friction_hil.identification.settings import IdentificationSettings
+from friction_hil.identification.settings import FitStep, IdentificationSettings
 
 __all__ = ["Curves", "Fit", "FitStep", "Identification", "IdentificationSettings", "identify", "plausible_fits"]

@@ -16,11 +16,10 @@ from friction_hil.identification.data import LEAST_ROWS, Data, RegressionSegment
 from friction_hil.identification.fine import COARSE_STEPS_HZ, STEPS_HZ, fine_data, is_fine
 from friction_hil.identification.fits import MECHANICS, Fit, ended, fit, refined
 from friction_hil.identification.least_squares import NUMERICAL
-from friction_hil.identification.progress import FitStep
 from friction_hil.identification.regression import BACK_EMF, INVERSE_GAIN, Estimate, Regression
 from friction_hil.identification.scales import estimate_scales
 from friction_hil.identification.screening import Search, screened
-from friction_hil.identification.settings import IdentificationSettings, chosen_families
+from friction_hil.identification.settings import FitStep, IdentificationSettings, chosen_families
 from friction_hil.identification.sliding import LOW_HZ, WIDE_HZ, sliding_mechanics
 from friction_hil.identification.structures import EQUAL_IN_FEEDFORWARD, ModelStructure
 from friction_hil.identification.workers import in_parallel

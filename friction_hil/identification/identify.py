@@ -14,10 +14,9 @@ from friction_hil.identification.fine import rounding_notes, shows_presliding, w
 from friction_hil.identification.fits import ENDED_EARLY, Fit
 from friction_hil.identification.inference import VAGUE
 from friction_hil.identification.prediction_errors import is_grouped
-from friction_hil.identification.progress import FitStep
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.identification.refined_modifiers import refine_modifiers
-from friction_hil.identification.settings import IdentificationSettings
+from friction_hil.identification.settings import FitStep, IdentificationSettings
 from friction_hil.identification.structures import EXTENDS
 from friction_hil.identification.torque_timing import TorqueTiming, torque_timing
 from friction_hil.recordings import Recording

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array, compiled
-from friction_hil.recordings.edges import between_counts
 from friction_hil.recordings.quality import resolution
-from friction_hil.recordings.segments import Segment
+from friction_hil.recordings.segments import Segment, between_counts
 
 Force = Callable[[Array, float], Array]
 

@@ -28,8 +28,7 @@ from friction_hil.learning.compilation import compile_learning
 from friction_hil.learning.estimate import Mechanics
 from friction_hil.learning.gaps import Gaps
 from friction_hil.learning.learner import Learner
-from friction_hil.learning.notices import described, fitting
-from friction_hil.learning.proposal import Proposal, Step
+from friction_hil.learning.proposal import Proposal, Step, described, fitting
 from friction_hil.learning.proven import Proven, digest, recall, store
 from friction_hil.learning.window import RECORDED
 from friction_hil.numerics.jit import Array

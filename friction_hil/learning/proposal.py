@@ -1,11 +1,15 @@
-"""What learning proposes to hand over."""
+"""What learning proposes to hand over, and the notices about it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
+from friction_hil.daemon.control.message import TEXT_BYTES
 from friction_hil.friction import FrictionModel
 from friction_hil.learning.judge import Work
 from friction_hil.learning.motions import Used
+
+_MOST_NAMED, _NAMED = 3, 0.005  # parameters in a notice, and their least relative change
 
 
 class Step(Enum):
@@ -47,3 +51,46 @@ class Trial:
     def words(self) -> str:
         """What is tried."""
         return f"family {self.tried.family}" if self.step is Step.FAMILY else self.step.value
+
+
+def described(
+    proposal: Proposal, before: Mapping[str, float], after: Mapping[str, float], axis: str, *, is_tried: bool
+) -> str:
+    """Return what a proposal changes and why; as many parameters are named as there is room for.
+
+    ``before``, ``after``: parameters in use, and those of the proposal. ``axis``: its name is put before the text.
+    ``is_tried``: False for an axis that only proposes.
+    """
+    if proposal.step is Step.BACK:
+        return f"learning takes back: {proposal.text}"
+    if proposal.step is Step.KNOWN:
+        return f"learning goes on with {proposal.text}"
+    words = "learning tries" if is_tried else "learning would try"
+    for most in range(_MOST_NAMED, 0, -1):
+        shown = _changes(before, after, most)
+        text = f"{words} {shown}: {proposal.text}" if shown else f"{words} {proposal.text}"
+        if len(f"{axis}: {text}".encode()) <= TEXT_BYTES:
+            return text
+    return f"{words} {proposal.text}"
+
+
+def fitting(texts: list[str]) -> str:
+    """Take the first of some texts, and as many more as a notice has room for; return them in one."""
+    text = texts.pop(0)
+    while texts and len(f"{text}; {texts[0]}".encode()) <= TEXT_BYTES:
+        text = f"{text}; {texts.pop(0)}"
+    return text
+
+
+def _changes(before: Mapping[str, float], after: Mapping[str, float], most: int) -> str:
+    """Return by how much parameters change, the largest changes first: ``coulomb +42 %, viscous -7 %``.
+
+    Nothing where they are those of another family.
+    """
+    if before.keys() != after.keys():
+        return ""
+    relative = {name: (after[name] - value) / abs(value) for name, value in before.items() if value}
+    named = sorted((name for name in relative if abs(relative[name]) >= _NAMED), key=lambda name: -abs(relative[name]))
+    words = [f"{name} {100.0 * relative[name]:+.0f} %" for name in named[:most]]
+    others = len(named) - len(words)
+    return ", ".join([*words, *([f"{others} more"] if others else [])])

@@ -18,7 +18,7 @@ from friction_hil.identification import Identification, IdentificationSettings, 
 from friction_hil.identification.data import Data, prepare
 from friction_hil.identification.export import model_file
 from friction_hil.identification.prediction_errors import PredictionError
-from friction_hil.identification.progress import FitStep
+from friction_hil.identification.settings import FitStep
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording

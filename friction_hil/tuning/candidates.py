@@ -14,9 +14,8 @@ from friction_hil.identification import Fit, Identification, IdentificationSetti
 from friction_hil.identification.choice import is_determined
 from friction_hil.identification.data import prepare
 from friction_hil.identification.fine import is_presliding_excited
-from friction_hil.identification.progress import FitStep
 from friction_hil.identification.refine import is_dynamic
-from friction_hil.identification.settings import chosen_families
+from friction_hil.identification.settings import FitStep, chosen_families
 from friction_hil.numerics.filtering import lowpass, lowpass_padding
 from friction_hil.recordings import Recording
 from friction_hil.tuning.motions import experiment_of, sliding_part

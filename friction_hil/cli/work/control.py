@@ -33,12 +33,7 @@ def set_values(*, name: str, assignments: Sequence[str], as_json: bool) -> int:
 
 def start(*, name: str, as_json: bool) -> int:
     """Enable the axes of a daemon; return 1 unless they run."""
-    return _act(name, "start", as_json=as_json)
-
-
-def act_on_daemon(name: str, what: str, *, as_json: bool) -> int:
-    """Stop or reset a daemon; return 1 unless that was read back."""
-    return _act(name, what, as_json=as_json)
+    return act_on_daemon(name, "start", as_json=as_json)
 
 
 def is_daemon(config: str) -> bool:
@@ -100,7 +95,8 @@ def _assignment(text: str) -> tuple[str, Any]:
     return key, document.value
 
 
-def _act(name: str, what: str, *, as_json: bool) -> int:
+def act_on_daemon(name: str, what: str, *, as_json: bool) -> int:
+    """Start, stop or reset a daemon; return 1 unless that was read back."""
     answer = ask(find(name), {"do": what})
     if as_json:
         print_json(answer)

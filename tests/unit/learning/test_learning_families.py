@@ -10,8 +10,7 @@ import friction_hil as fh
 from friction_hil.daemon import learning_words
 from friction_hil.daemon.learning_board import first_report
 from friction_hil.learning.conversion import ALTERNATIVES, converted
-from friction_hil.learning.notices import described
-from friction_hil.learning.proposal import Step
+from friction_hil.learning.proposal import Step, described
 from friction_hil.learning.proven import Proven, recall, store
 from tests.compensators import LUGRE, MODELS
 from tests.learning_records import Driven

@@ -18,8 +18,7 @@ from friction_hil.daemon.control.message import TEXT_BYTES
 from friction_hil.daemon.control.names import find
 from friction_hil.daemon.learning_board import STARTING, LearningBoard, first_report
 from friction_hil.daemon.learning_service import LearningService
-from friction_hil.learning.notices import described, fitting
-from friction_hil.learning.proposal import Proposal, Step
+from friction_hil.learning.proposal import Proposal, Step, described, fitting
 from friction_hil.live import LiveFigures, attach
 from friction_hil.live.values import values_of
 from friction_hil.live.web.metrics import metrics_text

@@ -18,7 +18,7 @@ from friction_hil.models.model_file import ModelFile
 from friction_hil.motion.trajectory import PathTime, Trajectory
 from friction_hil.numerics import filtering
 from friction_hil.recordings import Recording
-from friction_hil.recordings.edges import between_counts
+from friction_hil.recordings.segments import between_counts
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
 from friction_hil.tuning.candidates import ExperimentPart, _parts, sliding_settings
