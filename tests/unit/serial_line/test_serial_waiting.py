@@ -11,7 +11,7 @@ from friction_hil_drivers.serial_line.waiting import LineSelector, PeriodicTimer
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.serial_peers import MS, Ask, BenchLine
+from tests.serial_rig import MS, Ask, BenchLine
 
 PERIOD_NS = 2 * MS
 MOST_LEAD_NS = 0.3 * MS

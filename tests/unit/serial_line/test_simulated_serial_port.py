@@ -130,7 +130,7 @@ def test_what_is_no_such_link_stays(path: Path, kind: str) -> None:
     else:
         path = Path("/dev/null")
     before = os.lstat(path)
-    with pytest.raises(BusError, match=r"exists and is not replaced"):
+    with pytest.raises(BusError, match="is not replaced"):
         PtyPort(path)
     assert os.path.samestat(os.lstat(path), before)
 
@@ -138,7 +138,7 @@ def test_what_is_no_such_link_stays(path: Path, kind: str) -> None:
 def test_two_simulations_cannot_share_a_link(path: Path) -> None:
     first = PtyPort(path)
     target = os.readlink(path)
-    with pytest.raises(BusError, match="another process simulates drives there"):
+    with pytest.raises(BusError, match="another process"):
         PtyPort(path.parent / "." / path.name)
     assert os.readlink(path) == target
     first.close()
