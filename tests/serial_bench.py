@@ -20,7 +20,7 @@ from friction_hil.drive import Mode
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
 
-INERTIA, FRICTION, RATED = 2e-4, 0.01, 0.64
+FRICTION, RATED = 0.01, 0.64
 COUNTS = 4096.0 / (2.0 * math.pi)  # per rad
 STEPS_PER_MS = 80
 PLAIN: dict[str, Any] = {

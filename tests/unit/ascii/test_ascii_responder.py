@@ -255,37 +255,6 @@ def test_a_drive_is_led_up_down_and_out_of_a_fault(name: str, mode: str) -> None
     talk.until(Request.RESET_FAULT, off)
 
 
-@pytest.mark.parametrize("name", sorted(READY))
-def test_a_torque_arrives_with_its_sign_and_unit_and_the_axis_moves(name: str) -> None:
-    talk = Talk(READY[name], Mode.CST)
-    talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED)
-    signal = talk.description.signals["torque_command"]
-    torque = -0.05
-    talk.image.values["torque_command"] = torque / (0.1 if signal.unit == "A" else 1.0) / signal.scale
-    talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED, cycles=50)
-    velocity = talk.description.signals["velocity"]
-    scale = {"turn/s": 2.0 * math.pi, "count/s": 1.0 / talk.drive.servo.counts_per_unit}[velocity.unit] * velocity.scale
-    reached = (torque + COULOMB) / INERTIA * 0.05  # of the friction that opposes it
-    assert talk.image.values["velocity"] * scale == pytest.approx(reached, rel=0.1)
-
-
-@pytest.mark.parametrize("name", ["odrive", "odrive_pro"])
-def test_without_set_points_the_watchdog_ends_the_torque_whatever_is_read(name: str) -> None:
-    talk = Talk(READY[name], Mode.CST)
-    talk.write({"watchdog": 0.02})
-    talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED)
-    for _ in range(25):
-        talk.say(talk.plan.poll[0])
-    assert talk.drive.state is DriveState.FAULT
-    talk.until(Request.RESET_FAULT, DriveState.READY_TO_SWITCH_ON)
-    talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED)
-    feed = talk.line.write("x", ("watchdog_feed",))
-    for _ in range(50):
-        talk.say(talk.plan.poll[0])
-        talk.say(feed)
-    assert talk.drive.state is DriveState.OPERATION_ENABLED
-
-
 # Anything at all on the line
 
 noise = st.one_of(
@@ -310,14 +279,3 @@ def test_random_bytes_neither_crash_a_drive_nor_stop_it_from_answering(name: str
     request = b"r axis0.current_state*14\n" if name == "odrive" else b"g r0xa0\r"
     (reply,) = answers(responder, request)
     assert reply.endswith(b"\r") is (name != "odrive")
-
-
-@given(st.floats(-999.0, 999.0))
-def test_a_torque_command_arrives_to_its_digits(torque: float) -> None:
-    drive = DRIVES["odrive"]
-    image = Image()
-    line = AsciiLine({"x": ODRIVE}, {"x": options("0")}, {"x": image})
-    responder = AsciiResponder({"x": drive}, {"x": ODRIVE}, {"x": options("0")})
-    image.values["torque_command"] = torque
-    assert responder.take(bytearray(line.write("x", ("torque_command",)).encode())) == b""
-    assert drive.read("torque_command") == pytest.approx(torque, rel=0.0, abs=0.5e-5 + 1e-10)

@@ -11,7 +11,6 @@ from friction_hil_drivers.dynamixel.packets import Packets
 from friction_hil_drivers.dynamixel.simulated import DynamixelResponder
 from friction_hil_drivers.serial_line.description import load_description
 from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, ReplyError
-from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.sequences import state_of
 from friction_hil_drivers.serial_line.simulated import SimulatedDrive
 from friction_hil_drivers.serial_line.units import AxisUnits
@@ -22,7 +21,6 @@ from friction_hil.drive import DriveState, Mode
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
 from tests.serial_bench import PLAIN, STEPS_PER_MS
-from tests.serial_rig import BenchLine, Time
 
 WANTED = CycleSignals(("position", "velocity"), ("torque", "status", "error", "watchdog"), ("torque_command",))
 READ_POSITION = "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"  # ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0
@@ -113,25 +111,6 @@ class _Port:
         return True
 
 
-def test_a_cycle_moves_the_servos() -> None:
-    bench = Bench(1, 2)
-    for axis in bench.images:
-        bench.write(axis, operating_mode=0)
-        bench.write(axis, status=1)
-        assert bench.state(axis) is DriveState.OPERATION_ENABLED
-    (poll,), (push,) = bench.plan.poll, bench.plan.push
-    bench.images["1"].values["torque_command"], bench.images["2"].values["torque_command"] = 60.0, -60.0
-    for _ in range(50):
-        assert bench.talk(poll)
-        assert bench.talk(push)
-    assert [drive.samples for drive in bench.drives.values()] == [50, 50]
-    for axis, sign in (("1", 1.0), ("2", -1.0)):
-        values, servo = bench.images[axis].values, bench.drives[axis].servo
-        assert sign * values["velocity"] > 100.0
-        assert sign * values["position"] > 10.0
-        assert values["torque"] * 0.00269 * 1.78 == pytest.approx(servo.torque, abs=0.005)
-
-
 @pytest.mark.parametrize("is_fast", [False, True])
 def test_a_servo_that_is_not_there_is_missing_alone(is_fast: bool) -> None:
     bench, there = Bench(1, 2, 3, is_fast=is_fast), Bench(1, 2, is_fast=is_fast)
@@ -206,17 +185,6 @@ def test_requests_for_others_and_broken_ones_are_passed_over() -> None:
     # a request that broke off, or whose length came wrong, costs no other
     assert bench.ask(request[:-3] + request) == whole
     assert bench.ask(request[:5] + b"\xf0\x03" + request[7:] + request) == whole
-
-
-def test_requests_are_taken_one_by_one() -> None:
-    bench = Bench(1)
-    request = bytes.fromhex(READ_POSITION)
-    received = bytearray(request + request[:5])
-    assert bench.responder.take(received)
-    assert received == request[:5]
-    assert bench.responder.take(received) is None
-    received += request[5:]
-    assert bench.responder.take(received)
 
 
 @pytest.fixture(scope="module")
@@ -354,35 +322,6 @@ def test_what_the_servo_does_not_take_is_told() -> None:
     bench.images["1"].values["operating_mode"] = 5.0
     with pytest.raises(ReplyError, match=r"id 1 refuses: data range error"):
         bench.talk(bench.line.write("1", ("operating_mode",)))
-
-
-@pytest.mark.parametrize("silent", ["1", "2", "3"])
-def test_a_silent_servo_costs_its_neighbours_no_more_than_a_few_cycles(silent: str) -> None:
-    """Behind it in a Sync Read nobody answers: it must come last, and be left out for most of the time."""
-    bench, time = Bench(1, 2, 3), Time()
-    del bench.responder.by_address[int(silent)]
-
-    def answer(data: bytes) -> bytes:
-        received, replies = bytearray(data), []
-        while (reply := bench.responder.take(received)) is not None:
-            replies.append(reply)
-        return b"".join(replies)
-
-    scheduler = BusScheduler(BenchLine(answer, baud=4_000_000), list(bench.images.values()), 0.0, 0.05, time)  # type: ignore[arg-type]
-    cycles, warm_up = 80, 30
-    heard = dict.fromkeys(bench.images, 0)
-    for cycle in range(cycles):
-        for image in bench.images.values():
-            image.fresh.clear()
-        scheduler.enqueue(bench.plan.poll)
-        for _ in range(20):
-            scheduler.poll()
-            time.pass_ms(0.25)
-        scheduler.end_cycle()
-        for axis, image in bench.images.items():
-            heard[axis] += cycle >= warm_up and {"position", "velocity"} <= image.fresh
-    assert heard.pop(silent) == 0
-    assert all(count > 0.8 * (cycles - warm_up) for count in heard.values()), heard
 
 
 def test_the_vendors_sdk_finds_identity_and_temperature() -> None:

@@ -5,12 +5,10 @@ from typing import cast
 
 import pytest
 from friction_hil_drivers.modbus.description import ModbusDescription
-from friction_hil_drivers.modbus.driver import ModbusLine
 from friction_hil_drivers.modbus.options import ModbusOptions
 from friction_hil_drivers.modbus.simulated import ModbusResponder
-from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, ReplyError
 from friction_hil_drivers.serial_line.simulated.drive import RefusedError, SimulatedDrive
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
@@ -310,54 +308,3 @@ class TestPymodbus:
         reply = bench.ask(ReadHoldingRegistersRequest(address=0x50, count=1))
         assert isinstance(reply, ExceptionResponse)
         assert reply.exception_code == 2
-
-
-class TestDriver:
-    """The driver's codec against the responder, both of this project; the tests above say who is wrong."""
-
-    @pytest.mark.parametrize("port", [RTU, TCP])
-    @pytest.mark.parametrize("joins", [True, False])
-    @settings(deadline=None)
-    @given(
-        position=st.integers(-(2**31), 2**31 - 1),
-        velocity=st.integers(-(2**31), 2**31 - 1),
-        torque=st.integers(-(2**15), 2**15 - 1).filter(lambda torque: torque != 666),
-        target=st.integers(-(2**30), 2**30),
-    )
-    def test_a_cycle(self, port: str, joins: bool, position: int, velocity: int, torque: int, target: int) -> None:
-        bench = Bench(port, read_write_multiple=joins)
-        bench.drive.numbers |= {"position": float(position), "velocity": float(velocity), "torque": float(torque)}
-        image = Image({"torque_command": float(torque), "position_command": float(position + target)})
-        line = ModbusLine({"a": bench.descriptions["a"]}, {"a": bench.options["a"]}, {"a": image})
-        commands = ("torque_command", "position_command")
-        plan = line.plan({"a": CycleSignals(("position", "velocity"), ("torque", "status", "error"), commands)})
-        assert bool(plan.push) != joins
-        for request in (*plan.poll, *plan.background, *plan.push):
-            reply = bench.responder.take(bytearray(request.encode()))
-            assert reply is not None
-            assert request.take(bytearray(reply))
-        assert (image.values["position"], image.values["velocity"]) == (position, velocity)
-        assert image.values["torque"] == torque
-        assert image.fresh == {"position", "velocity", "torque", "status", "error"}
-        assert dict(bench.drive.written) == {"torque_command": torque, "position_command": position + target}
-
-    def test_a_refusal(self, bench: Bench) -> None:
-        image = Image({"torque_command": 666.0})
-        line = ModbusLine({"a": bench.descriptions["a"]}, {"a": bench.options["a"]}, {"a": image})
-        request = line.write("a", ("torque_command",))
-        reply = bench.responder.take(bytearray(request.encode()))
-        assert reply
-        with pytest.raises(ReplyError, match=r"unit 1 refuses: illegal data value.*\(exception 3\)"):
-            request.take(bytearray(reply))
-
-    @settings(max_examples=200, deadline=None)
-    @given(cut=st.integers(0, 20), noise=st.binary(max_size=10))
-    def test_torn_requests_move_nothing(self, cut: int, noise: bytes) -> None:
-        bench = Bench()
-        image = Image({"torque_command": 5.0})
-        line = ModbusLine({"a": bench.descriptions["a"]}, {"a": bench.options["a"]}, {"a": image})
-        frame = line.write("a", ("torque_command",)).encode()
-        torn = bytearray(frame[: min(cut, len(frame) - 1)] + noise)
-        assume(not torn.startswith(frame))
-        bench.responder.take(torn)
-        assert not bench.drive.events

@@ -6,7 +6,9 @@ The drives run in a thread and are paced by the driver's requests, so that nothi
 import itertools
 import os
 import select
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +17,10 @@ from friction_hil_drivers.serial_line.bus import SerialBus
 from friction_hil_drivers.serial_line.simulated.port import PtyPort
 from pymodbus.framer import FramerRTU
 
+import friction_hil
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError, UsageError
 from tests.serial_rig import FAST_LINE, KINDS, Rig, port_of
-
-PERIOD_S = 1e-3
 
 
 @pytest.fixture(params=KINDS)
@@ -47,6 +48,28 @@ def test_a_rehearsal_takes_what_has_come_and_changes_nothing_else(kind, tmp_path
     plain = life(is_rehearsed=False)
     assert DriveState.OPERATION_ENABLED in {state for _, _, _, state, _, _ in plain}
     assert life(is_rehearsed=True) == plain
+
+
+@pytest.mark.parametrize(("kind", "name"), [("odrive", "an ODrive"), ("rtu, function 23", "a Modbus drive")])
+def test_a_cycle_passes_as_many_functions_as_the_code_overview_says(tmp_path, kind, name):
+    passed = set()
+
+    def note(frame, event, _):
+        if event == "call" and frame.f_globals["__name__"].startswith("friction_hil"):
+            passed.add(frame.f_code)
+
+    with Rig(kind, tmp_path).begin().enable() as bench:
+        bench.cycle(Request.ENABLE, 0.1, count=20)
+        (bus,) = bench.drives.buses
+        wait_for(lambda: bench.drives.warm_caches() or not bus.scheduler.outstanding)
+        sys.setprofile(note)
+        try:
+            bench.cycle(Request.ENABLE, 0.1)
+        finally:
+            sys.setprofile(None)
+    own = {bench.clock.sleep_until.__code__}
+    overview = Path(friction_hil.__file__).with_name("README.md").read_text()
+    assert f"{len(passed - own)} of {name}" in overview
 
 
 def test_in_simulated_time_the_wire_is_never_busy(tmp_path, monkeypatch):

@@ -15,8 +15,6 @@ from friction_hil_drivers.serial_line.simulated.server import serve
 
 from friction_hil.config import Configuration, from_dict
 from friction_hil.errors import BusError, ConfigurationError, UsageError
-from friction_hil.servo.config import ServoConfig
-from friction_hil.servo.servo import Servo
 from tests.peers.serial_processes import free_tcp_port
 from tests.serial_bench import CIA402, LONG_S, PLAIN, Master, TinyOptions, TinySimulatedDrives
 
@@ -89,22 +87,6 @@ def test_several_lines_and_axes_are_served_at_once(tmp_path: Path) -> None:
             assert client.recv(100) == b"592\n"
         master.close()
     assert not (tmp_path / "one").exists()
-
-
-def test_with_pace_sync_the_servo_is_a_function_of_the_requests(tmp_path: Path) -> None:
-    config = configuration(tmp_path, {"x": {"line": {"port": str(tmp_path / "line")}}}, period_s=2e-3)
-    alone = Servo(ServoConfig.model_validate(PLAIN))
-    alone.set_period(2e-3)
-    with running(config):
-        master = Master(tmp_path / "line")
-        master.send(b"control=6\ncontrol=7\ncontrol=15\n")
-        for k in range(100):
-            master.send(f"torque_command={k}\n?position\n".encode())
-            alone.command(10, k * 1e-3 * 0.64)
-            alone.advance(160)
-            assert round(float(master.line())) == round(alone.position * alone.counts_per_unit)  # whole counts
-        master.close()
-    assert alone.position > 0.1
 
 
 def test_with_pace_real_a_reply_takes_what_the_wire_takes(tmp_path: Path) -> None:

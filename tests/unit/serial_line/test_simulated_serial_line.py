@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from friction_hil_drivers.serial_line.options import LineOptions
 from friction_hil_drivers.serial_line.simulated import LineFaults, SimulatedDrive
 from friction_hil_drivers.serial_line.simulated.faults import Faults
 from friction_hil_drivers.serial_line.simulated.port import PtyPort
-from friction_hil_drivers.serial_line.simulated.server import SPLIT_NS, SimulatedLine
+from friction_hil_drivers.serial_line.simulated.server import SimulatedLine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -41,11 +40,6 @@ class Bench:
         self.master.send(data)
         assert select.select(self.line.port.descriptors, [], [], LONG_S)[0]
         self.line.hear(now_ns)
-
-    def ask(self, data: bytes = b"?position\n") -> None:
-        """Send a request and let all happen that follows from it in simulated time."""
-        self.send(data)
-        self.line.work(0)
 
     def is_silent(self) -> bool:
         return self.master.receive(1, 0.02) == b""
@@ -94,33 +88,6 @@ def test_characters_turn_around_and_silence_take_their_time(make_bench: Any) -> 
     assert bench.line.due_ns is None
 
 
-def test_requests_and_replies_queue_on_the_wire(make_bench: Any) -> None:
-    bench = make_bench()
-    bench.send(b"?status\n", 0)
-    bench.send(b"?status\n", CHARACTER_NS)  # while the first still arrives
-    assert bench.line.due_ns == 8 * CHARACTER_NS
-    bench.line.work(8 * CHARACTER_NS)
-    first = 8 * CHARACTER_NS + TURNAROUND_NS + 4 * CHARACTER_NS
-    assert bench.line.due_ns == first
-    bench.line.work(first)
-    assert bench.master.line() == b"592\n"
-    assert bench.line.due_ns == 16 * CHARACTER_NS
-    bench.line.work(16 * CHARACTER_NS)
-    assert bench.line.due_ns == 16 * CHARACTER_NS + TURNAROUND_NS + 4 * CHARACTER_NS
-
-
-def test_commands_act_when_they_are_complete(make_bench: Any) -> None:
-    bench = make_bench()
-    for word in (6, 7, 15):
-        bench.send(f"control={word}\n".encode(), 0)
-    end = 31 * CHARACTER_NS
-    bench.line.work(end - 1)
-    assert bench.drive.state is DriveState.SWITCHED_ON
-    bench.line.work(end)
-    assert bench.drive.state is DriveState.OPERATION_ENABLED
-    assert bench.line.due_ns is None  # no replies
-
-
 def test_what_is_left_before_a_silence_is_no_request(make_bench: Any) -> None:
     bench = make_bench(silence_chars=3.5)
     bench.send(b"?pos", 0)
@@ -132,27 +99,6 @@ def test_what_is_left_before_a_silence_is_no_request(make_bench: Any) -> None:
     bench.send(b"?error\n", 20_000_000)
     bench.line.work(40_000_000)
     assert bench.master.line() == b"0\n"
-
-
-def test_a_request_may_come_in_pieces(make_bench: Any) -> None:
-    bench = make_bench(silence_chars=3.5)
-    bench.send(b"?pos", 0)
-    bench.line.work(4 * CHARACTER_NS)
-    bench.send(b"ition\n", 4 * CHARACTER_NS + 1000)
-    assert bench.line.due_ns == 10 * CHARACTER_NS + 1000
-    bench.line.work(60_000_000)
-    assert bench.master.line() == b"0\n"
-
-
-def test_with_pace_sync_nothing_takes_time_but_samples(make_bench: Any) -> None:
-    bench = make_bench(is_real=False)
-    for k in range(1, 4):
-        bench.ask()
-        assert bench.master.line() == b"0\n"
-        assert bench.drive.time_s == pytest.approx(k * 1e-3)
-    bench.ask(b"?status\n")
-    assert bench.master.line() == b"592\n"
-    assert bench.drive.time_s == pytest.approx(3e-3)
 
 
 # Faults
@@ -178,22 +124,6 @@ def test_each_fault_does_what_it_is_called(reply: bytes, seed: int) -> None:
     assert 1 <= len(noisy) - len(reply) <= 4
 
 
-def test_faults_come_as_often_as_they_shall_and_again_the_same() -> None:
-    options = LineFaults(drop=0.2, corrupt=0.1, split=0.3, delay=0.05, noise=0.02, seed=7)
-    runs = []
-    for _ in range(2):
-        faults = Faults(options)
-        runs.append([faults.spoil(b"0123456789") for _ in range(4000)])
-    assert runs[0] == runs[1]
-    came = [reply for reply in runs[0] if reply.pieces]
-    assert 1.0 - len(came) / 4000 == pytest.approx(0.2, abs=0.03)
-    assert np.mean([len(reply.pieces) == 2 for reply in came]) == pytest.approx(0.3, abs=0.03)
-    assert np.mean([reply.is_late for reply in came]) == pytest.approx(0.05, abs=0.02)
-    assert np.mean([len(b"".join(reply.pieces)) > 10 for reply in came]) == pytest.approx(0.02, abs=0.01)
-    other = Faults(options.model_copy(update={"seed": 8}))
-    assert [other.spoil(b"0123456789") for _ in range(4000)] != runs[0]
-
-
 def test_a_late_reply_comes_after_its_delay_and_holds_up_no_other(make_bench: Any) -> None:
     bench = make_bench(delay=0.5, delay_s=0.5, seed=LATE_THEN_IN_TIME)
     bench.send(b"?error\n", 0)
@@ -204,29 +134,6 @@ def test_a_late_reply_comes_after_its_delay_and_holds_up_no_other(make_bench: An
     assert bench.line.due_ns == 28 * CHARACTER_NS + TURNAROUND_NS + 4 * CHARACTER_NS
     bench.line.work(2_000_000_000)
     assert bench.master.line() + bench.master.line() == b"592\n0\n"
-
-
-def test_with_pace_sync_a_late_reply_comes_after_the_next_request(make_bench: Any) -> None:
-    bench = make_bench(is_real=False, delay=1)
-    bench.ask(b"?status\n")
-    assert bench.is_silent()
-    bench.ask(b"?error\n")
-    assert bench.master.line() == b"592\n"
-    assert bench.is_silent()
-
-
-def test_a_split_reply_has_a_gap(make_bench: Any) -> None:
-    bench = make_bench(split=1, seed=3)
-    bench.send(b"?status\n", 0)
-    bench.line.work(8 * CHARACTER_NS)
-    first = bench.line.due_ns
-    bench.line.work(first)
-    second = bench.line.due_ns
-    end = 8 * CHARACTER_NS + TURNAROUND_NS + 4 * CHARACTER_NS + SPLIT_NS
-    assert first is not None
-    assert first < second == end
-    bench.line.work(second)
-    assert bench.master.line() == b"592\n"
 
 
 @pytest.mark.parametrize("is_real", [True, False])
@@ -245,15 +152,3 @@ def test_a_reboot_is_silent_and_leaves_nothing(make_bench: Any, is_real: bool) -
     period_s = 0.03 if is_real else 0.001
     off = state.count(DriveState.NOT_READY)
     assert off * period_s == pytest.approx(0.3, abs=2 * period_s)
-
-
-def test_nothing_is_answered_while_the_supply_is_away(make_bench: Any) -> None:
-    bench = make_bench(is_real=False, reboot_at_s=(0.0005,))
-    bench.ask()
-    assert bench.master.line() == b"0\n"  # this request brought the time at which it happens
-    for _ in range(299):
-        bench.ask()
-    assert bench.is_silent()
-    bench.ask()
-    bench.ask()
-    assert bench.master.line() == b"0\n"

@@ -38,7 +38,7 @@ def first(given_rules: list[Rule], numbers: dict[str, float]) -> DriveState | No
     return None
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(given_rules=st.lists(rules(), min_size=1, max_size=5), name=st.sampled_from(NAMES))
 def test_numbers_are_found_where_there_are_any(given_rules: list[Rule], name: str) -> None:
     numbers = telling_numbers(given_rules, STATES[name], {})
