@@ -189,10 +189,6 @@ class Command:
         if self.poll() is None:
             signal.pidfd_send_signal(self._exit, number)
 
-    def terminate(self) -> None:
-        """Send SIGTERM."""
-        self.send_signal(signal.SIGTERM)
-
     def kill(self) -> None:
         """Send SIGKILL."""
         self.send_signal(signal.SIGKILL)

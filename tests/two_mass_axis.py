@@ -19,7 +19,7 @@ from friction_hil.recordings import Recording
 
 Array = NDArray[np.float64]
 
-STEPS_HZ, LOOP_HZ = 80_000, 8_000
+LOOP_HZ = 8_000
 
 
 @dataclass(frozen=True)

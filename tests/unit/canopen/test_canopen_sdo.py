@@ -12,7 +12,7 @@ from friction_hil_drivers.cia402 import objects
 from friction_hil.errors import DriveError
 from tests.canopen_bench import NODE, Bench, BenchBus
 
-REQUEST, ANSWER = 0x600 + NODE, 0x580 + NODE
+ANSWER = 0x580 + NODE
 GENERAL_ERROR = 0x08000000
 NO_OBJECT = 0x06020000
 

@@ -28,7 +28,6 @@ from tests.compensators import (
 checked = settings(max_examples=40, deadline=None)
 every_source = pytest.mark.parametrize("source", EVERY_SOURCE)
 every_model = pytest.mark.parametrize("name", MODELS)
-STATIC_MAPS = [name for name, model in MODELS.items() if model.family.is_static]
 
 
 def state_velocity(demand, speed, **given):
@@ -239,9 +238,6 @@ def _stale(name):
         columns(400, position=0.005 * t + 5e-4, velocity=0.005, **known, is_fresh=np.arange(400) != 300)
     )
     return torque
-
-
-JUMPING = (*STATIC_MAPS, "dahl", "elasto_plastic", "gms", "lugre")
 
 
 @every_model

@@ -17,7 +17,6 @@ thorough = settings(max_examples=THOROUGH)
 PERIOD_S = 1e-3
 ENABLED = DriveState.OPERATION_ENABLED
 LIMITS = SafetyLimits(torque=0.3, velocity=10.0, following_error=0.1, position_low=-1.0, position_high=1.0)
-REACH = 2.0 * 10.0 * PERIOD_S + 10.0 * 1e-5
 MOVING = (LoopState.RUNNING, LoopState.STOPPING)
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)
