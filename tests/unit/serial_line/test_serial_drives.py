@@ -17,7 +17,6 @@ from friction_hil_drivers.serial_line.bus import SerialBus
 from friction_hil_drivers.serial_line.simulated.port import PtyPort
 from pymodbus.framer import FramerRTU
 
-import friction_hil
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError, UsageError
 from tests.serial_rig import FAST_LINE, KINDS, Rig, port_of
@@ -51,7 +50,7 @@ def test_a_rehearsal_takes_what_has_come_and_changes_nothing_else(kind, tmp_path
 
 
 @pytest.mark.parametrize(("kind", "name"), [("odrive", "an ODrive"), ("rtu, function 23", "a Modbus drive")])
-def test_a_cycle_passes_as_many_functions_as_the_code_overview_says(tmp_path, kind, name):
+def test_a_cycle_passes_as_many_functions_as_its_page_says(tmp_path, kind, name):
     passed = set()
 
     def note(frame, event, _):
@@ -68,8 +67,8 @@ def test_a_cycle_passes_as_many_functions_as_the_code_overview_says(tmp_path, ki
         finally:
             sys.setprofile(None)
     own = {bench.clock.sleep_until.__code__}
-    overview = Path(friction_hil.__file__).with_name("README.md").read_text()
-    assert f"{len(passed - own)} of {name}" in overview
+    page = Path(drives.__file__).with_name("README.md").read_text()
+    assert f"{len(passed - own)} of {name}" in page
 
 
 def test_in_simulated_time_the_wire_is_never_busy(tmp_path, monkeypatch):
