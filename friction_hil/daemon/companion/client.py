@@ -288,11 +288,13 @@ class Companion:
         self._end = -1
         self._wake()
         end_s = time.monotonic() + _END_S
-        while is_finished and (not self._poll.poll(_SLICE_S * 1e3) or self._read()):  # until the last one has ended
+        # until the last one has ended, but not forever: one may hang in the kernel
+        while is_finished and time.monotonic() < end_s + 1.0 and (not self._poll.poll(_SLICE_S * 1e3) or self._read()):
             if time.monotonic() > end_s:
                 self._kill()
         if is_finished:
-            self.process.wait()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(1.0)
             with contextlib.suppress(ChildProcessError):
                 while os.waitpid(-self._group, os.WNOHANG)[0]:  # those that have outlived their supervisor
                     pass
