@@ -7,6 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from friction_hil import models
+from friction_hil.friction import kernel
 from friction_hil.numerics import jit
 from tests.launcher import load_kernels
 
@@ -32,9 +33,11 @@ def _compile(name: str) -> None:
     if name == _ANY_MODEL:
         load_kernels()
         models.create("coulomb", coulomb=0.1).start()
+        kernel.prepare(jit.ready(kernel.step_with_network), 6)
         return
     model = models.create(name, **models.describe(name).example)
     model.simulate_with_gradient([0.1], 1e-3)
     model.simulate([0.1, 0.2], 1e-3)
     model.simulate([0.1, 0.2], [1e-3, 2e-3])
+    model.simulate_with_gradient([0.1, 0.2], [1e-3, 2e-3])
     model.steady_state([0.1, 0.2])

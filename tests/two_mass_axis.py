@@ -11,10 +11,10 @@ steps at 80 kHz: the resonances here, below 200 Hz, are right to 1e-4.
 import math
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from friction_hil.numerics.jit import compiled
 from friction_hil.recordings import Recording
 
 Array = NDArray[np.float64]
@@ -119,7 +119,7 @@ def record(axis: Axis, demand: Array, torque: Array | None = None, rate_hz: floa
     return Recording("axis.csv", "x", columns)
 
 
-@numba.njit
+@compiled
 def _run(mechanics, motor, load, drive, encoder, demand, added, every, start):  # type: ignore[no-untyped-def]  # pragma: no cover
     jm, jl, k, c, half, load_torque, cogging, cogging_order = mechanics
     kp, kv, integral_hz, count = drive
@@ -169,7 +169,7 @@ def _run(mechanics, motor, load, drive, encoder, demand, added, every, start):  
     return position, load_position, mean, begin
 
 
-@numba.njit
+@compiled
 def _friction(side, v, z, dt):  # type: ignore[no-untyped-def]  # pragma: no cover
     sigma0, sigma1, level, static, stribeck, viscous = side
     if level == 0.0:

@@ -155,7 +155,7 @@ def step(
 
 
 @inlined
-def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
     """Fill ``torque`` for every sample, with the same bits as `step`.
 
     If the ring stores every sample, the lagging velocity is an element of ``velocity`` at a fixed distance. Then only
@@ -177,6 +177,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
                 fall[k] = _fall(p, _lagging_velocity(s, v[k], dt, lag))
         for k in range(v.shape[0]):
             torque[begin + k] = _torque(p, s, v[k], v[k], fall[k], dt, 0.0, 1.0)
+    return False  # the velocities have not been checked
 
 
 @inlined

@@ -146,12 +146,12 @@ _step = step
 
 
 @inlined
-def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
     """Fill ``torque`` for every sample, with the same bits as `step`; faster where the exponent is 1."""
     if p[4] != 1.0 or is_differentiated(p[4]):
         for k in range(velocity.shape[0]):
             torque[k] = _step(p, s, velocity[k], velocity[k], dt, 0.0, 1.0, applied_torque, 0.0)
-        return
+        return False
     # Results that do not depend on the state are computed first, in loops that the compiler vectorises.
     settled, ratio = _settled(p), _ratio(p)
     target, path = buffer(p, _BLOCK), buffer(p, _BLOCK)
@@ -175,6 +175,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
         s[0] = z
         for k in range(v.shape[0]):
             torque[begin + k] = _torque(p, settled, deflection[k], v[k], 0.0, 1.0)
+    return False  # the velocities have not been checked
 
 
 @inlined

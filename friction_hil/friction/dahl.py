@@ -65,12 +65,12 @@ _step = step
 
 
 @inlined
-def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
     """Fill ``torque`` for every sample, with the same bits as `step`; faster where the exponent is 1."""
     if p[2] != 1.0 or is_differentiated(p[2]):
         for k in range(velocity.shape[0]):
             torque[k] = _step(p, s, velocity[k], velocity[k], dt, 0.0, 1.0, applied_torque, 0.0)
-        return
+        return False
     # Results that do not depend on the state are computed first, in loops that the compiler vectorises.
     level = modified(p[1], 0.0, 1.0)
     settled, fraction, spring = buffer(p, _BLOCK), buffer(p, _BLOCK), buffer(p, _BLOCK)
@@ -87,6 +87,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
         s[0] = held
         for k in range(v.shape[0]):
             torque[begin + k] = spring[k] + p[3] * v[k]
+    return False  # the velocities have not been checked
 
 
 @inlined

@@ -21,8 +21,8 @@ from friction_hil.friction import (
     stribeck,
     table,
 )
-from friction_hil.numerics.dual import overloaded, types
-from friction_hil.numerics.jit import Array, compiled
+from friction_hil.numerics.dual import forwarded, overloaded, types
+from friction_hil.numerics.jit import Array, compiled, inner
 
 # The one list of families: a place in it is the family's number. Static maps come first.
 _ORDER = (coulomb, stribeck, karnopp, table, power_law, armstrong, dahl, lugre, elasto_plastic, gms, bouc_wen)
@@ -56,7 +56,7 @@ def _choose_number(kind: Any) -> Any:
     return lambda kind: known
 
 
-@compiled
+@inner
 def _step_by_number(
     kind: int,
     p: Array,
@@ -98,12 +98,9 @@ def family_step(kind: Any, *arguments: Any) -> float:
     return float(_ORDER[number(kind)].step(*arguments))
 
 
-@overloaded(family_step)
-def _choose_step(kind: Any, *arguments: Any) -> Any:
-    chosen = _ORDER[kind.count - 1].step if isinstance(kind, types.UniTuple) else None
-    if chosen is not None:
-        return lambda kind, *arguments: chosen(*arguments)
-    return lambda kind, *arguments: _step_by_number(kind, *arguments)
+@forwarded(family_step)
+def _choose_step(kind: Any) -> tuple[Any, int]:
+    return (_ORDER[kind.count - 1].step, 1) if isinstance(kind, types.UniTuple) else (_step_by_number, 0)
 
 
 def family_steady(kind: Any, *arguments: Any) -> float:
@@ -111,10 +108,9 @@ def family_steady(kind: Any, *arguments: Any) -> float:
     return float(_ORDER[number(kind)].steady(*arguments))
 
 
-@overloaded(family_steady)
-def _choose_steady(kind: Any, *arguments: Any) -> Any:
-    chosen = _ORDER[kind.count - 1].steady
-    return lambda kind, *arguments: chosen(*arguments)
+@forwarded(family_steady)
+def _choose_steady(kind: Any) -> tuple[Any, int]:
+    return _ORDER[kind.count - 1].steady, 1
 
 
 @compiled
@@ -136,16 +132,7 @@ def family_run(kind: Any, *arguments: Any) -> bool:
     return each_step(kind, *arguments)
 
 
-@overloaded(family_run)
-def _choose_run(kind: Any, *arguments: Any) -> Any:
+@forwarded(family_run)
+def _choose_run(kind: Any) -> tuple[Any, int]:
     chosen = getattr(_ORDER[kind.count - 1], "run", None)
-    if chosen is None:
-        return lambda kind, *arguments: each_step(kind, *arguments)
-    if kind.count - 1 <= LAST_STATIC:
-        return lambda kind, *arguments: chosen(*arguments)
-
-    def dynamic(kind, *arguments):  # type: ignore[no-untyped-def]
-        chosen(*arguments)
-        return False
-
-    return dynamic
+    return (each_step, 0) if chosen is None else (chosen, 1)

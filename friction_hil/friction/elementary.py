@@ -21,7 +21,7 @@ from friction_hil.numerics.dual import (
     overloaded,
     primal,
 )
-from friction_hil.numerics.jit import Array, compiled
+from friction_hil.numerics.jit import Array, inner
 
 _LARGEST = 708.0  # e^-x is a normal number up to here; larger x give zero
 _PER_LN2 = 1.0 / math.log(2.0)
@@ -31,7 +31,7 @@ _ONE_BITS = 4607182418800017408  # bit pattern of 1.0
 _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9, _C10, _C11, _C12, _C13 = (1.0 / math.factorial(k) for k in range(2, 14))
 
 
-@compiled
+@inner
 def _reduced(x: float) -> tuple[float, float, float]:
     """Reduce e^-x = 2^k (1 + q) for 0 <= x <= `_LARGEST`; return k, 2^k and q."""
     shifted = fma(x, -_PER_LN2, _SHIFT)
@@ -48,14 +48,14 @@ def _reduced(x: float) -> tuple[float, float, float]:
     return k, np.int64(bits).view(np.float64), q
 
 
-@compiled
+@inner
 def _decay(x: float) -> float:
     is_zero = x >= _LARGEST
     _, scale, q = _reduced(_LARGEST if is_zero else x)
     return 0.0 if is_zero else fma(q, scale, scale)
 
 
-@compiled
+@inner
 def _approach(x: float) -> float:
     is_one = x >= _LARGEST
     k, scale, q = _reduced(_LARGEST if is_one else x)
@@ -73,7 +73,7 @@ def approach(x: float) -> float:
     return -math.expm1(-x)
 
 
-@compiled
+@inner
 def _power(x: float, y: float) -> float:
     if y == 1.0:
         return x
@@ -140,14 +140,14 @@ def buffer(parameters: Array, length: int) -> Array:
     return np.empty(length)
 
 
-differentiable(decay, _decay, compiled(lambda x, value: -value))
-differentiable(approach, _approach, compiled(lambda x, value: 1.0 - value))
-differentiable(sin, compiled(lambda x: math.sin(x)), compiled(lambda x, value: math.cos(x)))
-differentiable(cos, compiled(lambda x: math.cos(x)), compiled(lambda x, value: -math.sin(x)))
-differentiable(tanh, compiled(lambda x: math.tanh(x)), compiled(lambda x, value: 1.0 - value * value))
-differentiable(log, compiled(lambda x: math.log(x)), compiled(lambda x, value: 1.0 / x))
-differentiable(log1p, compiled(lambda x: math.log1p(x)), compiled(lambda x, value: 1.0 / (1.0 + x)))
-differentiable(expm1, compiled(lambda x: math.expm1(x)), compiled(lambda x, value: 1.0 + value))
+differentiable(decay, _decay, inner(lambda x, value: -value))
+differentiable(approach, _approach, inner(lambda x, value: 1.0 - value))
+differentiable(sin, inner(lambda x: math.sin(x)), inner(lambda x, value: math.cos(x)))
+differentiable(cos, inner(lambda x: math.cos(x)), inner(lambda x, value: -math.sin(x)))
+differentiable(tanh, inner(lambda x: math.tanh(x)), inner(lambda x, value: 1.0 - value * value))
+differentiable(log, inner(lambda x: math.log(x)), inner(lambda x, value: 1.0 / x))
+differentiable(log1p, inner(lambda x: math.log1p(x)), inner(lambda x, value: 1.0 / (1.0 + x)))
+differentiable(expm1, inner(lambda x: math.expm1(x)), inner(lambda x, value: 1.0 + value))
 
 
 @overloaded(power)
@@ -206,7 +206,7 @@ def _choose_buffer(parameters: Any, length: Any) -> Any:
 _SMALL = 1e-5  # below this the next term of the series is less than the last bit
 
 
-@compiled
+@inner
 def mean_decay(x: float) -> float:
     """Compute the mean of e^-t for t from 0 to ``x``, of either sign: (1 - e^-x) / x."""
     if x > _SMALL:

@@ -108,7 +108,7 @@ def step(
 
 
 @inlined
-def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
     """Fill ``torque`` for every sample, with the same bits as `step`, but faster.
 
     Results that do not depend on the state are computed first, in loops that the compiler vectorises; then follows
@@ -134,6 +134,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
             s[2 * i], s[2 * i + 1] = held, slip
         for k in range(v.shape[0]):
             torque[begin + k] = total[k]
+    return False  # the velocities have not been checked
 
 
 @inlined

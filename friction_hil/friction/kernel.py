@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from friction_hil.friction import karnopp, modifiers, network, network_runs
+from friction_hil.friction import karnopp, modifiers, network
 from friction_hil.friction.curves import direction
 from friction_hil.friction.dispatch import (
     FAMILY_STATES,
@@ -34,10 +34,10 @@ from friction_hil.friction.dispatch import (
     number,
 )
 from friction_hil.friction.elementary import part, whole
-from friction_hil.numerics.dual import borrowed_at, dual_types, overloaded, primal, types
-from friction_hil.numerics.jit import Array, compiled, compiled_for_one_sample, inlined
+from friction_hil.numerics.dual import borrowed_at, dual_types, intrinsic, overloaded, primal, types
+from friction_hil.numerics.jit import Array, compiled, compiled_for_one_sample, inserted
 
-HEADER = 4
+HEADER, BEGIN_OF_NETWORK = 4, 3
 _CACHED = 32768  # samples, 256 KiB: small enough to be in the cache at the second pass
 PLAIN_ROOM = 768  # length of p: a full table for each direction, and the modifiers
 PARAMETER_ROOM = 2048  # length of p for a model with a network
@@ -53,7 +53,7 @@ _reversal_torque, _speed_torque, _settled_torque = (
     modifiers.speed_torque,
     modifiers.settled_torque,
 )
-_network_step = network_runs.step_apart
+_network_step = network.step
 
 
 def _learned_torque(kind: Any, p: Array, s: Array, *inputs: Any) -> float:
@@ -72,13 +72,13 @@ def _choose_learned_torque(kind: Any, p: Any, s: Any, *inputs: Any) -> Any:
         return lambda kind, p, s, *inputs: 0.0
 
     def of_network(kind, p, s, *inputs):  # type: ignore[no-untyped-def]
-        begin = int(p[3])
+        begin = int(p[BEGIN_OF_NETWORK])
         return _network_step(part(p, begin), part(s, NETWORK), *inputs) if begin > 0 else 0.0
 
     return of_network
 
 
-@inlined
+@inserted
 def step(
     kind: Any,  # number or tag of the family; see `dispatch`
     p: Array,  # parameters
@@ -126,6 +126,12 @@ def step(
     return torque + fast + beside + learned
 
 
+@intrinsic
+def _plain(_: Any, p: Any) -> Any:
+    """Return parameters without a network as an array of the type that they have in a record."""
+    return types.NestedArray(types.float64, (PLAIN_ROOM,))(p), lambda context, builder, signature, args: args[0]
+
+
 @compiled_for_one_sample
 def step_whole(
     address: int,
@@ -136,7 +142,23 @@ def step_whole(
     temperature: float,
     applied_torque: float,
 ) -> float:
-    """Call `step` for a model whose number, epsilon, parameters and state are one array at ``address``."""
+    """Call `step` for a model without a network whose number, epsilon, parameters and state are one array."""
+    model = borrowed_at(address, WHOLE_ROOM)
+    kind, epsilon, p, s = int(model[0]), model[1], _plain(part(model, 2)), part(model, 2 + PARAMETER_ROOM)
+    return step(kind, p, s, velocity, velocity, dt, position, load_torque, temperature, applied_torque, epsilon)
+
+
+@compiled_for_one_sample
+def step_with_network(
+    address: int,
+    velocity: float,
+    dt: float,
+    position: float,
+    load_torque: float,
+    temperature: float,
+    applied_torque: float,
+) -> float:
+    """Do the same as `step_whole` for any model."""
     model = borrowed_at(address, WHOLE_ROOM)
     kind, epsilon, p, s = int(model[0]), model[1], part(model, 2), part(model, 2 + PARAMETER_ROOM)
     return step(kind, p, s, velocity, velocity, dt, position, load_torque, temperature, applied_torque, epsilon)
@@ -151,7 +173,7 @@ def step_plain(address: int, velocity: float, dt: float) -> float:
 
 
 def prepare(function: Any, numbers: int) -> None:
-    """Compile `step_plain` or `step_whole` for an address and ``numbers`` floats, and disable further compilation.
+    """Compile a step for an address and ``numbers`` floats, and disable further compilation.
 
     Otherwise an int or a numpy scalar as argument would start a new compilation in the middle of a loop.
     """
@@ -182,7 +204,8 @@ def is_positive(values: Array) -> bool:
 def run_plain(kind: Any, p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
     """Do the work of `run` for a model without modifiers, with one ``dt`` and one ``applied_torque``.
 
-    Most calls need only this, and it compiles much faster than `run`.
+    Most calls need only this, and it compiles much faster than `run`. The simulation stops at the first block with a
+    velocity that is not finite.
     """
     own = part(p, HEADER)
     for begin in range(0, velocity.shape[0], _CACHED):
@@ -218,11 +241,8 @@ def run(
 ) -> bool:
     """Fill ``torque`` for every sample; return True if every ``velocity`` is finite.
 
-    ``kind`` is the family's tag. The inputs after ``velocity`` have one element, or one per sample. For a model
-    without modifiers the simulation stops at the first block with a velocity that is not finite.
+    ``kind`` is the family's tag. The inputs after ``velocity`` have one element, or one per sample.
     """
-    if p[0] == 0.0 and dt.shape[0] == 1 and applied_torque.shape[0] == 1:
-        return run_plain(kind, p, s, velocity, dt[0], applied_torque[0], torque)
     dt_stride = 1 if dt.shape[0] > 1 else 0
     position_stride = 1 if position.shape[0] > 1 else 0
     load_stride = 1 if load_torque.shape[0] > 1 else 0

@@ -271,13 +271,17 @@ class FrictionModel:
             require_finite("velocity", v)
             network_runs.run(self.network.values, state, v, steps[0], positions, loads, celsius, torque)
             return torque
-        if not self._is_extended and steps.size == 1 and applied.size == 1:
+        if self._is_plain(inputs):
             is_finite = kernel.run_plain(kind, self.values, state, v, steps[0], applied[0], torque)
         else:
             is_finite = kernel.run(kind, self.values, state, *inputs, torque)
         if not is_finite:
             require_finite("velocity", v)
         return torque
+
+    def _is_plain(self, inputs: tuple[Array, ...]) -> bool:
+        """Return True if `kernel.run_plain` can do the work of `kernel.run`, for which it compiles much faster."""
+        return not self._is_extended and inputs[1].size == 1 and inputs[5].size == 1
 
     def simulate_with_gradient(
         self,
@@ -339,9 +343,12 @@ class FrictionModel:
                     if free_name is not None and free_name in weights:
                         seeds[index, column] = factor * weights[free_name]
             state, state_gradient = self.initial_state(), np.zeros((kernel.STATE_ROOM, WIDTH))
-            sensitivity.run(
-                dispatch.tag(self.kind), self.values, seeds, state, state_gradient, *inputs, torque, gradient, first
-            )
+            model = dispatch.tag(self.kind), self.values, seeds, state, state_gradient
+            if self._is_plain(inputs):
+                v, steps, _, _, _, applied = inputs
+                sensitivity.run_plain(*model, v, steps[0], applied[0], torque, gradient, first)
+            else:
+                sensitivity.run(*model, *inputs, torque, gradient, first)
         return torque, gradient
 
     def steady_state(
@@ -466,7 +473,9 @@ class Runner:
         self._whole = np.array(whole)  # a writeable copy
         self._address = self._whole.ctypes.data
         self._state = self._whole[-kernel.STATE_ROOM :]
-        self._step_plain, self._step_whole = ready(kernel.step_plain), ready(kernel.step_whole)
+        has_network = whole[2 + kernel.BEGIN_OF_NETWORK] > 0.0  # without one, the other kernel compiles much faster
+        self._step_plain = ready(kernel.step_plain)
+        self._step_whole = ready(kernel.step_with_network if has_network else kernel.step_whole)
         kernel.prepare(self._step_plain, 2)
         kernel.prepare(self._step_whole, 6)
 

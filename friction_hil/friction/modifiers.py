@@ -17,7 +17,7 @@ from friction_hil.friction.elementary import cos, sin, whole
 from friction_hil.friction.family import Family, Packed
 from friction_hil.friction.parameters import InvalidParameterError, NumberList, Parameter, check_all
 from friction_hil.numerics.dual import primal
-from friction_hil.numerics.jit import Array, compiled
+from friction_hil.numerics.jit import Array, inner
 
 MAX_HARMONICS = 16
 MAX_POINTS = 16  # of a curve
@@ -29,14 +29,14 @@ REVERSAL_STATES = 3
 _LEAST_SCALE = 0.05  # lower bound of the temperature factor, because the linear law does not hold down to zero
 
 
-@compiled
+@inner
 def level_extra(m: Array, load_torque: float, sign: float) -> float:
     """Compute the part of the level caused by load, N m, for a motor that drives the load or is driven by it."""
     factor = m[_MOTORING] if load_torque * sign >= 0.0 else m[_DRIVEN]
     return factor * abs(load_torque)
 
 
-@compiled
+@inner
 def level_scale(m: Array, temperature: float) -> float:
     """Compute the factor of the level at a temperature; 1 at the reference temperature and for NaN."""
     if math.isnan(temperature):
@@ -45,13 +45,13 @@ def level_scale(m: Array, temperature: float) -> float:
     return scale if scale > _LEAST_SCALE else _LEAST_SCALE + 0.0 * scale
 
 
-@compiled
+@inner
 def fast_torque(m: Array, velocity: float) -> float:
     """Compute the nonlinear viscous torque Fv2 v abs(v) + Fv3 v^3, N m."""
     return m[_QUADRATIC] * (velocity * abs(velocity)) + m[_CUBIC] * (velocity * velocity * velocity)
 
 
-@compiled
+@inner
 def ripple_torque(m: Array, position: float) -> float:
     """Compute the torque harmonics of position, N m: cogging, gear mesh, pitch of a ball screw."""
     torque = 0.0 * m[_QUADRATIC]
@@ -61,7 +61,7 @@ def ripple_torque(m: Array, position: float) -> float:
     return torque
 
 
-@compiled
+@inner
 def _on_curve(c: Array, sign: float, x: float) -> float:
     """Interpolate a curve linearly at ``x`` >= 0, N m: 0 at 0, constant beyond the last point; sign -1, 0 or 1."""
     count = whole(c[0])
@@ -74,12 +74,12 @@ def _on_curve(c: Array, sign: float, x: float) -> float:
     return sign * torque
 
 
-@compiled
+@inner
 def _since_reversal(c: Array, sign: float, distance: float, held: float) -> float:
     return _on_curve(c, sign, distance) + held * max(1.0 - distance / primal(c[1]), 0.0)
 
 
-@compiled
+@inner
 def reversal_torque(c: Array, s: Array, velocity: float, dt: float) -> float:
     """Advance the distance since the last reversal, and compute the torque of the curve ``c`` there, N m.
 
@@ -102,13 +102,13 @@ def reversal_torque(c: Array, s: Array, velocity: float, dt: float) -> float:
     return _since_reversal(c, sign, distance, held)
 
 
-@compiled
+@inner
 def settled_torque(c: Array, sign: float) -> float:
     """Compute the torque of the curve ``c`` long after a reversal, N m."""
     return _on_curve(c, sign, primal(c[whole(c[0])]))
 
 
-@compiled
+@inner
 def speed_torque(c: Array, velocity: float) -> float:
     """Compute the torque of the curve ``c`` over the speed, N m."""
     return _on_curve(c, direction(velocity, 0.0), abs(velocity))

@@ -50,7 +50,7 @@ import math
 from friction_hil.friction.elementary import approach, decay, part, toward, whole
 from friction_hil.friction.lanes import LANES, add_products
 from friction_hil.numerics.dual import fma
-from friction_hil.numerics.jit import Array, inlined
+from friction_hil.numerics.jit import Array, compiled, inlined
 
 STATIC, GATED, NARX = range(3)
 MAX_HARMONICS = 8
@@ -404,7 +404,7 @@ def seen_velocity(p: Array, velocity: float, level_velocity: float) -> float:
 _support, _seen_velocity, _steps_of = support, seen_velocity, steps_of
 
 
-@inlined
+@compiled  # inlined into every family it would take minutes to compile
 def step(
     p: Array,  # network
     s: Array,  # state, changed in place

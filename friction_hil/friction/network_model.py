@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from friction_hil.errors import UsageError, choices
-from friction_hil.friction import network, network_runs
+from friction_hil.friction import network
 from friction_hil.friction.family import Family, Packed
 from friction_hil.friction.parameters import InvalidParameterError
 from friction_hil.numerics.jit import Array
@@ -346,7 +346,7 @@ class Network:
         p, s = self.values, np.zeros(network.STATE_ROOM)
         speed, distance = self.speeds[2], 1e-4 / self.rates[1]
         inputs = (speed, speed, distance / speed, 0.0, 0.0, math.nan)
-        first, second = network_runs.step_apart(p, s, *inputs), network_runs.step_apart(p, s, *inputs)
+        first, second = network.step(p, s, *inputs), network.step(p, s, *inputs)
         return max((second - first) / distance, 0.0)
 
     def require(self, has_position: bool, has_load: bool, period_s: float | None = None) -> None:

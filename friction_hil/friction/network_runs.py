@@ -1,4 +1,4 @@
-"""A friction network as functions of their own: one step, and whole arrays."""
+"""A friction network over whole arrays."""
 
 import numpy as np
 
@@ -9,24 +9,6 @@ from friction_hil.numerics.jit import Array, compiled
 _SETTLING_SAMPLES, _LONG_S = 13, 1e9  # of a gated network, whose state follows the path
 _MOST_SAMPLES, _SETTLED = 20_000, 1e-12  # of a narx, which takes samples of its own period; change over the bound
 _step = network.step
-
-
-@compiled
-def step_apart(
-    p: Array,
-    s: Array,
-    velocity: float,
-    level_velocity: float,
-    dt: float,
-    position: float,
-    load_torque: float,
-    temperature: float,
-) -> float:
-    """Call `network.step` without inlining it; inlined into every family it would take minutes to compile."""
-    return _step(p, s, velocity, level_velocity, dt, position, load_torque, temperature)
-
-
-_step_apart = step_apart
 
 
 @compiled
@@ -46,7 +28,7 @@ def run(
     temperature_stride = 1 if temperature.shape[0] > 1 else 0
     for k in range(velocity.shape[0]):
         where, load = position[k * position_stride], load_torque[k * load_stride]
-        torque[k] = _step_apart(p, s, velocity[k], velocity[k], dt, where, load, temperature[k * temperature_stride])
+        torque[k] = _step(p, s, velocity[k], velocity[k], dt, where, load, temperature[k * temperature_stride])
 
 
 @compiled
@@ -64,7 +46,7 @@ def add_steady_curve(p: Array, velocity: Array, load_torque: float, temperature:
         settled, total, still = 0.0, 0.0, 0  # samples without a change: past torques and velocities are those of now
         for sample in range(most):
             before = settled
-            settled = _step_apart(p, s, velocity[k], velocity[k], dt, 0.0, load_torque, temperature)
+            settled = _step(p, s, velocity[k], velocity[k], dt, 0.0, load_torque, temperature)
             still = still + 1 if abs(settled - before) <= change else 0
             if still > least:
                 break

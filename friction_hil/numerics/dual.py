@@ -67,6 +67,40 @@ def overloaded(function: Any) -> Any:
     return take
 
 
+def forwarded(function: Any) -> Any:
+    """Decorate what chooses, from the type of the first argument, the kernel that compiled code calls for ``function``.
+
+    It returns the kernel and the index of the first argument to pass on: a function that only forwards would be
+    compiled with all that it calls.
+    """
+
+    def take(choose: Any) -> Any:
+        def resolved(typing: Any, args: Any) -> tuple[Any, Any, int]:
+            kernel, first = choose(args[0])
+            target = types.Dispatcher(kernel.dispatcher)
+            return target, target.get_call_type(typing, args[first:], {}), first
+
+        def register() -> None:
+            from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+            from numba.extending import lower_builtin
+
+            def generic(self: Any, args: Any, _: Any) -> Any:
+                _, chosen, first = resolved(self.context, args)
+                return signature(chosen.return_type, *args[:first], *chosen.args)
+
+            def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+                target, chosen, first = resolved(context.typing_context, sig.args)
+                return context.get_function(target, chosen)(builder, args[first:])
+
+            infer_global(function)(type("_Forwarded", (AbstractTemplate,), {"generic": generic}))
+            lower_builtin(function, types.VarArg(types.Any))(lower)
+
+        once_compiling(register)
+        return choose
+
+    return take
+
+
 @intrinsic
 def primal(_: Any, x: Any) -> Any:
     """Return the value of a number without its partials."""

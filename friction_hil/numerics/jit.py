@@ -31,8 +31,9 @@ _PACKAGE = Path(__file__).parents[1]
 _KEPT_DAYS = 14
 # Kernels are called from Python and from other kernels, not from C: a wrapper for C would only take time to compile.
 OPTIONS: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
+_INNER = {"no_cpython_wrapper": True}  # what only kernels call needs none for Python either
 _ABOVE = ("cli", "demo")  # they only speak of numba: a change of their words is to compile nothing again
-_HAS_KERNELS = re.compile(rb"@(compiled|inlined)|numba")
+_HAS_KERNELS = re.compile(rb"@(compiled|inlined|inner|inserted)|numba")
 
 
 def kernel_sources() -> list[Path]:
@@ -94,19 +95,26 @@ class Kernel:
 
     @cached_property
     def dispatcher(self) -> Any:
-        """Dispatcher of numba."""
+        """Dispatcher of numba, for other kernels; Python may call it unless it has no wrapper for it."""
         with _LOCK:
-            dispatcher = _dispatcher(self._function, self._options)
-            self._run = dispatcher
-            return dispatcher
+            return _dispatcher(self._function, self._options)
+
+    @cached_property
+    def called(self) -> Any:
+        """Dispatcher that Python may call."""
+        if not self._options.keys() & _INNER:
+            return self.dispatcher
+        with _LOCK:
+            return _dispatcher(self._function, {"nogil": True}, "called")
 
     def _first_call(self, *arguments: Any) -> Any:
-        return self.dispatcher(*arguments)
+        self._run = self.called
+        return self._run(*arguments)
 
 
 def ready(function: Function) -> Function:
     """Return the dispatcher of a kernel, for callers that call it in each cycle: it saves a Python call."""
-    return cast(Function, cast(Kernel, function).dispatcher)
+    return cast(Function, cast(Kernel, function).called)
 
 
 def compiled(function: Function) -> Function:
@@ -116,7 +124,20 @@ def compiled(function: Function) -> Function:
 
 def inlined(function: Function) -> Function:
     """Compile ``function`` into each compiled function that calls it, where constant arguments are folded."""
-    return cast(Function, Kernel(function, nogil=True, forceinline=True))
+    return cast(Function, Kernel(function, nogil=True, forceinline=True, **_INNER))
+
+
+def inner(function: Function) -> Function:
+    """Compile ``function`` for calls from other kernels: it takes half as long as for calls from Python."""
+    return cast(Function, Kernel(function, nogil=True, **_INNER))
+
+
+def inserted(function: Function) -> Function:
+    """Insert ``function`` into each compiled function that calls it, before that is compiled.
+
+    For large functions with few callers: unlike what is `inlined`, it is not optimised and translated by itself first.
+    """
+    return cast(Function, Kernel(function, nogil=True, inline="always"))
 
 
 def compiled_for_one_sample(function: Function) -> Function:
@@ -167,7 +188,7 @@ def _numba() -> Any:
     return numba
 
 
-def _dispatcher(function: Callable[..., object], options: Any) -> Any:
+def _dispatcher(function: Callable[..., object], options: Any, *part: str) -> Any:
     numba = _numba()
     while _waiting:
         _waiting.pop(0)()
@@ -175,7 +196,7 @@ def _dispatcher(function: Callable[..., object], options: Any) -> Any:
     settings: Any = numba.config
     before = settings.CACHE_DIR
     if folder is not None:
-        settings.CACHE_DIR = folder
+        settings.CACHE_DIR = os.path.join(folder, *part)
     try:
         return numba.njit(function, cache=folder is not None, **OPTIONS, **options)
     finally:

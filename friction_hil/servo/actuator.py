@@ -1,6 +1,6 @@
 """From the torque demand of the loops to the torque at the shaft, for a servo with further parts. Compiled."""
 
-from friction_hil.numerics.jit import Array, StructuredArray, compiled
+from friction_hil.numerics.jit import Array, StructuredArray, compiled, inner
 from friction_hil.servo.mechanics import harmonics
 from friction_hil.servo.records import HISTORY_ROOM
 
@@ -20,7 +20,7 @@ def shape(plant: StructuredArray, s: StructuredArray, torque: float) -> float:
     return torque
 
 
-@compiled
+@inner
 def pass_on(plant: StructuredArray, s: StructuredArray, is_off: bool) -> None:
     """Let the torque demand act after the dead time; without power at once, with all filters at rest."""
     c, r = plant[0], s[0]
@@ -60,7 +60,7 @@ def shaft_torque(plant: StructuredArray, s: StructuredArray, demand: float) -> f
     return torque + harmonics(c.cogging, r.position)[0]
 
 
-@compiled
+@inner
 def warm(plant: StructuredArray, s: StructuredArray, dt: float) -> None:
     """Advance temperatures and wear by one sample of the drive's loops, ``dt`` times the time-lapse, by the midpoint.
 
@@ -100,7 +100,7 @@ def warm(plant: StructuredArray, s: StructuredArray, dt: float) -> None:
     r.friction_temperature = gear
 
 
-@compiled
+@inner
 def _interpolated(table: Array, time: float) -> float:
     """Return the value at a time from a table of its length, times and values; constant before and after."""
     count = int(table[0])

@@ -23,7 +23,7 @@ iteration, which gains some four digits each time.
 
 import math
 
-from friction_hil.numerics.jit import StructuredArray, compiled, inlined
+from friction_hil.numerics.jit import StructuredArray, compiled, inlined, inner
 from friction_hil.servo.mechanics import (
     BALANCE,
     external_torque,
@@ -41,7 +41,7 @@ _NEAR = 1e-14  # relative difference of velocities below which the iteration end
 _SMALL = 1e-4  # rad; below it, three terms of a series are exact to rounding
 
 
-@compiled
+@inner
 def _sinc(angle: float) -> float:
     """Return sin(angle) / angle."""
     if abs(angle) < _SMALL:
@@ -49,12 +49,12 @@ def _sinc(angle: float) -> float:
     return math.sin(angle) / angle
 
 
-@compiled
+@inner
 def _cosine(angle: float) -> float:
     return 1.0 - 0.5 * angle * angle if abs(angle) < _SMALL else math.cos(angle)
 
 
-@compiled
+@inner
 def _turned(sine: float, cosine: float, angle: float) -> tuple[float, float]:
     """Return sine and cosine of an angle to which ``angle`` is added."""
     if abs(angle) < 0.1 * _SMALL:
@@ -64,7 +64,7 @@ def _turned(sine: float, cosine: float, angle: float) -> tuple[float, float]:
     return sine * c + cosine * s, cosine * c - sine * s
 
 
-@compiled
+@inner
 def _arm(
     mechanism: StructuredArray,  # the `MECHANISM` record
     v1: float,  # velocities before the step, rad/s
@@ -89,7 +89,7 @@ def _arm(
     return k.inertia11 + 2.0 * swing, k.inertia12 + swing, k.inertia22, n1, n2
 
 
-@compiled
+@inner
 def _tool_torques(
     mechanism: StructuredArray, s1: float, c1: float, s2: float, c2: float, time: float
 ) -> tuple[float, float]:
@@ -103,7 +103,7 @@ def _tool_torques(
     return k.length1 * (x * c1 + y * s1) + second, second
 
 
-@compiled
+@inner
 def _friction(
     plant: StructuredArray, s: StructuredArray, middle: float, transmitted: float, applied: float
 ) -> tuple[float, bool]:
@@ -144,7 +144,7 @@ def _finish(
     s[0].steps += 1.0
 
 
-@compiled
+@inner
 def _leaves(u: float, v: float, excess: float) -> bool:
     """Return True if static friction stops a velocity that changes its sign, or one against its own drive."""
     return u * v < 0.0 or (v == 0.0 and u * excess < 0.0)

@@ -25,7 +25,7 @@ import math
 from friction_hil.friction import kernel
 from friction_hil.friction.elementary import approach
 from friction_hil.numerics.dual import borrowed_at
-from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined
+from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined, inner
 
 BALANCE = 1e-12  # relative difference of torque and friction below which they balance
 _CORRECTIONS = 3  # of the hysteresis to the twist of a step, and of a velocity to the inertia at its end
@@ -65,14 +65,14 @@ def friction_step(
     return factor * kernel.step(kind, p, s, velocity, level_velocity, dt, position, load, temperature, applied, epsilon)
 
 
-@compiled
+@inner
 def spring_energy(stiffness: float, gap: float, twist: float) -> float:
     """Return the energy of a spring with backlash, J."""
     pressed = max(abs(twist) - 0.5 * gap, 0.0)
     return 0.5 * stiffness * pressed * pressed
 
 
-@compiled
+@inner
 def _mean_spring(stiffness: float, gap: float, twist: float, change: float) -> float:
     """Return the torque of the spring that does the work of its energy's change while the twist changes."""
     if change == 0.0:
@@ -84,7 +84,7 @@ def _mean_spring(stiffness: float, gap: float, twist: float, change: float) -> f
     return 0.5 * stiffness * (after + before) * ((after - before) / change)
 
 
-@compiled
+@inner
 def _hysteresis(torque: float, stiffness: float, before: float, turned: float) -> float:
     """Return the torque of a gear's hysteresis after it has turned by an angle: Dahl's equation, exact."""
     if torque == 0.0 or turned == 0.0:
@@ -92,7 +92,7 @@ def _hysteresis(torque: float, stiffness: float, before: float, turned: float) -
     return before + approach(stiffness * abs(turned) / torque) * (math.copysign(torque, turned) - before)
 
 
-@compiled
+@inner
 def _impact(stiffness: float, gap: float, twist: float, free: float, give: float, dt: float) -> float:
     """Return the mean rate of twist in a step that ends or begins a contact, by bisection; the damper is left out."""
     low, high = min(free, -abs(free)), max(free, abs(free))
@@ -111,7 +111,7 @@ def _impact(stiffness: float, gap: float, twist: float, free: float, give: float
     return 0.5 * (low + high)
 
 
-@compiled
+@inner
 def coupling_torque(
     stiffness: float, damping: float, gap: float, twist: float, free: float, give: float, dt: float
 ) -> float:
@@ -138,7 +138,7 @@ def coupling_torque(
     return _mean_spring(stiffness, gap, twist, dt * _impact(stiffness, gap, twist, free, give, dt))
 
 
-@compiled
+@inner
 def external_torque(plant: StructuredArray, s: StructuredArray, time: float) -> float:
     """Return the load torque that is a function of time, N m, opposing positive motion."""
     c, r = plant[0], s[0]
@@ -205,7 +205,7 @@ def inertia_at(plant: StructuredArray, position: float) -> float:
     return plant[0].inertia + harmonics(plant[0].inertia_variation, position)[0]
 
 
-@compiled
+@inner
 def _move_one_mass(plant: StructuredArray, s: StructuredArray, torque: float, is_braked: bool) -> None:
     """Advance one mass by a step; see `move`."""
     c, r = plant[0], s[0]
@@ -253,7 +253,7 @@ def _move_one_mass(plant: StructuredArray, s: StructuredArray, torque: float, is
     finish_rigid(plant, s, torque, u, friction, outside, load)
 
 
-@compiled
+@inner
 def _move_two_masses(plant: StructuredArray, s: StructuredArray, torque: float, is_braked: bool) -> None:
     """Advance motor and load by a step; see `move`."""
     c, r = plant[0], s[0]

@@ -6,7 +6,7 @@ from typing import Any
 from friction_hil.friction import kernel
 from friction_hil.motion.controller import cascade
 from friction_hil.numerics.dual import overloaded
-from friction_hil.numerics.jit import StructuredArray, compiled, inlined
+from friction_hil.numerics.jit import StructuredArray, compiled, inlined, inner
 from friction_hil.servo import actuator, mechanics, sensors
 from friction_hil.servo.records import MACHINE, has_parts
 
@@ -31,7 +31,7 @@ BRIDGED_PERIODS = 1.5  # for which a missing target is extrapolated: one that wa
 OFF, QUICK_STOP, CSP, CSV, CST = 0, 2, 8, 9, 10
 
 
-@compiled
+@inner
 def interpolate_position(s: StructuredArray, u: float, period: float) -> tuple[float, float, float]:
     """Evaluate the quadratic B-spline of the last three targets, 1.5 periods behind the newest, smooth in velocity.
 
@@ -49,7 +49,7 @@ def interpolate_position(s: StructuredArray, u: float, period: float) -> tuple[f
     return position, velocity if bridged < BRIDGED_PERIODS else 0.0, 0.0
 
 
-@compiled
+@inner
 def interpolate_velocity(s: StructuredArray, u: float, period: float) -> tuple[float, float]:
     """Interpolate linearly from the last target to the newest over one period, then hold; return v and dv/dt."""
     r = s[0]
@@ -58,7 +58,7 @@ def interpolate_velocity(s: StructuredArray, u: float, period: float) -> tuple[f
     return r.target2, 0.0
 
 
-@compiled
+@inner
 def _read_encoder(plant: StructuredArray, s: StructuredArray, dt: float) -> float:
     c, r = plant[0], s[0]
     counts = math.floor(r.position * c.counts_per_unit)
@@ -140,7 +140,7 @@ def _choose_bound(plant: Any, s: Any) -> Any:
     return lambda plant, s: s[0].torque_limit
 
 
-@compiled
+@inner
 def _shape(plant: StructuredArray, s: StructuredArray, torque: float) -> float:
     return 0.0 if s[0].mode == OFF else actuator.shape(plant, s, torque)
 
@@ -161,7 +161,7 @@ def _is_machine(plant: StructuredArray) -> bool:
     return plant.dtype == MACHINE
 
 
-@compiled
+@inner
 def control(plant: StructuredArray, controller: StructuredArray, s: StructuredArray) -> None:
     """Compute one sample of the drive's own loops: demands, cascade, torque limit."""
     c, r = plant[0], s[0]

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from friction_hil.numerics.jit import Array, StructuredArray, compiled
+from friction_hil.numerics.jit import Array, StructuredArray, compiled, inner
 from friction_hil.servo.mechanics import harmonics
 from friction_hil.servo.records import HISTORY_ROOM
 
@@ -17,7 +17,7 @@ _UNIT = 1.0 / 9007199254740992.0  # 2^-53
 _ENCODER, _TORQUE = 1, 2  # streams of noise
 
 
-@compiled
+@inner
 def _uniform(stream: int, number: int) -> float:
     """Return a number in (0, 1): SplitMix64 (Steele, Lea, Flood, OOPSLA 2014) of a counter."""
     z = (np.uint64(number) + (np.uint64(stream) << np.uint64(48))) * _STEP
@@ -27,14 +27,14 @@ def _uniform(stream: int, number: int) -> float:
     return (float(z >> _SHIFTS[3]) + 0.5) * _UNIT
 
 
-@compiled
+@inner
 def normal(stream: int, number: int) -> float:
     """Return a normally distributed number of a stream (Box and Muller)."""
     radius = math.sqrt(-2.0 * math.log(_uniform(stream, 2 * number)))
     return radius * math.cos(2.0 * math.pi * _uniform(stream, 2 * number + 1))
 
 
-@compiled
+@inner
 def _delayed(history: Array, head: int, now: float, elapsed: float, delay: float, period: float) -> float:
     """Return a signal ``delay`` ago, linear between the samples; ``history`` is a ring whose newest is at ``head``."""
     if delay <= elapsed:
@@ -45,7 +45,7 @@ def _delayed(history: Array, head: int, now: float, elapsed: float, delay: float
     return after + (samples - whole) * (before - after)
 
 
-@compiled
+@inner
 def sample(plant: StructuredArray, s: StructuredArray) -> None:
     """Note position and torque at a sample of the drive's loops, for signals that arrive late."""
     c, r = plant[0], s[0]
@@ -57,7 +57,7 @@ def sample(plant: StructuredArray, s: StructuredArray) -> None:
         r.torque_history[r.head] = r.torque
 
 
-@compiled
+@inner
 def position_counts(plant: StructuredArray, s: StructuredArray) -> float:
     """Return the present reading of the position loop's encoder, in whole counts."""
     c, r = plant[0], s[0]
@@ -74,7 +74,7 @@ def position_counts(plant: StructuredArray, s: StructuredArray) -> float:
     return math.floor(where * c.load_counts_per_unit)
 
 
-@compiled
+@inner
 def read_encoders(plant: StructuredArray, s: StructuredArray, dt: float) -> float:
     """Sample the encoders, estimate the velocity, and return the position for the drive's loops."""
     c, r = plant[0], s[0]

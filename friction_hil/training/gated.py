@@ -22,7 +22,7 @@ from friction_hil.friction.network import (
     output_weights,
     summed,
 )
-from friction_hil.numerics.jit import Array, compiled, inlined
+from friction_hil.numerics.jit import Array, compiled, inlined, inner
 
 
 @inlined
@@ -106,7 +106,7 @@ def plan_width(p: Array) -> int:
     return vectors + (1 + feedbacks) * (_slopes_length(p) + feedbacks) + 2 + 3 * feedbacks
 
 
-@compiled
+@inner
 def plan_rows(
     p: Array,
     x: Array,

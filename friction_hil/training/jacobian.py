@@ -30,7 +30,7 @@ from friction_hil.friction.network import (
     WIDTH,
 )
 from friction_hil.numerics.dual import fma
-from friction_hil.numerics.jit import Array, compiled, inlined
+from friction_hil.numerics.jit import Array, compiled, inlined, inner
 from friction_hil.training.gated import (
     gated_row,
     layer_slopes,
@@ -103,7 +103,7 @@ def trace_width(p: Array) -> int:
     return units_length(p) + 1 + (6 if p[STRUCTURE] == GATED else 2) * feedbacks + 1
 
 
-@compiled
+@inner
 def _fill_gates(p: Array, begin: int, seen: Array, path: Array, first: int, end: int, gates: Array) -> None:
     """Fill ``gates`` (5, at least end - first): way, 1 / knee, slopes of both, fraction moved within the knee.
 
@@ -211,7 +211,7 @@ def run(
                 row[width - 1] = _gated_step(p, inputs_k, gates, k - begin, state, row, units)
 
 
-@compiled
+@inner
 def _put_products(inputs: Array, count: int, slopes: Array, width: int, row: Array) -> None:
     """Fill ``row`` (count, width) with the products of inputs and slopes, followed by `SPARE` zeros."""
     for i in range(count):
@@ -221,7 +221,7 @@ def _put_products(inputs: Array, count: int, slopes: Array, width: int, row: Arr
         row[count * width + j] = 0.0
 
 
-@compiled
+@inner
 def _output_gradient(
     p: Array, x: Array, fed_back: Array, h: Array, slopes: Array, row: Array, over_fed_back: Array
 ) -> None:
@@ -257,7 +257,7 @@ def _output_gradient(
             over_fed_back[i] += p[HEADER + begin + 1 + count + inputs + i]
 
 
-@compiled
+@inner
 def _fed_back_row(
     p: Array,
     x: Array,

@@ -10,7 +10,7 @@ from scipy.interpolate import PchipInterpolator
 
 import friction_hil as fh
 from friction_hil.errors import UsageError
-from friction_hil.friction import kernel, sensitivity
+from friction_hil.friction import curves, kernel, modifiers, sensitivity
 from friction_hil.friction.model import as_dict
 from tests.compensators import PERIOD_S, columns, compensator
 
@@ -87,12 +87,18 @@ def test_read_only_input_uses_the_kernels_that_are_compiled_already():
     frozen = velocity.copy()
     frozen.flags.writeable = False
     expected = model.simulate_with_gradient(velocity, 1e-3, position=velocity)
-    kernels = (kernel.run, kernel.run_plain, sensitivity.run)
+    kernels = (kernel.run, kernel.run_plain, sensitivity.run, sensitivity.run_plain)
     before = [len(each.signatures) for each in kernels]
     torque, gradient = model.simulate_with_gradient(frozen, 1e-3, position=frozen)
     np.testing.assert_array_equal(torque, expected[0])
     np.testing.assert_array_equal(gradient, expected[1])
     assert [len(each.signatures) for each in kernels] == before
+
+
+def test_what_only_other_kernels_call_may_be_called_from_python():
+    """It is compiled without a wrapper for Python, and would end the process."""
+    assert [curves.direction(velocity, 0.0) for velocity in (-2.0, 0.0, 3.0)] == [-1.0, 0.0, 1.0]
+    assert modifiers.level_extra(np.array([0.5, 0.25]), -2.0, 1.0) == 0.5
 
 
 def test_what_a_modifier_depends_on_must_be_given():
