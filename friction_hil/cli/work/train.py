@@ -53,9 +53,7 @@ def train(
         begin = time.monotonic()
         selection = _select(sources, inputs, base, seed, **options)
         seconds = time.monotonic() - begin
-        if report is not None:
-            selection_report.write_report(report, selection, seconds)
-        _tell(selection, _print_selection, seconds, output, report, as_json=as_json, verbose=verbose)
+        _tell(selection, selection_report, _print_selection, seconds, output, report, as_json=as_json, verbose=verbose)
         return 0
     structure = "gated" if structure == "auto" else structure
     spec = training.NetworkSpec(structure=structure, hidden=hidden, inputs=inputs, seed=seed)
@@ -72,14 +70,13 @@ def train(
     with _stoppable() as goes_on, _progress() as show:
         candidate = training.train_task(task, spec, lambda progress: show(progress) or goes_on())
     seconds = time.monotonic() - begin
-    if report is not None:
-        training_report.write_report(report, candidate, seconds)
-    _tell(candidate, _print, seconds, output, report, as_json=as_json, verbose=verbose)
+    _tell(candidate, training_report, _print, seconds, output, report, as_json=as_json, verbose=verbose)
     return 0
 
 
 def _tell(
     found: Any,
+    reports: Any,  # the module that writes the report
     show: Callable[..., None],
     seconds: float,
     output: Path | None,
@@ -88,9 +85,11 @@ def _tell(
     as_json: bool,
     verbose: bool,
 ) -> None:
-    """Write the model file, and print the result and how to go on."""
+    """Write model file and report, and print the result and how to go on."""
     if output is not None:
         output.write_text(dump(found.model_file()), encoding="utf-8")
+    if report is not None:
+        reports.write_report(report, found, seconds)
     if as_json:
         print_json({**found.as_json(seconds), "output": output, "report": report})
         return
