@@ -4,8 +4,8 @@ _CANOPEN, _SERIAL = "drivers/friction_hil_drivers/canopen", "drivers/friction_hi
 
 # path: its tests below tests/unit, the fastest first
 MODULES: dict[str, tuple[str, ...]] = {
-    "friction_hil/daemon/safety.py": ("daemon/test_safety",),
-    "friction_hil/daemon/sequence.py": ("daemon/test_sequence",),
+    "friction_hil/daemon/safety.py": ("daemon/test_safety", "daemon/test_sequence"),
+    "friction_hil/daemon/sequence.py": ("daemon/test_sequence", "daemon/test_requests"),
     "friction_hil/daemon/command.py": ("daemon/test_command",),
     "friction_hil/drive/stop.py": ("drive/test_stop", "canopen/test_canopen_axis_lost"),
     f"{_CANOPEN}/cycle/side_channel.py": ("canopen/test_canopen_axis_lost",),

@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from friction_hil.daemon.safety import MAX_STALE_CYCLES, LoopState, SafetyLimits, Standstill, Supervisor
-from friction_hil.daemon.sequence import REQUESTS, FaultReset
-from friction_hil.drive import DriveState, Feedback, Request
+from friction_hil.drive import DriveState, Feedback
 from tests.examples import THOROUGH
 from tests.messages import codes_in
 
@@ -388,44 +387,6 @@ def test_a_slow_motion_is_no_fault_where_the_drive_reports_whole_rpm():
         feedback = heard(speed * PERIOD_S * cycle, step * round(speed / step))
         one.take(feedback)
         assert one.find_fault(feedback, LoopState.RUNNING, speed, math.nan) is None
-
-
-# --- what the states ask of the drives
-
-
-def test_only_states_of_motion_ask_for_power():
-    assert set(REQUESTS) == set(LoopState)
-    enabling = {state for state, request in REQUESTS.items() if request is Request.ENABLE}
-    assert enabling == {LoopState.ENABLING, LoopState.FIRST_MOTION, LoopState.RUNNING, LoopState.STOPPING}
-    assert Request.RESET_FAULT not in REQUESTS.values()
-
-
-# --- reset of a fault at the start
-
-
-def reset(*states, is_wanted=True, at_s=0.1, run=LoopState.ENABLING):
-    """Return whether the reset is due after these states of the drive."""
-    one = FaultReset(is_wanted)
-    for state in states:
-        one.take(heard(state=state))
-    return one.is_due(heard(state=states[-1]), run, at_s)
-
-
-def test_only_the_fault_found_at_the_start_is_reset_and_only_on_request():
-    fault, ready = DriveState.FAULT, DriveState.READY_TO_SWITCH_ON
-    assert reset(fault)
-    assert reset(DriveState.UNKNOWN, fault)
-    assert not reset(fault, is_wanted=False)
-    assert not reset(ready)
-    assert not reset(fault, ready, fault)
-    assert not reset(fault, at_s=1.0)
-    assert not reset(fault, run=LoopState.RUNNING)
-
-
-def test_asking_for_the_reset_changes_nothing():
-    one = FaultReset(True)
-    assert not one.is_due(heard(state=DriveState.SWITCHED_ON), LoopState.IDLE, 0.0)
-    assert one.is_due(heard(state=DriveState.FAULT), LoopState.IDLE, 0.0)
 
 
 # --- standstill
