@@ -6,7 +6,6 @@ next goes on from there.
 """
 
 import contextlib
-import fcntl
 import os
 import struct
 import time
@@ -32,6 +31,8 @@ class Lives:
 
     def take(self, place: int) -> bool:
         """Lock the byte of a process for the one that calls; return False if another one has it."""
+        import fcntl  # imported here: Windows lacks it, and what reads this module there starts no process
+
         with contextlib.suppress(BlockingIOError, PermissionError):
             fcntl.lockf(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
             return True
@@ -39,6 +40,8 @@ class Lives:
 
     def holder(self, place: int) -> int:
         """Return the number of the process that lives; 0 for none."""
+        import fcntl  # as above
+
         asked = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, place, 1, 0)
         kind, _, _, _, pid = _FLOCK.unpack(fcntl.fcntl(self.descriptor, fcntl.F_GETLK, asked))
         return 0 if kind == fcntl.F_UNLCK else int(pid)
