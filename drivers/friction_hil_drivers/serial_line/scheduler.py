@@ -89,9 +89,9 @@ class BusScheduler(ReplyReceiver):
         return min(moments)
 
     def enqueue(self, exchanges: Iterable[Exchange], callback: Callable[[], None] | None = None) -> None:
-        """Queue requests; ``callback`` is called when the last one was answered (or sent, if it has no reply)."""
+        """Queue one request or more; ``callback`` is called when the last was answered, or sent if it has no reply."""
         self.queue.extend(exchanges)
-        if callback is not None and self.queue:
+        if callback is not None:
             self._callbacks[self.queue[-1]] = callback
 
     def poll(self, *, is_ready: bool = False) -> None:
