@@ -11,7 +11,7 @@ import numpy as np
 
 from friction_hil.daemon.companion.black_box import ABANDONED
 from friction_hil.daemon.companion.budget import Budget
-from friction_hil.daemon.companion.changes import Changes
+from friction_hil.daemon.companion.changes import FileChanges
 from friction_hil.daemon.companion.job import Job, say, warn
 from friction_hil.daemon.companion.new_file import begin_file
 from friction_hil.daemon.companion.paths import part_number, part_path
@@ -39,13 +39,11 @@ class Recorder:
     ``job`` has a path. ``clock``: monotonic time, s.
     """
 
-    def __init__(
-        self, job: Job, ring: RingReader, changes: Changes, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, job: Job, ring: RingReader, journal: int, clock: Callable[[], float] = time.monotonic) -> None:
         assert job.path is not None
-        self._job, self._ring, self._changes, self._clock = job, ring, changes, clock
+        self._job, self._ring, self._journal, self._clock = job, ring, journal, clock
         self._first = Path(job.path)
-        self._file_changes = changes.of_file(job.columns)
+        self._file_changes = FileChanges(journal, job.columns)
         self._number = 0
         self._writer: McapWriter | None = None
         self.budget = None if job.budget_bytes is None else Budget(self._first, job.budget_bytes, job.series)
@@ -79,7 +77,7 @@ class Recorder:
             overwrite=self._job.overwrite and number == 1,
             on_flush=self._release,
         )
-        self._file_changes = self._changes.of_file(self._job.columns)
+        self._file_changes = FileChanges(self._journal, self._job.columns)
         self._size = self._writer.size
         if self.budget is not None:
             self.budget.look()

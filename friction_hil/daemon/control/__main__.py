@@ -16,8 +16,8 @@ _INPUT = 0
 class _LazyDesk:
     """The desk, made at the first request: numpy and what reads the rows are imported then."""
 
-    def __init__(self, ring: int, mailbox: int, journal: int, job: int, learning: int | None) -> None:
-        self._descriptors = ring, mailbox, journal, learning
+    def __init__(self, ring: int, journal: int, job: int, learning: int | None) -> None:
+        self._descriptors = ring, journal, learning
         self._job = job
         self._desk: Any = None
         self._lock = threading.Lock()
@@ -34,7 +34,7 @@ class _LazyDesk:
 
     def begin(self) -> None:
         """Take back what the process before this one, which died, knew to be on trial: nobody watches over it."""
-        if entries(self._descriptors[2]):
+        if entries(self._descriptors[1]):
             with self._lock:
                 self._desk = self._desk or self._make()
             self._desk.take_back("the process of the control socket died")
@@ -46,10 +46,10 @@ class _LazyDesk:
         return Desk(ControlJob(**read_document(self._job)), *self._descriptors)
 
 
-def main(descriptor: int, ring: int, mailbox: int, journal: int, job: int, learning: int, plan: int) -> None:
+def main(descriptor: int, ring: int, journal: int, job: int, learning: int, plan: int) -> None:
     """Serve the socket until the daemon ends; ``learning`` is -1 without a process that learns."""
     heir = Heir(plan)
-    desk = _LazyDesk(ring, mailbox, journal, job, learning if learning >= 0 else None)
+    desk = _LazyDesk(ring, journal, job, learning if learning >= 0 else None)
     threading.Thread(target=desk.begin, daemon=True).start()
     serve(descriptor, desk.answer, _INPUT, heir.look)
     os._exit(0)  # threads may wait for clients that never hang up

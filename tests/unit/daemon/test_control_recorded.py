@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from friction_hil import recordings
-from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.job import Job
 from friction_hil.daemon.companion.recorder import Recorder
 from friction_hil.daemon.control import journal
@@ -29,7 +28,7 @@ def test_each_file_holds_the_settings_of_its_rows_whole(tmp_path):
     job = Job(["x"], COLUMNS, 0, 1e-3, 0, path=str(tmp_path / "run.mcap"))
     changes = journal.make_journal()
     journal.append(changes, entry(1))
-    recorder = Recorder(job, reader := RingReader(ring.descriptor), Changes(changes))
+    recorder = Recorder(job, reader := RingReader(ring.descriptor), changes)
     recorder.open(1)
     for cycle in range(20):
         if cycle == 10:
@@ -52,7 +51,7 @@ def test_a_change_shortly_before_the_next_file_is_in_the_file_of_its_first_rows(
     ring = RingWriter(len(COLUMNS), 64)
     job = Job(["x"], COLUMNS, 0, 1e-3, 0, path=str(tmp_path / "run.mcap"), rotate_s=0.01)
     changes = journal.make_journal()
-    recorder = Recorder(job, reader := RingReader(ring.descriptor), Changes(changes))
+    recorder = Recorder(job, reader := RingReader(ring.descriptor), changes)
     recorder.open(1)
     for cycle in range(18):
         if cycle in (8, 14):
@@ -86,7 +85,7 @@ def test_a_file_holds_what_its_rows_need_and_nothing_of_the_years_before(tmp_pat
     changes = journal.make_journal()
     for number, models in ((2, (2, 0)), (5, (2, 0)), (7, (2, 7)), (9, (2, 7)), (10, (2, 10)), (11, (2, 10))):
         journal.append(changes, numbered(number, models=models))
-    recorder = Recorder(job, reader := RingReader(ring.descriptor), Changes(changes))
+    recorder = Recorder(job, reader := RingReader(ring.descriptor), changes)
     recorder.open(1)
     for cycle, number in enumerate((9, 9, 10, 10, 11)):
         if cycle == 2:
@@ -132,7 +131,7 @@ def test_the_journal_does_not_grow_with_the_changes():
         journal.append(changes, numbered(number, number - 1, 60.0 * number, (number - number % 100, 0)))
     kept = journal.entries(changes)
     assert [entry["number"] for entry in kept] == [900, 996, 997, 998, 999, 1000]
-    assert os.fstat(changes).st_size < 5000
+    assert os.fstat(changes).st_size - sum(journal.loop_pages(changes)) < 5000
     os.close(changes)
 
 

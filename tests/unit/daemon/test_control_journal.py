@@ -1,7 +1,6 @@
-"""The mailbox of the loop: whole messages arrive, and nothing else is ever taken for one."""
+"""The journal of the changes: whole entries arrive, and nothing else is ever taken for one."""
 
 import math
-import mmap
 import os
 import sys
 
@@ -13,13 +12,12 @@ from hypothesis import strategies as st
 from friction_hil.compensator.records import FIXED
 from friction_hil.daemon.assembly import make_compensator
 from friction_hil.daemon.control import journal
-from friction_hil.daemon.control.mailbox import MailboxReader, MailboxWriter
+from friction_hil.daemon.control.journal import JournalReader, JournalWriter, loop_pages, make_journal, read_only
 from friction_hil.daemon.control.message import TEXT_BYTES, Action, AxisChange, Change, pack
 from friction_hil.daemon.control.packed import MOST_GAIN, room, unpack
 from friction_hil.drive import AxisFacts
 from tests.servo_drives import axis_dict, configuration
 
-SEQUENCE = 8  # byte at which the number of the message begins; it is odd while one is written
 FACTS = AxisFacts("x", "servo", 1e-4, 6.4e-4, 2.5e-3, 1.5e-3)
 
 
@@ -35,17 +33,23 @@ WHOLE = Change(3, Action.NONE, [AxisChange(False, WANTED.record, WANTED.friction
 
 @pytest.fixture
 def ends():
-    reader = MailboxReader(room(1))
-    yield reader, MailboxWriter(reader.descriptor)
-    os.close(reader.descriptor)
+    descriptor = make_journal(room(1))
+    yield JournalReader(descriptor), JournalWriter(descriptor)
+    os.close(descriptor)
+
+
+def scribble(journal_end, at, garbage):
+    """Write into the pages of the loop; the sequence number is their first word, odd while a block is written."""
+    first, length = loop_pages(journal_end.descriptor)
+    os.pwrite(journal_end.descriptor, garbage[: length - at], first + at)
 
 
 def test_a_message_arrives_once_and_its_answer_comes_back(ends):
     reader, writer = ends
     assert not reader.has_news
-    writer.post(b"a message")
+    writer.post(writer.next_number, b"a block")
     assert reader.has_news
-    assert reader.take(5) == b"a message"
+    assert reader.take(5) == b"a block"
     assert not reader.has_news
     assert writer.wait(1, 0.0) is None
     reader.answer(1, 5)
@@ -53,37 +57,37 @@ def test_a_message_arrives_once_and_its_answer_comes_back(ends):
     reader.answer(2, 6, "it is not µ-possible")
     assert writer.wait(2, 0.0) == (6, "it is not µ-possible")
     with pytest.raises(ValueError, match="does not fit"):
-        writer.post(bytes(writer.capacity + 1))
+        writer.post(2, bytes(writer.capacity + 1))
 
 
 def test_a_message_that_is_being_written_is_left_until_it_is_whole(ends):
     reader, writer = ends
-    writer.post(b"first")
+    writer.post(1, b"first")
     reader.take(0)
-    memory = mmap.mmap(reader.descriptor, 0)
-    memory[SEQUENCE] |= 1  # as while it is written, or after the death of who wrote it
+    scribble(reader, 0, b"\x03")  # as while it is written, or after the death of who wrote it
     assert reader.has_news
     assert reader.take(1) is None
-    assert reader.garbage == ""
-    writer.post(b"second")
+    writer.post(2, b"second")
     assert reader.take(2) == b"second"
 
 
 @settings(max_examples=60)
-@given(st.binary(min_size=1, max_size=2000), st.integers(8, 1500), st.integers(-(2**62), 2**62))
-def test_no_garbage_is_taken_for_a_message_and_the_next_message_arrives(garbage, at, sequence):
-    reader = MailboxReader(room(1))
-    writer = MailboxWriter(reader.descriptor)
-    writer.post(b"first")
+@given(st.binary(min_size=1, max_size=2000), st.integers(0, 1500), st.integers(-(2**62), 2**62))
+def test_no_garbage_is_taken_for_an_entry_and_the_next_entry_arrives(garbage, at, sequence):
+    descriptor = make_journal(room(1))
+    reader, writer = JournalReader(descriptor), JournalWriter(descriptor)
+    writer.post(1, b"first")
     reader.take(0)
-    memory = mmap.mmap(reader.descriptor, 0)
-    memory[at : at + len(garbage)] = garbage
-    memory[SEQUENCE : SEQUENCE + 8] = sequence.to_bytes(8, sys.byteorder, signed=True)
-    assert reader.take(1) in (None, b"first")
-    reader.take(50)  # it rests
-    writer.post(b"second")
+    scribble(reader, at, garbage)
+    scribble(reader, 0, sequence.to_bytes(8, sys.byteorder, signed=True))
+    try:
+        assert reader.take(1) in (None, b"first")
+    except ValueError:
+        assert reader.take(50) is None  # it rests
+    assert JournalWriter(descriptor).next_number == 2  # a successor of who died writing it knows where to go on
+    writer.post(2, b"second")
     assert reader.take(500) == b"second"
-    os.close(reader.descriptor)
+    os.close(descriptor)
 
 
 def test_a_change_is_the_same_after_packing():
@@ -147,10 +151,37 @@ def test_another_model_needs_a_state():
 
 
 def test_the_journal_shows_whole_entries_only():
-    descriptor = journal.make_journal()
+    descriptor = make_journal()
     assert journal.entries(descriptor) == []
     for number in (1, 2):
         journal.append(descriptor, {"number": number, "axes": {"x": [0.1] * 1000}})
-    os.pwrite(descriptor, b'{"number": 3', 8 + os.fstat(descriptor).st_size)  # of an entry that is being written
+    os.pwrite(descriptor, b'{"number": 3', os.fstat(descriptor).st_size)  # of an entry that is being written
     assert [entry["number"] for entry in journal.entries(descriptor)] == [1, 2]
     os.close(descriptor)
+
+
+def test_who_gets_a_descriptor_for_reading_cannot_write_and_nobody_can_cut_off_what_the_loop_reads(ends):
+    reader, writer = ends
+    entry = {"number": 1, "axes": {}, "before": 0, "time_s": 0.0}
+    writer.post(1, b"a block", entry)
+    descriptor = read_only(reader.descriptor)
+    assert journal.entries(descriptor) == [entry]
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.pwrite(descriptor, b"garbage", 0)
+    if os.geteuid():
+        with pytest.raises(PermissionError):
+            os.open(f"/proc/self/fd/{descriptor}", os.O_RDWR)
+    with pytest.raises(PermissionError):
+        os.ftruncate(writer.descriptor, 0)
+    os.close(descriptor)
+
+
+def test_a_successor_of_the_writer_knows_of_a_stop_that_waits_and_uses_no_number_twice(ends):
+    reader, writer = ends
+    writer.post(1, b"stop", is_stop=True)
+    successor = JournalWriter(reader.descriptor)
+    assert (successor.next_number, successor.is_stop_waiting) == (2, True)
+    reader.answer(1, 7)
+    successor.post(2, b"start")
+    successor.withdraw()  # the loop has taken it at this moment, and answers late
+    assert (successor.next_number, successor.is_stop_waiting) == (3, False)
