@@ -93,7 +93,7 @@ class Loop:
             return
         if any([feedback.is_setpoint_lost for feedback in self._feedback]):  # noqa: C419 - quicker than a generator
             self._path.after_lost(cycle, self._run.state)
-        if self._changes is not None and self._changes.has_news:
+        if self._changes is not None and self._changes.journal.has_news:
             self._changes.take(cycle, self._run.running_s(time_s), self._feedback)
         self._note_states(cycle)
         updates = self._update_axes(cycle, self._run.state, self._run.running_s(time_s))

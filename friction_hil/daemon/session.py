@@ -103,6 +103,7 @@ class _CompanionSink:
     ) -> None:
         self._learning, self._journal = learning, journal
         self._companion = companion
+        self.event = companion.push_event
         self._is_real = is_real
         self._looks = max(1, round(_LOOK_S / period_s))  # rows between two looks at the companion
         self._left = self._looks
@@ -120,9 +121,6 @@ class _CompanionSink:
             said = self._learning.await_tick(int(row[_CYCLE]), lambda: journal.has_news, lambda: self._look(row))
             if said:
                 self._companion.push_event(row[_CYCLE], "notice", said)
-
-    def event(self, cycle: int, name: str, text: str) -> None:
-        self._companion.push_event(cycle, name, text)
 
     def _look(self, row: Array) -> None:
         """Take what has happened beside the loop into the recording."""

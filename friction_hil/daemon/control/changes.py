@@ -18,24 +18,19 @@ if TYPE_CHECKING:
 class Changes:
     """Takes changes from the journal."""
 
-    __slots__ = ("_axes", "_is_garbage_told", "_journal", "_log", "_rooms", "_run", "last")
+    __slots__ = ("_axes", "_is_garbage_told", "_log", "_rooms", "_run", "journal", "last")
 
     def __init__(self, journal: JournalReader, axes: "Sequence[AxisLoop]", log: "RunLog", run: "RunControl") -> None:
-        self._journal, self._axes, self._log, self._run = journal, axes, log, run
+        self.journal, self._axes, self._log, self._run = journal, axes, log, run
         self._is_garbage_told = False
         models = [one for axis in axes for one in (axis.compensator, *axis.shadows.values())]
         self._rooms = {PLAIN_ROOM, *(one.record[0]["friction"].size for one in models)}
         self.last = 0.0  # number of the last change of settings that was applied; 0 before the first
 
-    @property
-    def has_news(self) -> bool:
-        """True if there may be a change."""
-        return self._journal.has_news
-
     def take(self, cycle: int, running_s: float, feedback: Sequence[Feedback]) -> None:
         """Take the change, if it is a whole one, and apply it or refuse it; ``running_s`` as for `AxisLoop.apply`."""
         try:
-            block = self._journal.take(cycle)
+            block = self.journal.take(cycle)
             if block is None:
                 return
             change = unpack(block, [axis.compensator.record for axis in self._axes], self._rooms)
@@ -46,8 +41,15 @@ class Changes:
             return
         refusal = self._act(cycle, change, feedback)
         if not refusal:
-            self._apply(cycle, running_s, change)
-        self._journal.answer(change.number, cycle, refusal)
+            wanted = [(axis, one) for axis, one in zip(self._axes, change.axes, strict=False) if one is not None]
+            for axis, one in wanted:
+                axis.apply(one, running_s)
+            if wanted:
+                self.last = float(change.number)
+                self._log.change(cycle, change.number, change.text)
+            else:
+                self._log.act(cycle, change.text)
+        self.journal.answer(change.number, cycle, refusal)
 
     def _act(self, cycle: int, change: Change, feedback: Sequence[Feedback]) -> str:
         """Do what the change asks of the run; return why that is refused, empty if it is not."""
@@ -58,15 +60,3 @@ class Changes:
         if change.action is Action.RESET:
             return self._run.reset(cycle)
         return ""
-
-    def _apply(self, cycle: int, running_s: float, change: Change) -> None:
-        has_settings = False
-        for axis, wanted in zip(self._axes, change.axes, strict=False):
-            if wanted is not None:
-                axis.apply(wanted, running_s)
-                has_settings = True
-        if has_settings:
-            self.last = float(change.number)
-            self._log.change(cycle, change.number, change.text)
-        else:
-            self._log.act(cycle, change.text)

@@ -156,23 +156,12 @@ class Desk:
             "descriptors": self._read_only,  # the server sends these along
         }
 
-    def _set(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
-        values = request["values"]
-        if not isinstance(values, dict) or not values or not all(isinstance(key, str) for key in values):
-            raise RefusedError('values must be a group of keys and values, e.g. {"x.gain": 0.8}')
-        learning = OnTrial.of(request.get("learning"), self._names)
-        shown = ", ".join(f"{key}={_shown(value)}" for key, value in values.items())
-        text = request.get("reason", f"{who} set {shown}")
-        if not isinstance(text, str):
-            raise RefusedError("reason must be a text")
-        return self._change(values, text, learning)
-
     def take_back(self, why: str) -> None:
         """Take back what is on trial, if anything is: nobody judges it any more."""
         try:
             with self._looking:
                 self._state.look()
-            self._change({}, f"learning: {why}")
+            self._set({"values": {}, "reason": f"learning: {why}"}, "")
         except FrictionHilError as error:
             if not self._state.has_ended:
                 sys.stderr.write(f"friction-hil: what was on trial could not be taken back: {error}\n")
@@ -211,11 +200,17 @@ class Desk:
         behind = self._cycle(rows) - done
         return behind * float(self._job.configuration["period_s"]) > _HANGS_S
 
-    def _change(self, values: Mapping[str, Any], text: str, learning: OnTrial | None = None) -> dict[str, Any]:
+    def _set(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
         """Change settings. Whoever is not learning takes back what is on trial by that: nobody would judge it."""
         # imported here: only what changes settings needs numba and the models
         from friction_hil.daemon.control.prepare import entry_of, latest_inputs, prepare
 
+        values = request["values"]
+        learning = OnTrial.of(request.get("learning"), self._names)
+        shown = ", ".join(f"{key}={_shown(value)}" for key, value in values.items())
+        text = request.get("reason", f"{who} set {shown}")
+        if not isinstance(text, str):
+            raise RefusedError("reason must be a text")
         with self._preparing:
             before = self._present()
             former = before.on_trial
@@ -393,6 +388,8 @@ def _request(line: bytes) -> dict[str, Any]:
     for key in _KEYS[what]:
         if key not in request:
             raise RefusedError(f"{key}: is missing")
+    if what == "set" and not (isinstance(request["values"], dict) and request["values"]):
+        raise RefusedError('values must be a group of keys and values, e.g. {"x.gain": 0.8}')
     return request
 
 

@@ -35,7 +35,7 @@ def daemon(folder):
     def answer(line, user):
         return {"ok": True, "user": user, "asked": line.decode()}
 
-    with ControlServer(opened.descriptor, answer) as server:
+    with ControlServer(opened.descriptor, lambda: answer) as server:
         threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
         yield opened
         server.shutdown()
@@ -235,7 +235,7 @@ def test_who_comes_while_all_are_being_answered_waits_for_a_place(folder):
         return {"ok": True, "asked": line.decode()}
 
     with contextlib.ExitStack() as stack:
-        server = stack.enter_context(ControlServer(opened.descriptor, answer))
+        server = stack.enter_context(ControlServer(opened.descriptor, lambda: answer))
         threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
         stack.callback(server.shutdown)
         stack.callback(goes_on.set)

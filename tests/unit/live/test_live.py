@@ -227,7 +227,7 @@ class Daemon:
             self.ring.push(row)
 
     def serve(self):
-        self.server = ControlServer(self.socket.descriptor, lambda line, user: self.answer(line, user))
+        self.server = ControlServer(self.socket.descriptor, lambda: self.answer)
         threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
 
     def end(self):
