@@ -76,7 +76,7 @@ class BlackBox:
                     self._writer.write_event(*event)
                 self._writer.write(rows, has_state[inside])
                 self._next += len(rows)
-                self._write_events(float(rows[-1, self._cycle]))
+                self._file_changes.write(self._writer, self._left, float(rows[-1, self._cycle]))
             if is_over:
                 self._end()
         except OSError as error:
@@ -120,14 +120,9 @@ class BlackBox:
         if self._writer is not None and self._budget is not None:
             self._budget.keep(self._writer.path, self._writer.size)
 
-    def _write_events(self, cycle: float) -> None:
-        assert self._writer is not None
-        while self._left and self._left[0][0] <= cycle:
-            self._writer.write_event(*self._file_changes.whole(self._left.popleft()))
-
     def _end(self) -> None:
         assert self._writer is not None
-        self._write_events(np.inf)
+        self._file_changes.write(self._writer, self._left, np.inf)
         self._writer.close()
         say(black_box=str(self._writer.path))
         self._writer, self._history.fault = None, None

@@ -1,6 +1,7 @@
 """Changes of a run as events of its files: with the settings and models that a replay of their rows needs."""
 
 import json
+from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from friction_hil.daemon.control import journal
 from friction_hil.recordings import columns
+from friction_hil.recordings.mcap_writer import McapWriter
 from friction_hil.recordings.recording import CHANGE, Array
 
 Event = tuple[float, str, str]
@@ -43,15 +45,17 @@ class FileChanges:
         self._written |= wanted
         return [(0.0, CHANGE, json.dumps(entries[number])) for number in sorted(wanted)]
 
-    def whole(self, event: Event) -> Event:
-        """Return an event as it is recorded: for a change, the ring has room for its number only."""
-        cycle, name, text = event
-        if name == CHANGE:
-            for number, entry in recorded_entries(self._journal).items():
-                if str(number) == text:
-                    self._written.add(number)
-                    return cycle, name, json.dumps(entry)
-        return event
+    def write(self, writer: McapWriter, events: deque[Event], until: float) -> None:
+        """Write the events up to a cycle, in their order, and remove them."""
+        while events and events[0][0] <= until:
+            cycle, name, text = events.popleft()
+            if name == CHANGE:  # the ring has room for its number only
+                for number, entry in recorded_entries(self._journal).items():
+                    if str(number) == text:
+                        self._written.add(number)
+                        text = json.dumps(entry)
+                        break
+            writer.write_event(cycle, name, text)
 
 
 def recorded_entries(descriptor: int) -> dict[int, dict[str, Any]]:

@@ -92,31 +92,24 @@ class Recorder:
         assert self._writer is not None
         if len(rows) and self._cycle_column is not None:
             self._cycle = float(rows[-1, self._cycle_column])
+        left = deque(events)
         try:
             while len(rows):
                 count = self._room(rows)
                 if count == 0:
                     self._rotate()
                     continue
-                for event in self._file_changes.ahead_of(rows[:count], events):
+                for event in self._file_changes.ahead_of(rows[:count], left):
                     self._added += 1
                     self._writer.write_event(*event)
                 self._writer.write(rows[:count])
                 if self._cycle_column is not None:  # a change belongs into the file of its first rows
-                    events = self._write_events(events, float(rows[count - 1, self._cycle_column]))
+                    self._file_changes.write(self._writer, left, float(rows[count - 1, self._cycle_column]))
                 rows = rows[count:]
-            self._write_events(events, math.inf)
+            self._file_changes.write(self._writer, left, math.inf)
             self._flush_idle_chunk()
         except (OSError, RecordingError) as error:
             self._suspend(error)
-
-    def _write_events(self, events: list[tuple[float, str, str]], cycle: float) -> list[tuple[float, str, str]]:
-        """Write the events up to ``cycle``, in their order; return those that are left."""
-        assert self._writer is not None
-        left = deque(events)
-        while left and left[0][0] <= cycle:
-            self._writer.write_event(*self._file_changes.whole(left.popleft()))
-        return list(left)
 
     def close(self, *, was_abandoned: bool) -> None:
         """End the recording."""

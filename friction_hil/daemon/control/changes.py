@@ -46,9 +46,8 @@ class Changes:
                 axis.apply(one, running_s)
             if wanted:
                 self.last = float(change.number)
-                self._log.change(cycle, change.number, change.text)
-            else:
-                self._log.act(cycle, change.text)
+                self._log.event(cycle, "change", str(change.number))
+            self._log.act(cycle, change.text)
         self.journal.answer(change.number, cycle, refusal)
 
     def _act(self, cycle: int, change: Change, feedback: Sequence[Feedback]) -> str:
