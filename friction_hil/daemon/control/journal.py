@@ -35,6 +35,7 @@ _DIGEST_AT, _DIGEST_BYTES = 64, 16
 _REASON_AT, _REASON_BYTES = 128, 384
 _BLOCK_AT = 512
 _ACCEPTED, _REFUSED = 1, 2
+_LARGEST = 2**62 - 1  # sequence number, whatever garbage is found in its place
 _REST_CYCLES = 100  # after garbage, so that a memory full of it costs the loop nothing
 _LOOK_S = 2e-3
 _MOST_PENDING = 10  # entries that the loop has not taken, or refused
@@ -171,16 +172,19 @@ class JournalWriter(_LoopPages):
             if len(kept) < len(known):
                 keep(self.descriptor, kept)
             append(self.descriptor, entry)
-        sequence = (self._words[_SEQUENCE] | 1) & 0x7FFFFFFFFFFFFFFF
-        self._words[_SEQUENCE] = sequence
+        sequence = self.withdraw() + 1
         self._memory[_BLOCK_AT : _BLOCK_AT + len(block)] = block
         self._words[_LENGTH] = len(block)
-        self._memory[_DIGEST_AT : _DIGEST_AT + _DIGEST_BYTES] = _digest(sequence + 1, block)
-        self._words[_SEQUENCE] = sequence + 1
+        self._memory[_DIGEST_AT : _DIGEST_AT + _DIGEST_BYTES] = _digest(sequence, block)
+        self._words[_SEQUENCE] = sequence
 
-    def withdraw(self) -> None:
-        """Take back the block; the loop does not take it any more, unless it is doing so at this moment."""
-        self._words[_SEQUENCE] = (self._words[_SEQUENCE] | 1) & 0x7FFFFFFFFFFFFFFF
+    def withdraw(self) -> int:
+        """Take back the block; the loop does not take it any more, unless it is doing so at this moment.
+
+        Returns the sequence number, which is odd from then on.
+        """
+        self._words[_SEQUENCE] = sequence = (self._words[_SEQUENCE] | 1) & _LARGEST
+        return int(sequence)
 
     def wait(self, number: int, timeout_s: float) -> tuple[int, str] | None:
         """Wait for the answer to an entry.

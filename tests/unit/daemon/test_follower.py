@@ -116,6 +116,20 @@ def run(machine, *, config=None, stop=None, journal=None, **settings):
     return loop.run(), sink, axes[0]
 
 
+def at_the_socket(asked):
+    """The journal of a loop that is asked for something in these cycles, who asks it, and its answers."""
+    journal, answers = JournalReader(make_journal(room(1))), []
+    writer = JournalWriter(journal.descriptor)
+
+    def disturb(cycle, heard):
+        if cycle in asked:
+            writer.post(cycle, pack(Change(cycle, asked[cycle])))
+        elif cycle - 1 in asked:
+            answers.append(writer.wait(cycle - 1, 0.0))
+
+    return journal, disturb, answers
+
+
 def states_of(sink):
     return [text for _, name, text in sink.events if name == "state"]
 
@@ -136,17 +150,7 @@ def test_compensation_is_faded_in_and_out_and_the_last_offset_is_zero():
 
 
 def test_a_stop_and_a_start_at_the_control_socket_fade_the_offset_and_leave_the_drive_to_its_master():
-    journal = JournalReader(make_journal(room(1)))
-    writer = JournalWriter(journal.descriptor)
-    asked = {400: Action.STOP, 700: Action.START, 900: Action.RESET}
-    answers = []
-
-    def disturb(cycle, heard):
-        if cycle in asked:
-            writer.post(cycle, pack(Change(cycle, asked[cycle])))
-        elif cycle - 1 in asked:
-            answers.append(writer.wait(cycle - 1, 0.0))
-
+    journal, disturb, answers = at_the_socket({400: Action.STOP, 700: Action.START, 900: Action.RESET})
     machine = Machine(disturb=disturb)
     result, sink, _axis = run(machine, journal=journal, duration_s=0.5)
     assert result.faults == []
@@ -160,14 +164,7 @@ def test_a_stop_and_a_start_at_the_control_socket_fade_the_offset_and_leave_the_
 
 
 def test_a_sidecar_that_is_started_again_begins_without_compensation_again():
-    journal = JournalReader(make_journal(room(1)))
-    writer = JournalWriter(journal.descriptor)
-    asked = {900: Action.STOP, 1300: Action.START}
-
-    def disturb(cycle, heard):
-        if cycle in asked:
-            writer.post(cycle, pack(Change(cycle, asked[cycle])))
-
+    journal, disturb, _ = at_the_socket({900: Action.STOP, 1300: Action.START})
     machine = Machine(disturb=disturb)
     config = configuration(compensation={"fade_s": 0.1, "baseline_s": 0.7})
     result, sink, axis = run(machine, config=config, journal=journal, duration_s=1.5)
