@@ -61,17 +61,6 @@ def test_a_message_arrives_once_and_its_answer_comes_back(ends):
         writer.post(2, bytes(writer.capacity + 1))
 
 
-def test_a_message_that_is_being_written_is_left_until_it_is_whole(ends):
-    reader, writer = ends
-    writer.post(1, b"first")
-    reader.take(0)
-    scribble(reader, 0, b"\x03")  # as while it is written, or after the death of who wrote it
-    assert reader.has_news
-    assert reader.take(1) is None
-    writer.post(2, b"second")
-    assert reader.take(2) == b"second"
-
-
 @settings(max_examples=60)
 @given(st.binary(min_size=1, max_size=2000), st.integers(0, 1500), st.integers(-(2**63), 2**63 - 1))
 @example(b"\0", 0, -1)
@@ -152,16 +141,6 @@ def test_another_model_needs_a_state():
         unpack(pack(Change(1, Action.NONE, [AxisChange(None, other.record)])), [PRESENT.record])
 
 
-def test_the_journal_shows_whole_entries_only():
-    descriptor = make_journal()
-    assert journal.entries(descriptor) == []
-    for number in (1, 2):
-        journal.append(descriptor, {"number": number, "axes": {"x": [0.1] * 1000}})
-    os.pwrite(descriptor, b'{"number": 3', os.fstat(descriptor).st_size)  # of an entry that is being written
-    assert [entry["number"] for entry in journal.entries(descriptor)] == [1, 2]
-    os.close(descriptor)
-
-
 def test_who_gets_a_descriptor_for_reading_cannot_write_and_nobody_can_cut_off_what_the_loop_reads(ends):
     reader, writer = ends
     entry = {"number": 1, "axes": {}, "before": 0, "time_s": 0.0}
@@ -176,15 +155,14 @@ def test_who_gets_a_descriptor_for_reading_cannot_write_and_nobody_can_cut_off_w
     os.close(descriptor)
 
 
-def test_a_successor_of_the_writer_knows_of_a_stop_that_waits_and_uses_no_number_twice(ends):
+def test_no_number_is_used_twice_and_a_stop_waits_until_it_is_answered(ends):
     reader, writer = ends
     writer.post(1, b"stop", is_stop=True)
-    successor = JournalWriter(reader.descriptor)
-    assert (successor.next_number, successor.is_stop_waiting) == (2, True)
+    assert writer.is_stop_waiting
     reader.answer(1, 7)
-    successor.post(2, b"start")
-    successor.withdraw()  # the loop has taken it at this moment, and answers late
-    assert (successor.next_number, successor.is_stop_waiting) == (3, False)
+    writer.post(2, b"start")
+    writer.withdraw()  # the loop has taken it at this moment, and answers late
+    assert (writer.next_number, writer.is_stop_waiting) == (3, False)
 
 
 class Death(BaseException):
