@@ -166,7 +166,7 @@ class Rows:
         return [float(row[index]) for row in self.rows]
 
 
-def make_loop(config, drives, *, sink=None, stop=None, clock=None, mailbox=None, **settings):
+def make_loop(config, drives, *, sink=None, stop=None, clock=None, journal=None, **settings):
     """Return a loop over ``drives``, its sink and its axes."""
     path_time = PathTime(0.25)
     axes = [
@@ -176,7 +176,7 @@ def make_loop(config, drives, *, sink=None, stop=None, clock=None, mailbox=None,
     sink = sink or Rows(config)
     settings = LoopSettings(period_s=config.period_s, **settings)
     clock, stop = clock or SteppedClock(), stop or StopRequest()
-    return Loop(drives, axes, path_time, clock, sink, settings, stop, mailbox), sink, axes
+    return Loop(drives, axes, path_time, clock, sink, settings, stop, journal), sink, axes
 
 
 def run(config, **settings) -> tuple[LoopResult, Rows, ServoDrives]:

@@ -64,7 +64,8 @@ class RunLog:
         self._events = 0  # since all of these were told
         self.result = LoopResult()
 
-    def _event(self, cycle: int, name: str, text: str) -> None:
+    def event(self, cycle: int, name: str, text: str) -> None:
+        """Record an event; now and then, the errors without compensation again."""
         self._sink.event(cycle, name, text)
         self._events += 1
         if self._events == _KEPT_EVENTS:
@@ -88,7 +89,7 @@ class RunLog:
             if len(self._said) == 1:
                 text = _ahead_of_code(text, self._missed_before(cycle) + gaps)
             self.result.faults.append(text)
-            self._event(cycle, "fault", text)
+            self.event(cycle, "fault", text)
 
     def _missed_before(self, cycle: int) -> str:
         """Return words on the periods that were missed shortly before a cycle; none: empty."""
@@ -103,23 +104,18 @@ class RunLog:
         """Keep an exception that has ended the loop as a fault; the recording gets the calls that led to it too."""
         self.fault(cycle, fault_of(error))
         for call in calls_of(error):
-            self._event(cycle, "traceback", call)
+            self.event(cycle, "traceback", call)
 
     def reset(self, cycle: int) -> None:
         """Forget that there is a fault; it stays in the result. If it comes again, it counts again."""
         if self.has_fault:
-            self._event(cycle, "reset", "the fault is reset")
+            self.event(cycle, "reset", "the fault is reset")
         self.has_fault = False
         self._said.clear()
 
-    def change(self, cycle: int, number: int, text: str) -> None:
-        """Keep a change that somebody made while the daemon runs; ``number`` is that of the message."""
-        self._event(cycle, "change", str(number))
-        self.act(cycle, text)
-
     def act(self, cycle: int, text: str) -> None:
         """Keep what somebody asked for while the daemon runs; unlike `notice` each time."""
-        self._event(cycle, "notice", text)
+        self.event(cycle, "notice", text)
         self._acts += 1
         if self._acts <= _MOST_NOTICES:
             self.result.notices.append(text)
@@ -135,11 +131,11 @@ class RunLog:
             return
         self._is_flooded = self._is_flooded and self._room < 0.5 * _BURST
         self._room -= 1.0
-        self._event(cycle, "notice", text)
+        self.event(cycle, "notice", text)
         if self._room < 1.0 and not self._is_flooded:
             self._is_flooded = True
             more = f"the drives said {_BURST:g} things in a row: of the next ones, {_PER_S:g} a second are recorded"
-            self._event(cycle, "notice", more)
+            self.event(cycle, "notice", more)
 
     def drive_state(self, cycle: int, name: str, state: DriveState, *, is_read_back: bool) -> None:
         """Keep the state of a drive after the stop; one that may have power is a fault, however many there were before.
@@ -147,7 +143,7 @@ class RunLog:
         Where the driver reads nothing back, a run that failed already gets a warning: its fault says what happened.
         """
         self.result.drive_states.append(state)
-        self._event(cycle, "drive_state", f"{name}: {state.words}")
+        self.event(cycle, "drive_state", f"{name}: {state.words}")
         if state is DriveState.UNKNOWN:
             text = f"{name}: the state of the drive after the stop is unknown: it may have power"
             tell = self._keep_fault if is_read_back or not self.result.faults else self.warn
@@ -159,7 +155,7 @@ class RunLog:
     def leftover(self, cycle: int, text: str) -> None:
         """Keep what the driver could not leave as it was found."""
         self.result.leftovers.append(text)
-        self._event(cycle, "warning", text)
+        self.event(cycle, "warning", text)
 
     def missed(self, cycle: int, skipped: int, overslept_ns: int, max_missed: int) -> None:
         """Count the periods missed before ``cycle``; ``max_missed`` of them in a row are a fault."""
@@ -171,18 +167,18 @@ class RunLog:
 
     def state(self, cycle: int, state: LoopState) -> None:
         """Record the state that the run enters."""
-        self._event(cycle, "state", state.name.lower())
+        self.event(cycle, "state", state.name.lower())
 
     def error_without(self, cycle: int, axis: str, text: str) -> None:
         """Record the following error of a time without compensation that has ended, for those who look later too."""
         self._error_without[axis] = text
-        self._event(cycle, ERROR_WITHOUT, text)
+        self.event(cycle, ERROR_WITHOUT, text)
 
     def warn(self, cycle: int, text: str) -> None:
         """Keep a warning."""
         if len(self.result.warnings) < _MOST_NOTICES:
             self.result.warnings.append(text)
-        self._event(cycle, "warning", text)
+        self.event(cycle, "warning", text)
 
 
 def _ahead_of_code(text: str, more: str) -> str:

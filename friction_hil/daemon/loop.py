@@ -7,7 +7,7 @@ import numpy as np
 
 from friction_hil.daemon.axis import AxisLoop, AxisUpdate
 from friction_hil.daemon.control.changes import Changes
-from friction_hil.daemon.control.mailbox import MailboxReader
+from friction_hil.daemon.control.journal import JournalReader
 from friction_hil.daemon.failure import Reserve
 from friction_hil.daemon.log import LoopResult, RunLog, Sink
 from friction_hil.daemon.pacing import CacheWarmer, make_pacer
@@ -25,7 +25,7 @@ class Loop:
     """Drive some axes through a run.
 
     The drives are connected but not started, the axes in the order of theirs. ``path_time`` is that of all axes;
-    ``mailbox`` brings changes while the loop runs.
+    ``journal`` brings changes while the loop runs.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class Loop:
         sink: Sink,
         settings: LoopSettings,
         stop: StopRequest,
-        mailbox: MailboxReader | None = None,
+        journal: JournalReader | None = None,
     ) -> None:
         self._drives, self._axes, self._clock, self._sink, self._settings = drives, axes, clock, sink, settings
         self._feedback = [Feedback() for _ in axes]
@@ -53,7 +53,7 @@ class Loop:
         delay_s = max(axis.facts.setpoint_delay_s for axis in axes)
         self._path = PathHold(path_time, settings.period_s, delay_s, self._log, is_needed=is_needed)
         self._warmer = CacheWarmer(drives, axes[0], self._parts[0])
-        self._changes = None if mailbox is None else Changes(mailbox, axes, self._log, self._run)
+        self._changes = None if journal is None else Changes(journal, axes, self._log, self._run)
         self.reserve = Reserve()
         self._pacer = make_pacer(drives, clock, settings.period_s, self._warm_caches)
 
@@ -93,7 +93,7 @@ class Loop:
             return
         if any([feedback.is_setpoint_lost for feedback in self._feedback]):  # noqa: C419 - quicker than a generator
             self._path.after_lost(cycle, self._run.state)
-        if self._changes is not None and self._changes.has_news:
+        if self._changes is not None and self._changes.journal.has_news:
             self._changes.take(cycle, self._run.running_s(time_s), self._feedback)
         self._note_states(cycle)
         updates = self._update_axes(cycle, self._run.state, self._run.running_s(time_s))

@@ -25,11 +25,11 @@ _OOM_SCORE = 500
 def control_server(job: ControlJob, descriptors: list[int], stack: contextlib.ExitStack) -> Beside:
     """Return the process that serves the control socket.
 
-    ``descriptors``: those of the socket, the ring, the mailbox, the journal, and of what learning says, or -1.
+    ``descriptors``: those of the socket, the ring, the journal, and of what learning says, or -1.
     """
     memory = make_document("control", asdict(job))
     stack.callback(os.close, memory)
-    given = [*descriptors[:4], memory, *descriptors[4:]]
+    given = [*descriptors[:3], memory, *descriptors[3:]]
     return Beside(
         title="the process of the control socket",
         loss="nothing can be changed any more",

@@ -20,9 +20,8 @@ from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_
 from friction_hil.daemon.companion.client import ring_of
 from friction_hil.daemon.companion.paths import series_name
 from friction_hil.daemon.control.job import ControlJob
-from friction_hil.daemon.control.journal import make_journal
+from friction_hil.daemon.control.journal import JournalReader, make_journal, read_only
 from friction_hil.daemon.control.lock import ControlSocket
-from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.control.packed import room
 from friction_hil.daemon.figures import AxisFigures, Condition, FollowingErrors
 from friction_hil.daemon.follower import FollowerAxis
@@ -98,12 +97,13 @@ class _CompanionSink:
         companion: Companion,
         period_s: float,
         learning: LearningService | None,
-        mailbox: MailboxReader | None,
+        journal: JournalReader | None,
         *,
         is_real: bool,
     ) -> None:
-        self._learning, self._mailbox = learning, mailbox
+        self._learning, self._journal = learning, journal
         self._companion = companion
+        self.event = companion.push_event
         self._is_real = is_real
         self._looks = max(1, round(_LOOK_S / period_s))  # rows between two looks at the companion
         self._left = self._looks
@@ -116,14 +116,11 @@ class _CompanionSink:
         self._left -= 1
         if not self._left:
             self._look(row)
-        if not self._is_real and self._learning is not None and self._mailbox is not None:
-            mailbox = self._mailbox
-            said = self._learning.await_tick(int(row[_CYCLE]), lambda: mailbox.has_news, lambda: self._look(row))
+        if not self._is_real and self._learning is not None and self._journal is not None:
+            journal = self._journal
+            said = self._learning.await_tick(int(row[_CYCLE]), lambda: journal.has_news, lambda: self._look(row))
             if said:
                 self._companion.push_event(row[_CYCLE], "notice", said)
-
-    def event(self, cycle: int, name: str, text: str) -> None:
-        self._companion.push_event(cycle, name, text)
 
     def _look(self, row: Array) -> None:
         """Take what has happened beside the loop into the recording."""
@@ -182,7 +179,7 @@ class _Prepared:
     axes: list[AxisLoop]
     path_time: PathTime
     companion: Companion
-    mailbox: MailboxReader | None
+    journal: JournalReader | None
     board: LearningBoard | None
 
 
@@ -236,30 +233,32 @@ def _prepare(
         note = experiment_note(configuration.axes[fact.name], fact.position_resolution, configuration.period_s)
         if note:
             report(f"{fact.name}: {note}")
-    journal = make_journal()
-    stack.callback(os.close, journal)
     job = _job(configuration, settings, path, started_ns, facts, axes, shadows)
     ring = ring_of(job)
     others: list[Beside] = []
-    mailbox = board = None
+    journal = board = None
+    recorded = -1  # the journal, for the companion
     if settings.control is not None:
         name, control_job = settings.control.path.stem, _control_job(configuration, settings, drives, facts, job)
         if control_job.has_network:
             _compile_plain(configuration.period_s)
-        mailbox = MailboxReader(room(len(facts)))  # brings the changes to the loop
+        journal = JournalReader(make_journal(room(len(facts))))  # brings the changes to the loop
+        stack.callback(os.close, journal.descriptor)
+        recorded = read_only(journal.descriptor)
+        stack.callback(os.close, recorded)
         learning_axes = {name: axis for name, axis in configuration.axes.items() if axis.compensation.learning != "off"}
         if learning_axes:
             board = LearningBoard()
             board.say(-1, {"axes": {name: _first_report(axis) for name, axis in learning_axes.items()}})
             stack.callback(board.close)
             others.append(learning_process(settings.control.path, board, is_simulated=settings.is_paced_by_sync))
-        given = [settings.control.descriptor, ring.descriptor, mailbox.descriptor, journal]
+        given = [settings.control.descriptor, ring.descriptor, journal.descriptor]
         others.insert(0, control_server(control_job, [*given, -1 if board is None else board.descriptor], stack))
         if configuration.live is not None:
             others.insert(1, live_server(name, configuration.live, stack))
-    companion = Companion.start(job, journal, others, ring)
+    companion = Companion.start(job, recorded, others, ring)
     stack.callback(companion.close)
-    return _Prepared(drives, axes, path_time, companion, mailbox, board)
+    return _Prepared(drives, axes, path_time, companion, journal, board)
 
 
 def _compile_plain(period_s: float) -> None:
@@ -315,16 +314,16 @@ def _run(
             is_follower=prepared.drives.is_follower,
             is_waiting=settings.is_waiting,
         )
-        mailbox, board = prepared.mailbox, prepared.board
+        journal, board = prepared.journal, prepared.board
         period_s, is_simulated = configuration.period_s, settings.is_paced_by_sync
         learning = None if board is None else LearningService(board, period_s, is_simulated=is_simulated)
-        sink: Sink = _CompanionSink(prepared.companion, period_s, learning, mailbox, is_real=clock.is_real)
+        sink: Sink = _CompanionSink(prepared.companion, period_s, learning, journal, is_real=clock.is_real)
         with contextlib.ExitStack() as stack:
             if manager := ServiceManager.from_environment(os.environ):
                 stack.callback(manager.close)
                 stack.callback(manager.stopping)
                 sink = NotifyingSink(sink, manager, configuration.period_s)
-            loop = Loop(prepared.drives, prepared.axes, prepared.path_time, clock, sink, loop_settings, stop, mailbox)
+            loop = Loop(prepared.drives, prepared.axes, prepared.path_time, clock, sink, loop_settings, stop, journal)
             return loop.run()
 
 

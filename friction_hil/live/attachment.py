@@ -235,10 +235,10 @@ class Live:
         return self._read_settings(int(known[-1]))
 
     def _read_settings(self, change: int) -> Settings:
-        configuration, _, files = journal.present(self._journal, self.facts.configuration, self._files, change)
+        now = journal.present(self._journal, self.facts.configuration, self._files, change)
         axes = {
-            name: AxisSettings(axis["compensation"], axis["model"], files[name])
-            for name, axis in configuration["axes"].items()
+            name: AxisSettings(axis["compensation"], axis["model"], now.files[name])
+            for name, axis in now.configuration["axes"].items()
         }
         return Settings(change, axes)
 

@@ -13,7 +13,7 @@ from tools.campaigns.trial import run_trial
 pytestmark = pytest.mark.deep
 
 
-@pytest.mark.parametrize(("name", "number"), [("kill-daemon", 0), ("lost-50", 2), ("garbage-mailbox", 1)])
+@pytest.mark.parametrize(("name", "number"), [("kill-daemon", 0), ("lost-50", 2), ("garbage-journal", 1)])
 def test_a_fault_ends_safely(name: str, number: int) -> None:
     seen = run_trial(BY_NAME[name], 11, number, start)
     verdict = judge(BY_NAME[name], seen)

@@ -1,4 +1,4 @@
-"""`compensation.learning` through real processes: handed over by the mailbox, recorded, reproduced bit for bit."""
+"""`compensation.learning` through real processes: handed over by the journal, recorded, reproduced bit for bit."""
 
 import json
 import re

@@ -15,11 +15,12 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from friction_hil.daemon.control.journal import loop_pages
 from friction_hil.daemon.control.names import socket_path
 from tools.campaigns.attempt import Attempt
 
 _DISK_MB = 48
-_MAILBOX = "memfd:friction_hil-mailbox"
+_JOURNAL = "memfd:friction_hil-journal"
 _HEADER_BYTES = 512
 _MOST_BYTES = 1 << 30
 _SHARE = 0.25  # of the memory that is available
@@ -165,23 +166,24 @@ def refuse_memory(attempt: Attempt) -> None:
 
 
 def scribble(attempt: Attempt) -> None:
-    """Write random bytes into the mailbox, which the loop looks at each cycle."""
+    """Write random bytes into those pages of the journal at which the loop looks each cycle."""
     rng = attempt.random
-    if "mailbox" not in attempt.kept:
+    if "journal" not in attempt.kept:
         folder = Path(f"/proc/{attempt.daemon.pid}/fd")
-        attempt.kept["mailbox"] = next(
-            (path for path in folder.iterdir() if os.readlink(path).lstrip("/").startswith(_MAILBOX)), None
-        )
-    path = attempt.kept["mailbox"]
+        found = (path for path in folder.iterdir() if os.readlink(path).lstrip("/").startswith(_JOURNAL))
+        attempt.kept["journal"] = path = next(found, None)
+        if path is not None:
+            path.chmod(0o600)
+    path = attempt.kept["journal"]
     if path is None or not attempt.is_time(0.003):
         return
     with contextlib.suppress(OSError), path.open("r+b", buffering=0) as file:
-        size = os.fstat(file.fileno()).st_size
+        first, size = loop_pages(file.fileno())
         at = rng.randrange(0, rng.choice((64, _HEADER_BYTES, size)))
-        file.seek(at)
+        file.seek(first + at)
         file.write(rng.randbytes(min(rng.choice((1, 8, 64, 4096)), size - at)))
         if rng.random() < 0.5:  # an even number in place of the sequence, as after a whole message
-            file.seek(8)
+            file.seek(first)
             file.write(struct.pack("<q", 2 * rng.randrange(1 << 40)))
 
 

@@ -271,12 +271,12 @@ FAULTS = (
         words="memory",
     ),
     Fault(
-        "garbage-mailbox",
-        "random bytes in the mailbox",
+        "garbage-journal",
+        "random bytes in what the loop reads of the journal",
         ALL,
         step=attacks.scribble,
         last_s=(0.2, 0.5),
-        words="mailbox|message|change",
+        words="journal|message|change",
     ),
     Fault(
         "garbage-socket", "random bytes in the control socket", ALL, attacks.shout, end=attacks.hush, last_s=(0.2, 0.5)

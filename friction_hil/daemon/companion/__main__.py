@@ -15,10 +15,9 @@ def main(ring: int, job: int, journal: int, memory: int, plan: int) -> int:
     heir = Heir(plan)
     try:
         # imported here: the lock of this process must not wait for numpy
-        from friction_hil.daemon.companion.changes import Changes
         from friction_hil.daemon.companion.worker import work
 
-        return work(Job(**read_document(job)), ring, memory, Changes(journal), heir)
+        return work(Job(**read_document(job)), ring, memory, journal, heir)
     except MemoryError:
         warn("the companion process has no memory left")
         return 1

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from friction_hil.daemon.companion.budget import Budget
-from friction_hil.daemon.companion.changes import Changes
+from friction_hil.daemon.companion.changes import FileChanges
 from friction_hil.daemon.companion.history import History
 from friction_hil.daemon.companion.job import Job, say, warn
 from friction_hil.daemon.companion.new_file import begin_file
@@ -36,11 +36,11 @@ class BlackBox:
     room is made for the files.
     """
 
-    def __init__(self, job: Job, history: History, changes: Changes, budget: Budget | None = None) -> None:
+    def __init__(self, job: Job, history: History, journal: int, budget: Budget | None = None) -> None:
         assert job.black_box is not None
         self._budget = budget
         self._job, self._history, self._path = job, history, Path(job.black_box)
-        self._changes, self._file_changes = changes, changes.of_file(job.columns)
+        self._journal, self._file_changes = journal, FileChanges(journal, job.columns)
         self._time, self._cycle = job.columns.index(TIME), job.columns.index(CYCLE)
         self._events: deque[tuple[float, str, str]] = deque(maxlen=_MOST_EVENTS)
         self._left: deque[tuple[float, str, str]] = deque()  # events of the file that are not written yet
@@ -76,7 +76,7 @@ class BlackBox:
                     self._writer.write_event(*event)
                 self._writer.write(rows, has_state[inside])
                 self._next += len(rows)
-                self._write_events(float(rows[-1, self._cycle]))
+                self._file_changes.write(self._writer, self._left, float(rows[-1, self._cycle]))
             if is_over:
                 self._end()
         except OSError as error:
@@ -112,7 +112,7 @@ class BlackBox:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = begin_file(path, self._job, about={IS_OF_FAULT: True}, on_flush=self._make_room)
-            self._file_changes = self._changes.of_file(self._job.columns)
+            self._file_changes = FileChanges(self._journal, self._job.columns)
         except (OSError, RecordingError) as error:
             self._give_up(error, path)
 
@@ -120,14 +120,9 @@ class BlackBox:
         if self._writer is not None and self._budget is not None:
             self._budget.keep(self._writer.path, self._writer.size)
 
-    def _write_events(self, cycle: float) -> None:
-        assert self._writer is not None
-        while self._left and self._left[0][0] <= cycle:
-            self._writer.write_event(*self._file_changes.whole(self._left.popleft()))
-
     def _end(self) -> None:
         assert self._writer is not None
-        self._write_events(np.inf)
+        self._file_changes.write(self._writer, self._left, np.inf)
         self._writer.close()
         say(black_box=str(self._writer.path))
         self._writer, self._history.fault = None, None

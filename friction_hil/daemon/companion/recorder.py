@@ -11,7 +11,7 @@ import numpy as np
 
 from friction_hil.daemon.companion.black_box import ABANDONED
 from friction_hil.daemon.companion.budget import Budget
-from friction_hil.daemon.companion.changes import Changes
+from friction_hil.daemon.companion.changes import FileChanges
 from friction_hil.daemon.companion.job import Job, say, warn
 from friction_hil.daemon.companion.new_file import begin_file
 from friction_hil.daemon.companion.paths import part_number, part_path
@@ -39,13 +39,11 @@ class Recorder:
     ``job`` has a path. ``clock``: monotonic time, s.
     """
 
-    def __init__(
-        self, job: Job, ring: RingReader, changes: Changes, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, job: Job, ring: RingReader, journal: int, clock: Callable[[], float] = time.monotonic) -> None:
         assert job.path is not None
-        self._job, self._ring, self._changes, self._clock = job, ring, changes, clock
+        self._job, self._ring, self._journal, self._clock = job, ring, journal, clock
         self._first = Path(job.path)
-        self._file_changes = changes.of_file(job.columns)
+        self._file_changes = FileChanges(journal, job.columns)
         self._number = 0
         self._writer: McapWriter | None = None
         self.budget = None if job.budget_bytes is None else Budget(self._first, job.budget_bytes, job.series)
@@ -79,7 +77,7 @@ class Recorder:
             overwrite=self._job.overwrite and number == 1,
             on_flush=self._release,
         )
-        self._file_changes = self._changes.of_file(self._job.columns)
+        self._file_changes = FileChanges(self._journal, self._job.columns)
         self._size = self._writer.size
         if self.budget is not None:
             self.budget.look()
@@ -94,31 +92,24 @@ class Recorder:
         assert self._writer is not None
         if len(rows) and self._cycle_column is not None:
             self._cycle = float(rows[-1, self._cycle_column])
+        left = deque(events)
         try:
             while len(rows):
                 count = self._room(rows)
                 if count == 0:
                     self._rotate()
                     continue
-                for event in self._file_changes.ahead_of(rows[:count], events):
+                for event in self._file_changes.ahead_of(rows[:count], left):
                     self._added += 1
                     self._writer.write_event(*event)
                 self._writer.write(rows[:count])
                 if self._cycle_column is not None:  # a change belongs into the file of its first rows
-                    events = self._write_events(events, float(rows[count - 1, self._cycle_column]))
+                    self._file_changes.write(self._writer, left, float(rows[count - 1, self._cycle_column]))
                 rows = rows[count:]
-            self._write_events(events, math.inf)
+            self._file_changes.write(self._writer, left, math.inf)
             self._flush_idle_chunk()
         except (OSError, RecordingError) as error:
             self._suspend(error)
-
-    def _write_events(self, events: list[tuple[float, str, str]], cycle: float) -> list[tuple[float, str, str]]:
-        """Write the events up to ``cycle``, in their order; return those that are left."""
-        assert self._writer is not None
-        left = deque(events)
-        while left and left[0][0] <= cycle:
-            self._writer.write_event(*self._file_changes.whole(left.popleft()))
-        return list(left)
 
     def close(self, *, was_abandoned: bool) -> None:
         """End the recording."""

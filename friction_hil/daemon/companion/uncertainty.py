@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from friction_hil.daemon.companion.changes import Changes
+from friction_hil.daemon.companion.changes import recorded_entries
 from friction_hil.daemon.companion.job import Job
 from friction_hil.recordings import columns
 from friction_hil.recordings.recording import Array
@@ -17,8 +17,8 @@ _NEEDED = (columns.CHANGE, columns.UNCERTAINTY, "velocity_estimate")
 class UncertaintyColumn:
     """Fill the column in rows of the ring, in which the loop leaves it empty."""
 
-    def __init__(self, job: Job, changes: Changes) -> None:
-        self._job, self._changes = job, changes
+    def __init__(self, job: Job, journal: int) -> None:
+        self._job, self._journal = job, journal
         self._width = len(job.columns) + job.state_width
         self._change, self._uncertainty, self._velocity = (
             job.columns.index(name) if name in job.columns else -1 for name in _NEEDED
@@ -56,7 +56,7 @@ class UncertaintyColumn:
         return self._in_force[number]
 
     def _read(self, number: int) -> "dict[str, _Settings | None]":
-        entries = {} if number == 0 else self._changes.entries()
+        entries = {} if number == 0 else recorded_entries(self._journal)
         given = entries.get(number, {}).get("axes") or self._job.metadata.get("configuration", {}).get("axes", {})
         found: dict[str, _Settings | None] = {}
         for name in self._job.axes:

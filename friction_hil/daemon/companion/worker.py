@@ -6,7 +6,6 @@ import select
 import time
 
 from friction_hil.daemon.companion.black_box import BlackBox
-from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.history import History
 from friction_hil.daemon.companion.job import Job, say, warn
 from friction_hil.daemon.companion.memory import allocate
@@ -23,14 +22,14 @@ _PAUSE_MS = 20
 _STANDSTILL_S = 2.0  # between two looks at the ring
 
 
-def work(job: Job, ring_descriptor: int, memory: int, changes: Changes, heir: Heir) -> int:
+def work(job: Job, ring_descriptor: int, memory: int, journal: int, heir: Heir) -> int:
     """Serve the ring until it is closed and drained, or the control process is gone; return the exit status.
 
     The first companion of a run reports that its file cannot be opened; a later one writes the next file of the
     recording. ``memory``: of the last minute, which all companions of a run share; -1 if faults get no files.
     """
     ring, number = RingReader(ring_descriptor), heir.lives.starts(COMPANION)
-    outputs = _Outputs(job, ring, None if memory < 0 else allocate(job, memory), changes)
+    outputs = _Outputs(job, ring, None if memory < 0 else allocate(job, memory), journal)
     path = None
     if outputs.recorder is not None:
         try:
@@ -74,13 +73,13 @@ def work(job: Job, ring_descriptor: int, memory: int, changes: Changes, heir: He
 class _Outputs:
     """The recording, if there is one, and the files of faults."""
 
-    def __init__(self, job: Job, ring: RingReader, memory: mmap.mmap | None, changes: Changes) -> None:
+    def __init__(self, job: Job, ring: RingReader, memory: mmap.mmap | None, journal: int) -> None:
         self._ring = ring
-        self._uncertainty = UncertaintyColumn(job, changes)
-        self.recorder = None if job.path is None else Recorder(job, ring, changes)
+        self._uncertainty = UncertaintyColumn(job, journal)
+        self.recorder = None if job.path is None else Recorder(job, ring, journal)
         self._history = None if memory is None else History(job, memory)
         budget = None if self.recorder is None else self.recorder.budget
-        self._black_box = None if self._history is None else BlackBox(job, self._history, changes, budget)
+        self._black_box = None if self._history is None else BlackBox(job, self._history, journal, budget)
 
     def take(self, rows: Array, events: list[tuple[float, str, str]]) -> None:
         self._uncertainty.fill(rows)

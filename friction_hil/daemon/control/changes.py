@@ -1,9 +1,9 @@
-"""Application of changes by the loop: between two cycles, all of a message or nothing of it."""
+"""Application of changes by the loop: between two cycles, all of an entry or nothing of it."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from friction_hil.daemon.control.mailbox import MailboxReader
+from friction_hil.daemon.control.journal import JournalReader
 from friction_hil.daemon.control.message import Action, Change
 from friction_hil.daemon.control.packed import unpack
 from friction_hil.drive import Feedback
@@ -16,41 +16,42 @@ if TYPE_CHECKING:
 
 
 class Changes:
-    """Takes changes from the mailbox."""
+    """Takes changes from the journal."""
 
-    __slots__ = ("_axes", "_is_garbage_told", "_log", "_mailbox", "_rooms", "_run", "last")
+    __slots__ = ("_axes", "_is_garbage_told", "_log", "_rooms", "_run", "journal", "last")
 
-    def __init__(self, mailbox: MailboxReader, axes: "Sequence[AxisLoop]", log: "RunLog", run: "RunControl") -> None:
-        self._mailbox, self._axes, self._log, self._run = mailbox, axes, log, run
+    def __init__(self, journal: JournalReader, axes: "Sequence[AxisLoop]", log: "RunLog", run: "RunControl") -> None:
+        self.journal, self._axes, self._log, self._run = journal, axes, log, run
         self._is_garbage_told = False
         models = [one for axis in axes for one in (axis.compensator, *axis.shadows.values())]
         self._rooms = {PLAIN_ROOM, *(one.record[0]["friction"].size for one in models)}
         self.last = 0.0  # number of the last change of settings that was applied; 0 before the first
 
-    @property
-    def has_news(self) -> bool:
-        """True if there may be a message."""
-        return self._mailbox.has_news
-
     def take(self, cycle: int, running_s: float, feedback: Sequence[Feedback]) -> None:
-        """Take the message, if it is a whole one, and apply it or refuse it; ``running_s`` as for `AxisLoop.apply`."""
-        message = self._mailbox.take(cycle)
-        if message is None:
-            if self._mailbox.garbage:
-                self._tell_garbage(cycle, self._mailbox.garbage)
-            return
+        """Take the change, if it is a whole one, and apply it or refuse it; ``running_s`` as for `AxisLoop.apply`."""
         try:
-            change = unpack(message, [axis.compensator.record for axis in self._axes], self._rooms)
-        except ValueError as error:
-            self._tell_garbage(cycle, str(error))
+            block = self.journal.take(cycle)
+            if block is None:
+                return
+            change = unpack(block, [axis.compensator.record for axis in self._axes], self._rooms)
+        except ValueError as error:  # the process of the control socket never writes such a thing
+            if not self._is_garbage_told:
+                self._is_garbage_told = True
+                self._log.warn(cycle, f"the journal of the control socket held garbage, which was ignored: {error}")
             return
         refusal = self._act(cycle, change, feedback)
         if not refusal:
-            self._apply(cycle, running_s, change)
-        self._mailbox.answer(change.number, cycle, refusal)
+            wanted = [(axis, one) for axis, one in zip(self._axes, change.axes, strict=False) if one is not None]
+            for axis, one in wanted:
+                axis.apply(one, running_s)
+            if wanted:
+                self.last = float(change.number)
+                self._log.event(cycle, "change", str(change.number))
+            self._log.act(cycle, change.text)
+        self.journal.answer(change.number, cycle, refusal)
 
     def _act(self, cycle: int, change: Change, feedback: Sequence[Feedback]) -> str:
-        """Do what the message asks of the run; return why that is refused, empty if it is not."""
+        """Do what the change asks of the run; return why that is refused, empty if it is not."""
         if change.action is Action.START:
             return self._run.start(feedback)
         if change.action is Action.STOP:
@@ -58,21 +59,3 @@ class Changes:
         if change.action is Action.RESET:
             return self._run.reset(cycle)
         return ""
-
-    def _apply(self, cycle: int, running_s: float, change: Change) -> None:
-        has_settings = False
-        for axis, wanted in zip(self._axes, change.axes, strict=False):
-            if wanted is not None:
-                axis.apply(wanted, running_s)
-                has_settings = True
-        if has_settings:
-            self.last = float(change.number)
-            self._log.change(cycle, change.number, change.text)
-        else:
-            self._log.act(cycle, change.text)
-
-    def _tell_garbage(self, cycle: int, reason: str) -> None:
-        """Warn of a message that is none, once; the process of the control socket never writes one."""
-        if not self._is_garbage_told:
-            self._is_garbage_told = True
-            self._log.warn(cycle, f"the mailbox of the control socket held garbage, which was ignored: {reason}")

@@ -15,9 +15,9 @@ from typing import Any
 from friction_hil import __version__
 from friction_hil.daemon.control import journal
 from friction_hil.daemon.control.job import ControlJob
-from friction_hil.daemon.control.mailbox import MailboxWriter
+from friction_hil.daemon.control.journal import JournalWriter, Present
 from friction_hil.daemon.control.message import Action, Change, pack
-from friction_hil.daemon.control.on_trial import OnTrial, RefusedError, on_trial, settle, values_before
+from friction_hil.daemon.control.on_trial import OnTrial, RefusedError, settle, values_before
 from friction_hil.daemon.control.state import DaemonState
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.shared_document import cycle_of, read_document
@@ -46,28 +46,20 @@ class Desk:
     """Answers requests."""
 
     def __init__(
-        self,
-        job: ControlJob,
-        ring_descriptor: int,
-        mailbox_descriptor: int,
-        journal_descriptor: int,
-        learning_descriptor: int | None = None,
+        self, job: ControlJob, ring_descriptor: int, journal_descriptor: int, learning_descriptor: int | None = None
     ) -> None:
         self._job = job
         self._names = list(job.configuration["axes"])
-        self._mailbox = MailboxWriter(mailbox_descriptor)
-        self._journal = journal_descriptor
-        # opened again: what is open for reading only can be given to others
+        self._journal = JournalWriter(journal_descriptor)
         self._learning = learning_descriptor  # memory of what the process that learns says; None without one
-        shown = [each for each in (ring_descriptor, self._journal, learning_descriptor) if each is not None]
-        self._read_only = [os.open(f"/proc/self/fd/{each}", os.O_RDONLY) for each in shown]
+        shown = (ring_descriptor, journal_descriptor, learning_descriptor)
+        self._read_only = [journal.read_only(each) for each in shown if each is not None]
         self._state = DaemonState(ring_descriptor, self._names, job.columns, job.state_width)
         self._preparing = threading.Lock()  # one change of settings is prepared upon the other
         self._sending = _Turn()  # a stop does not wait for what is being prepared
         self._others = threading.BoundedSemaphore(_MOST_OTHERS)
         self._looking = threading.Lock()
         self._watched: set[int] = set()  # processes that have put something on trial
-        self._waiting_stop = 0  # number of a stop that the loop has not answered
         self._do: dict[str, Callable[[Mapping[str, Any], str], dict[str, Any]]] = {
             "status": self._status,
             "observe": self._observe,
@@ -111,22 +103,22 @@ class Desk:
             errors = dict(messages.error_without)
             if self._state.stands:
                 warnings.append("the loop has written no row for a second: it stands, and the drives are unknown")
-        configuration, _, files = self._present()
+        now = self._present()
         learning = {} if self._learning is None else read_document(self._learning).get("axes", {})
         if self._judge_hangs():
             learning = {name: {**report, "doing": "waiting", "reason": _HANGS} for name, report in learning.items()}
         axes = {}
         for name in self._names:
-            given = configuration["axes"][name]["compensation"]
+            given, model = (now.configuration["axes"][name][key] for key in ("compensation", "model"))
             axes[name] = {
                 **self._state.axis(name),
-                "unit": POSITION_UNITS[configuration["axes"][name]["model"]["axis"]],
+                "unit": POSITION_UNITS[model["axis"]],
                 "enabled": given["enabled"] and not self._state.is_taken_back(name),
                 "gain": given["gain"],
                 "gain_negative": given["gain_negative"],
                 "adaptation": given["adaptation"],
-                "model": configuration["axes"][name]["model"]["friction"]["model"],
-                "model_file": files[name],
+                "model": model["friction"]["model"],
+                "model_file": now.files[name],
                 "learning": learning.get(name),
                 "error_without": errors.get(name),
             }
@@ -164,30 +156,15 @@ class Desk:
             "descriptors": self._read_only,  # the server sends these along
         }
 
-    def _set(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
-        values = request["values"]
-        if not isinstance(values, dict) or not values or not all(isinstance(key, str) for key in values):
-            raise RefusedError('values must be a group of keys and values, e.g. {"x.gain": 0.8}')
-        learning = OnTrial.of(request.get("learning"), self._names)
-        shown = ", ".join(f"{key}={_shown(value)}" for key, value in values.items())
-        text = request.get("reason", f"{who} set {shown}")
-        if not isinstance(text, str):
-            raise RefusedError("reason must be a text")
-        return self._change(values, text, learning)
-
     def take_back(self, why: str) -> None:
         """Take back what is on trial, if anything is: nobody judges it any more."""
         try:
             with self._looking:
                 self._state.look()
-            self._change({}, f"learning: {why}")
+            self._set({"values": {}, "reason": f"learning: {why}"}, "")
         except FrictionHilError as error:
             if not self._state.has_ended:
                 sys.stderr.write(f"friction-hil: what was on trial could not be taken back: {error}\n")
-
-    def _on_trial(self) -> dict[str, dict[str, Any]]:
-        """Return what is proven, `OnTrial.former`, of each axis on which something else is in force for a trial."""
-        return on_trial(self._journal, self._state.last_change())
 
     def _watch(self, process: int) -> None:
         """Take back what is on trial when a process dies or hangs; refuse one that has died already."""
@@ -206,7 +183,7 @@ class Desk:
 
     def _await_end(self, process: int, descriptor: int) -> None:
         while not select.select([descriptor], [], [], _WATCH_S)[0]:
-            if self._judge_hangs() and self._on_trial():
+            if self._judge_hangs() and self._present().on_trial:
                 self.take_back(_HANGS)
         os.close(descriptor)
         self._watched.discard(process)
@@ -223,14 +200,20 @@ class Desk:
         behind = self._cycle(rows) - done
         return behind * float(self._job.configuration["period_s"]) > _HANGS_S
 
-    def _change(self, values: Mapping[str, Any], text: str, learning: OnTrial | None = None) -> dict[str, Any]:
+    def _set(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
         """Change settings. Whoever is not learning takes back what is on trial by that: nobody would judge it."""
         # imported here: only what changes settings needs numba and the models
         from friction_hil.daemon.control.prepare import entry_of, latest_inputs, prepare
 
+        values = request["values"]
+        learning = OnTrial.of(request.get("learning"), self._names)
+        shown = ", ".join(f"{key}={_shown(value)}" for key, value in values.items())
+        text = request.get("reason", f"{who} set {shown}")
+        if not isinstance(text, str):
+            raise RefusedError("reason must be a text")
         with self._preparing:
-            before, models_of, _ = self._present()
-            former = self._on_trial()
+            before = self._present()
+            former = before.on_trial
             if learning is not None and learning.upon != self._state.last_change():
                 raise RefusedError("the settings were changed meanwhile")
             if learning is not None and learning.axes:
@@ -238,7 +221,7 @@ class Desk:
             if not values and (self._state.has_ended or not former):
                 return {}
             if learning is None and former:
-                values = {**values_before(former, values, models_of), **values}
+                values = {**values_before(before, values), **values}
                 text = f"{text}; what was on trial of {', '.join(former)} is taken back"
             rows = self._state.rows(LATEST_CYCLES)
             latest = {
@@ -247,14 +230,16 @@ class Desk:
                 if (found := latest_inputs(rows, self._job.columns, self._job.state_width, k)) is not None
             }
             facts = [AxisFacts(**{**fact, "units": ()}) for fact in self._job.facts]
-            prepared = prepare(before, self._job.source, values, facts, latest, has_network=self._job.has_network)
+            has_network = self._job.has_network
+            prepared = prepare(before.configuration, self._job.source, values, facts, latest, has_network=has_network)
             with self._sending.taken():
-                number = self._next_number()
-                entry = entry_of(number, prepared, models_of, text)
+                number = self._journal.next_number
+                entry = entry_of(number, prepared, before.models_of, text)
                 if learning is not None:
-                    learning.mark(entry, before, models_of, former)
-                self._note({**entry, "files": prepared.models})
-                cycle = self._send(Change(number, Action.NONE, prepared.axes, text))
+                    learning.mark(entry, before)
+                in_force, now_s = self._state.last_change(), self._state.loop()["time_s"] or 0.0
+                entry |= {"files": prepared.models, "before": in_force, "time_s": now_s}
+                cycle = self._send(Change(number, Action.NONE, prepared.axes, text), entry)
         return {"cycle": cycle, "change": number}
 
     def _tell(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
@@ -264,9 +249,9 @@ class Desk:
         learning = OnTrial.of(request.get("learning"), self._names)
         if learning is not None:
             with self._preparing:
-                settle(self._journal, self._state.last_change(), learning.axes)
+                settle(self._journal.descriptor, self._state.last_change(), learning.axes)
         with self._sending.taken():
-            cycle = self._send(Change(self._next_number(), Action.NONE, [], request["text"]))
+            cycle = self._send(Change(self._journal.next_number, text=request["text"]))
         return {"cycle": cycle}
 
     def _start(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
@@ -281,8 +266,7 @@ class Desk:
     def _act(self, action: Action, who: str, timeout_s: float, is_done: Callable[[], bool]) -> dict[str, Any]:
         """Ask something of the run, and wait until it is done; what the drives reported last is in the answer."""
         with self._sending.taken(is_stop=action is Action.STOP):
-            number = self._next_number()
-            cycle = self._send(Change(number, action, [], f"{who}: {action.name.lower()}"))
+            cycle = self._send(Change(self._journal.next_number, action, text=f"{who}: {action.name.lower()}"))
         self._state.await_row()  # the loop goes on: it has answered
         end_s = time.monotonic() + timeout_s
         is_fulfilled = False
@@ -315,27 +299,27 @@ class Desk:
         bad = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE, DriveState.UNKNOWN)
         return not any(state in bad or state.is_powered for state in self._state.drive_states().values())
 
-    def _send(self, change: Change) -> int:
+    def _send(self, change: Change, entry: Mapping[str, Any] | None = None) -> int:
         """Hand a change to the loop; return the cycle in which it was applied.
 
-        Raises `RefusedError`: the loop refuses it, has ended, or does not answer.
+        ``entry``: what the journal keeps of it, if it changes settings. Raises `RefusedError`: the loop refuses it, has
+        ended, or does not answer.
         """
         if self._state.has_ended:
             raise RefusedError("the daemon has ended its loop")
         is_stop = change.action is Action.STOP
-        if self._waiting_stop > self._mailbox.answered and not is_stop:
+        if self._journal.is_stop_waiting and not is_stop:
             raise RefusedError("the loop stands, and a stop waits for it: nothing else is handed to it before that")
-        self._mailbox.post(pack(change))
-        answer = self._mailbox.wait(change.number, _ANSWER_S)
+        self._journal.post(change.number, pack(change), entry, is_stop=is_stop)
+        answer = self._journal.wait(change.number, _ANSWER_S)
         if answer is None and is_stop:
-            self._waiting_stop = change.number
             raise RefusedError(
                 f"the loop has not answered within {_ANSWER_S:g} s: it stops as soon as it goes on; until then nothing "
                 "is known of the drives"
             )
         if answer is None:
-            self._mailbox.withdraw()  # an axis must not be enabled, or changed, when nobody expects it any more
-            answer = self._mailbox.wait(change.number, _LAST_ANSWER_S)
+            self._journal.withdraw()  # an axis must not be enabled, or changed, when nobody expects it any more
+            answer = self._journal.wait(change.number, _LAST_ANSWER_S)
         if answer is None:
             raise RefusedError(f"the loop has not answered within {_ANSWER_S:g} s: the request was withdrawn")
         cycle, refusal = answer
@@ -352,22 +336,10 @@ class Desk:
         value = float(rows[-1, self._job.columns.index("cycle")])
         return value if math.isfinite(value) else math.inf
 
-    def _next_number(self) -> int:
-        numbers: list[int] = [entry["number"] for entry in journal.entries(self._journal)]
-        return max([self._mailbox.answered, *numbers]) + 1
-
-    def _note(self, entry: dict[str, Any]) -> None:
-        """Put an entry into the journal, and remove what no row needs any more."""
-        in_force, now_s = self._state.last_change(), self._state.loop()["time_s"] or 0.0
-        known = journal.entries(self._journal)
-        kept = journal.needed(known, in_force, now_s)
-        if len(kept) < len(known):
-            journal.keep(self._journal, kept)
-        journal.append(self._journal, {**entry, "before": in_force, "time_s": now_s})
-
-    def _present(self) -> tuple[dict[str, Any], dict[str, int], dict[str, str | None]]:
-        """Return the present configuration, the number of the change that brought each model, and its file."""
-        return journal.present(self._journal, self._job.configuration, self._job.files, self._state.last_change())
+    def _present(self) -> Present:
+        """Return what is in force in the latest row."""
+        job, number = self._job, self._state.last_change()
+        return journal.present(self._journal.descriptor, job.configuration, job.files, number)
 
 
 class _Turn:
@@ -416,6 +388,8 @@ def _request(line: bytes) -> dict[str, Any]:
     for key in _KEYS[what]:
         if key not in request:
             raise RefusedError(f"{key}: is missing")
+    if what == "set" and not (isinstance(request["values"], dict) and request["values"]):
+        raise RefusedError('values must be a group of keys and values, e.g. {"x.gain": 0.8}')
     return request
 
 

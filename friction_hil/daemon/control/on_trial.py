@@ -3,14 +3,14 @@
 The journal says it, in the entry of the change that is in force: whoever opens it knows what to go back to.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
 from friction_hil.daemon.control import journal
+from friction_hil.daemon.control.journal import PROVEN, Present
 from friction_hil.errors import FrictionHilError, choices
 
-PROVEN = "proven"  # key of an entry of the journal
 _KEYS = ("process", "upon", "axes")
 
 
@@ -44,30 +44,12 @@ class OnTrial:
                 raise RefusedError(f"learning: there is no axis {name!r}; {choices(str(name), names)}")
         return cls(process, upon, axes)
 
-    def mark(
-        self,
-        entry: dict[str, Any],
-        before: Mapping[str, Any],
-        models_of: Mapping[str, int],
-        former: Mapping[str, Mapping[str, Any]],
-    ) -> None:
-        """Note in the entry of a change what to go back to.
-
-        ``before``: configuration before the change. ``models_of``: number of the change that brought the model of each
-        axis before this one. ``former``: what was on trial already, as `on_trial` returns it.
-        """
+    def mark(self, entry: dict[str, Any], before: Present) -> None:
+        """Note in the entry of a change what to go back to; ``before``: what was in force before it."""
         for name in self.axes:
-            axis = before["axes"][name]
-            now = {"gain": axis["compensation"]["gain"], "model_of": models_of[name], "model": axis["model"]}
-            entry.setdefault(PROVEN, {})[name] = former.get(name, now)
-
-
-def on_trial(descriptor: int, number: int) -> dict[str, dict[str, Any]]:
-    """Return gain and model to go back to, by axis, of what is on trial by the change in force."""
-    known: dict[int, dict[str, dict[str, Any]]] = {
-        entry["number"]: entry.get(PROVEN, {}) for entry in journal.entries(descriptor)
-    }
-    return known.get(number, {})
+            axis = before.configuration["axes"][name]
+            now = {"gain": axis["compensation"]["gain"], "model_of": before.models_of[name], "model": axis["model"]}
+            entry.setdefault(PROVEN, {})[name] = before.on_trial.get(name, now)
 
 
 def settle(descriptor: int, number: int, still: Collection[str]) -> None:
@@ -81,18 +63,15 @@ def settle(descriptor: int, number: int, still: Collection[str]) -> None:
             return
 
 
-def values_before(
-    former: Mapping[str, Mapping[str, Any]], values: Collection[str], models_of: Mapping[str, int]
-) -> dict[str, Any]:
-    """Return the values that take back what is on trial, without those that somebody gives anew.
+def values_before(now: Present, values: Collection[str]) -> dict[str, Any]:
+    """Return the values that take back what is on trial; a model that stayed is not changed again.
 
-    ``former``: as `on_trial` returns it. ``values``: keys of those that are given. ``models_of``: number of the change
-    that brought the present model of each axis: one that stayed is not changed again.
+    ``now``: what is in force. ``values``: keys of what somebody gives anew, which is left out.
     """
     given = {key.replace(".compensation.", ".", 1) for key in values}
     return {
         f"{name}.{key}": axis[key]
-        for name, axis in former.items()
+        for name, axis in now.on_trial.items()
         for key in ("gain", "model")
-        if f"{name}.{key}" not in given and not (key == "model" and axis["model_of"] == models_of[name])
+        if f"{name}.{key}" not in given and not (key == "model" and axis["model_of"] == now.models_of[name])
     }

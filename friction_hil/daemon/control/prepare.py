@@ -1,6 +1,5 @@
 """Preparation of a change outside the loop: keys and values are checked like a configuration, models are compiled."""
 
-import copy
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +10,7 @@ import numpy as np
 from friction_hil.checked_yaml.messages import show
 from friction_hil.checked_yaml.section import keys
 from friction_hil.compensator import INPUTS, Compensator
-from friction_hil.config import AxisConfig, Configuration, from_dict, self_contained
+from friction_hil.config import AxisConfig, from_dict
 from friction_hil.config.axis import Compensation
 from friction_hil.daemon.assembly import make_compensator
 from friction_hil.daemon.axis import check_torque
@@ -68,17 +67,18 @@ def prepare(
     Raises `UsageError`: a key or a value is wrong, or not to be changed while the daemon runs; the message lists all
     that is wrong.
     """
-    wanted = copy.deepcopy(dict(configuration))
+    axes = {name: dict(axis) for name, axis in configuration["axes"].items()}
+    now = {**configuration, "axes": axes}
     models: dict[str, str | None] = {}
     problems: list[str] = []
     changed: set[str] = set()
     switched: set[str] = set()
     for key, value in values.items():
         try:
-            axis, steps = _place(key, configuration["axes"])
+            axis, steps = _place(key, axes)
             if steps == ["model"]:
                 _check_kind(axis, value, configuration["axes"][axis]["model"]["axis"])
-            _put(wanted["axes"][axis], steps, value)
+            _put(axes[axis], steps, value)
         except UsageError as error:
             problems.append(str(error))
             continue
@@ -88,36 +88,40 @@ def prepare(
     if problems:
         raise UsageError("\n".join(problems))
     try:
-        new = from_dict(wanted, source)
+        new = from_dict(now, source)
     except ConfigurationError as error:
         raise UsageError(
             "\n".join(_shortened(str(problem), source) for problem in error.problems[:MOST_PRINTED])
         ) from None
     changes: list[AxisChange | None] = []
     for fact in facts:
-        after = new.axes[fact.name]
-        try:
-            one = AxisChange()
-            if fact.name in changed:
-                is_other = fact.name in models
-                if is_other:
-                    _check_model(fact.name, after, has_network=has_network)
-                before = configuration["axes"][fact.name]["model"] if is_other else None
-                one = _change(after, new, fact, rows.get(fact.name), before)
-            is_enabled = after.compensation.enabled if fact.name in switched else None
-            if is_enabled:
-                _check_takes_torque(fact)
-            one = AxisChange(is_enabled, one.record, one.friction, static_torque(after))
-        except OptionError as error:
-            problems.append(f"{error.axis}.{error.key}: {error.text}")
-        except FrictionHilError as error:
-            problems.append(str(error))
-        changes.append(one if fact.name in changed | switched else None)
+        name, after, one = fact.name, new.axes[fact.name], None
+        if name in changed | switched:
+            axes[name] = after.model_dump(mode="json")  # with its model, if that was given as a file
+            is_enabled = after.compensation.enabled if name in switched else None
+            try:
+                record, friction = None, None
+                if name in changed:
+                    check_torque(name, after, fact)
+                    compensator = make_compensator(after, after.model, fact, new.period_s)
+                    if name in models:
+                        _check_model(name, after, has_network=has_network)
+                        kinds = [_kind(each["axes"][name]["model"]["friction"]) for each in (configuration, now)]
+                        friction = state_in(compensator, rows.get(name), name, is_alike=kinds[0] == kinds[1])
+                    record = compensator.record
+                if is_enabled:
+                    _check_takes_torque(fact)
+                one = AxisChange(is_enabled, record, friction, static_torque(after))
+            except OptionError as error:
+                problems.append(f"{error.axis}.{error.key}: {error.text}")
+            except FrictionHilError as error:
+                problems.append(str(error))
+        changes.append(one)
     if problems:
         raise UsageError("\n".join(problems))
     files = {name: file for name, file in models.items() if file is not None}
     uncertainty = {name: table for name in models if (table := uncertainty_table(new.axes[name]))}
-    return Prepared(self_contained(new), changes, files, uncertainty)
+    return Prepared(now, changes, files, uncertainty)
 
 
 def _place(key: str, axes: Mapping[str, Any]) -> tuple[str, list[str]]:
@@ -204,23 +208,6 @@ def _check_model(name: str, after: AxisConfig, *, has_network: bool) -> None:
             f"{name}.model: has a network, whose code this daemon has not loaded, because no model had one when it "
             f"started: {_ELSEWHERE}"
         )
-
-
-def _change(
-    axis: AxisConfig,
-    configuration: Configuration,
-    fact: AxisFacts,
-    latest: tuple[Mapping[str, Array], Array] | None,
-    before: Mapping[str, Any] | None,
-) -> AxisChange:
-    """Return new settings of an axis, and the state of its model if another one than ``before``; None: it stays."""
-    check_torque(fact.name, axis, fact)
-    compensator = make_compensator(axis, axis.model, fact, configuration.period_s)
-    friction = None
-    if before is not None:
-        kinds = [_kind(model["friction"]) for model in (before, axis.model.model_dump(mode="json"))]
-        friction = state_in(compensator, latest, fact.name, is_alike=kinds[0] == kinds[1])
-    return AxisChange(None, compensator.record, friction)
 
 
 def _kind(friction: Mapping[str, Any]) -> tuple[Any, set[str]]:

@@ -19,6 +19,7 @@ from friction_hil.drive.socket_owner import peer
 LONGEST_LINE = 1 << 20  # bytes of a request
 MOST_CLIENTS = 32
 _LOOK_MS = 500
+_NOT_WHOLE = f"a request ends with a line feed, within {LONGEST_LINE} bytes"
 _HUNG_UP = f"hung up: {MOST_CLIENTS} clients are connected, and this one was silent for the longest time"
 
 
@@ -27,11 +28,11 @@ class ControlServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
 
     daemon_threads = True
 
-    def __init__(self, descriptor: int, answer: Callable[[bytes, int], dict[str, Any]]) -> None:
+    def __init__(self, descriptor: int, desk: Callable[[], Callable[[bytes, int], dict[str, Any]]]) -> None:
         super().__init__("", _Connection, bind_and_activate=False)
         self.socket.close()
         self.socket = socket.socket(fileno=os.dup(descriptor))
-        self.answer = answer  # of a request (bytes) and the number of the user who sent it
+        self.desk = desk  # returns the function that answers a request (bytes) of a user (number)
         self.places = _Places()
 
     def process_request(self, request: Any, client_address: Any) -> None:
@@ -105,20 +106,19 @@ class _Connection(socketserver.StreamRequestHandler):
     server: ControlServer
 
     def handle(self) -> None:
+        places, is_whole = self.server.places, True
         with contextlib.suppress(OSError):  # the client is gone
-            self._serve()
-
-    def _serve(self) -> None:
-        _, user, _ = peer(self.connection)
-        places = self.server.places
-        while (line := self.rfile.readline(LONGEST_LINE)) and places.begin_answer(self.connection):
-            is_whole = line.endswith(b"\n")
-            problem = f"a request ends with a line feed, within {LONGEST_LINE} bytes"
-            answer = self.server.answer(line, user) if is_whole else {"ok": False, "problems": [problem]}
-            places.end_answer(self.connection)
-            self._say(answer)
-            if not is_whole:
-                return
+            _, user, _ = peer(self.connection)
+            while is_whole and (line := self.rfile.readline(LONGEST_LINE)) and places.begin_answer(self.connection):
+                is_whole = line.endswith(b"\n")
+                answer: dict[str, Any] = {"ok": False, "problems": [_NOT_WHOLE]}
+                if is_whole:
+                    try:
+                        answer = self.server.desk()(line, user)
+                    except Exception as error:  # noqa: BLE001 - it must not keep others from stopping axes
+                        answer["problems"] = [f"an error in friction-hil: {type(error).__name__}: {error}"]
+                places.end_answer(self.connection)
+                self._say(answer)
 
     def _say(self, answer: dict[str, Any]) -> None:
         """Send an answer, and with its first byte the file descriptors that it has; their number stands for them."""
@@ -135,10 +135,13 @@ def _line(answer: dict[str, Any]) -> bytes:
 
 
 def serve(
-    descriptor: int, answer: Callable[[bytes, int], dict[str, Any]], control: int, look: Callable[[], None]
+    descriptor: int,
+    desk: Callable[[], Callable[[bytes, int], dict[str, Any]]],
+    control: int,
+    look: Callable[[], None],
 ) -> None:
     """Serve until ``control`` is closed at its other end: then the daemon has ended. Call ``look`` now and then."""
-    with ControlServer(descriptor, answer) as server:
+    with ControlServer(descriptor, desk) as server:
         threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 3600.0}, daemon=True).start()
         end = select.poll()
         end.register(control, 0)  # no event but the hang-up, which is always reported

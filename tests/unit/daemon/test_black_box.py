@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 import friction_hil as fh
 from friction_hil.daemon.companion import Job, black_box, memory, state_folder
 from friction_hil.daemon.companion.black_box import BlackBox
-from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.history import History
 
 COLUMNS = ["time_s", "cycle", "position"]
@@ -40,7 +39,7 @@ class Bench:
         self.job = make_job(folder, **options)
         self.memory = memory.allocate(self.job, os.memfd_create("minute")) if memory_of is None else memory_of.memory
         self.history = History(self.job, self.memory)
-        self.box = BlackBox(self.job, self.history, Changes(-1))
+        self.box = BlackBox(self.job, self.history, -1)
         self.cycle = 0 if memory_of is None else memory_of.cycle
 
     def run(self, seconds, *events):

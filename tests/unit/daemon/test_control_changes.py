@@ -2,7 +2,7 @@
 
 import copy
 import json
-import mmap
+import os
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ import yaml
 from friction_hil import recordings
 from friction_hil.compensator import kernel
 from friction_hil.config import self_contained
-from friction_hil.daemon.control.mailbox import MailboxReader, MailboxWriter
+from friction_hil.daemon.control.journal import JournalReader, JournalWriter, loop_pages, make_journal
 from friction_hil.daemon.control.message import Action, AxisChange, Change, pack
 from friction_hil.daemon.control.packed import room, unpack
 from friction_hil.daemon.control.prepare import entry_of, prepare
@@ -71,8 +71,8 @@ class Changed:
 
     def __init__(self, config, plan, *, until, folder=None, disturb=None, **loop):
         self.config, self.plan = config, dict(plan)
-        self.mailbox = MailboxReader(room(len(config.axes)))
-        self.writer = MailboxWriter(self.mailbox.descriptor)
+        self.journal = JournalReader(make_journal(room(len(config.axes))))
+        self.writer = JournalWriter(self.journal.descriptor)
         self.present = self_contained(config)
         self.models_of = dict.fromkeys(config.axes, 0)
         self.entries, self.asked, self.answers = [], [], []
@@ -80,13 +80,13 @@ class Changed:
         self.until = until
         self.drives = Drives(config, self.before, disturb=disturb)
         self.facts = self.drives.connect()
-        self.loop, self.sink, self.axes = make_loop(config, self.drives, stop=self.stop, mailbox=self.mailbox, **loop)
+        self.loop, self.sink, self.axes = make_loop(config, self.drives, stop=self.stop, journal=self.journal, **loop)
         self.result = self.loop.run()
         self.rows = np.array(self.sink.rows)
 
     def before(self, drives):
-        if self.asked and self.writer.answered == self.asked[-1] and len(self.answers) < len(self.asked):
-            self.answers.append(self.writer.wait(self.asked[-1], 0.0))
+        if len(self.answers) < len(self.asked) and (answer := self.writer.wait(self.asked[-1], 0.0)) is not None:
+            self.answers.append(answer)
         if drives.cycle == self.until:
             self.stop.is_requested = True
         wanted = self.plan.get(drives.cycle)
@@ -95,12 +95,12 @@ class Changed:
         number = len(self.asked) + 1
         self.asked.append(number)
         if isinstance(wanted, Action):
-            self.writer.post(pack(Change(number, wanted, [], f"user 7: {wanted.name.lower()}")))
+            self.writer.post(number, pack(Change(number, wanted, [], f"user 7: {wanted.name.lower()}")))
             return
         prepared = prepare(self.present, "test", wanted, self.facts, {}, has_network=False)
         entry = entry_of(number, prepared, self.models_of, "user 7")
         self.entries.append((drives.cycle, entry))
-        self.writer.post(pack(Change(number, Action.NONE, prepared.axes, f"user 7 set {len(wanted)}")))
+        self.writer.post(number, pack(Change(number, Action.NONE, prepared.axes, f"user 7 set {len(wanted)}")))
         self.present = prepared.configuration
         self.models_of = {name: axis["model_of"] for name, axis in entry["axes"].items()}
 
@@ -412,18 +412,18 @@ def test_figures_are_those_of_the_last_motion_also_when_the_run_ends_while_it_wa
     assert figures.counted >= 500
 
 
-def test_garbage_in_the_mailbox_is_reported_once_and_changes_nothing():
+def test_garbage_in_the_journal_is_reported_once_and_changes_nothing():
     class Scribbled(Changed):
         def before(self, drives):
             if 100 <= drives.cycle < 900 and drives.cycle % 3 == 0:
-                with mmap.mmap(self.mailbox.descriptor, 0) as memory:
-                    memory[8:600] = np.random.default_rng(drives.cycle).bytes(592)
+                first, _ = loop_pages(self.journal.descriptor)
+                os.pwrite(self.journal.descriptor, np.random.default_rng(drives.cycle).bytes(600), first)
             super().before(drives)
 
     quiet = Changed(configuration(x=quick()), {}, until=1000)
     run = Scribbled(configuration(x=quick()), {}, until=1000)
     assert len(run.result.warnings) == 1
-    assert "the mailbox of the control socket held garbage, which was ignored" in run.result.warnings[0]
+    assert "the journal of the control socket held garbage, which was ignored" in run.result.warnings[0]
     np.testing.assert_array_equal(run.column("compensation"), quiet.column("compensation"))
     assert run.result.faults == []
 

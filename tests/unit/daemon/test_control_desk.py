@@ -17,8 +17,7 @@ from friction_hil.config import self_contained
 from friction_hil.daemon.control import desk, state
 from friction_hil.daemon.control.desk import Desk
 from friction_hil.daemon.control.job import ControlJob
-from friction_hil.daemon.control.journal import make_journal
-from friction_hil.daemon.control.mailbox import MailboxReader
+from friction_hil.daemon.control.journal import JournalReader, make_journal
 from friction_hil.daemon.control.message import Action
 from friction_hil.daemon.control.packed import room, unpack
 from friction_hil.daemon.control.state import error_without
@@ -31,11 +30,11 @@ from tests.servo_drives import axis_dict, configuration
 
 
 class Loop:
-    """The loop's ends of ring and mailbox."""
+    """The loop's ends of ring and journal."""
 
     def __init__(self):
         self.ring = RingWriter(len(columns.NAMES) + 1, 64)
-        self.mailbox = MailboxReader(room(1))
+        self.journal = JournalReader(make_journal(room(1)))
         self.board = LearningBoard()
         self.cycle = self.change = 0
         self.is_enabled = 0.0  # the compensation
@@ -49,7 +48,7 @@ class Loop:
 
     def taken(self):
         """The action of the message that is there for the loop, None for none."""
-        message = self.mailbox.take(self.cycle)
+        message = self.journal.take(self.cycle)
         return None if message is None else unpack(message, []).action
 
     @contextmanager
@@ -59,9 +58,9 @@ class Loop:
 
         def go_on():
             while not is_over.is_set():
-                if self.mailbox.has_news and (message := self.mailbox.take(self.cycle)) is not None:
+                if self.journal.has_news and (message := self.journal.take(self.cycle)) is not None:
                     self.change = int(np.frombuffer(message[:8], "<f8")[0])
-                    self.mailbox.answer(self.change, self.cycle)
+                    self.journal.answer(self.change, self.cycle)
                 self.row(*rows[min(self.cycle, len(rows) - 1)])
                 time.sleep(1e-3)
 
@@ -87,10 +86,9 @@ def ask(loop, monkeypatch):
     config = self_contained(configuration(x=axis_dict()))
     facts = [asdict(AxisFacts("x", "servo", 1e-5, 1e-4, 2.5e-3, 1.5e-3))]
     job = ControlJob("mill", config, "mill.yaml", facts, list(columns.NAMES), 1)
-    journal = make_journal()
-    asked = Desk(job, loop.ring.descriptor, loop.mailbox.descriptor, journal, loop.board.descriptor)
+    asked = Desk(job, loop.ring.descriptor, loop.journal.descriptor, loop.board.descriptor)
     yield lambda **request: asked.answer(json.dumps(request).encode(), os.geteuid())
-    os.close(journal)
+    os.close(loop.journal.descriptor)
 
 
 def test_what_a_standing_loop_did_not_answer_is_withdrawn_so_that_no_axis_is_enabled_later(loop, ask):

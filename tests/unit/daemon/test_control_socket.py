@@ -35,7 +35,7 @@ def daemon(folder):
     def answer(line, user):
         return {"ok": True, "user": user, "asked": line.decode()}
 
-    with ControlServer(opened.descriptor, answer) as server:
+    with ControlServer(opened.descriptor, lambda: answer) as server:
         threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
         yield opened
         server.shutdown()
@@ -148,8 +148,10 @@ def test_a_line_is_answered_by_a_line_with_the_user_whom_the_kernel_names(daemon
     assert (answer["user"], json.loads(answer["asked"])) == (os.geteuid(), {"do": "status"})
     with socket.socket(socket.AF_UNIX) as client, client.makefile("rb") as file:
         client.connect(str(daemon.path))
-        client.sendall(b"one\ntwo\n")
-        assert [json.loads(file.readline())["asked"] for _ in range(2)] == ["one\n", "two\n"]
+        client.sendall(b"one\n\xff\ntwo\n")
+        first, error, second = (json.loads(file.readline()) for _ in range(3))
+    assert (first["asked"], second["asked"]) == ("one\n", "two\n")
+    assert (error["ok"], "UnicodeDecodeError" in error["problems"][0]) == (False, True)  # it keeps nobody from asking
 
 
 def idle(client):
@@ -235,7 +237,7 @@ def test_who_comes_while_all_are_being_answered_waits_for_a_place(folder):
         return {"ok": True, "asked": line.decode()}
 
     with contextlib.ExitStack() as stack:
-        server = stack.enter_context(ControlServer(opened.descriptor, answer))
+        server = stack.enter_context(ControlServer(opened.descriptor, lambda: answer))
         threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
         stack.callback(server.shutdown)
         stack.callback(goes_on.set)

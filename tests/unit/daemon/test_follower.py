@@ -5,7 +5,7 @@ import math
 import pytest
 
 from friction_hil.config import from_dict
-from friction_hil.daemon.control.mailbox import MailboxReader, MailboxWriter
+from friction_hil.daemon.control.journal import JournalReader, JournalWriter, make_journal
 from friction_hil.daemon.control.message import Action, Change, pack
 from friction_hil.daemon.control.packed import room
 from friction_hil.daemon.control.state import Messages
@@ -103,7 +103,7 @@ class Machine(Drives):
         return []
 
 
-def run(machine, *, config=None, stop=None, mailbox=None, **settings):
+def run(machine, *, config=None, stop=None, journal=None, **settings):
     config = config or configuration()
     path_time = PathTime(0.25)
     axes = [
@@ -112,8 +112,22 @@ def run(machine, *, config=None, stop=None, mailbox=None, **settings):
     ]
     sink = Rows(config)
     settings = LoopSettings(period_s=PERIOD_S, is_follower=True, **{"duration_s": 1.0, **settings})
-    loop = Loop(machine, axes, path_time, SteppedClock(), sink, settings, stop or StopRequest(), mailbox)
+    loop = Loop(machine, axes, path_time, SteppedClock(), sink, settings, stop or StopRequest(), journal)
     return loop.run(), sink, axes[0]
+
+
+def at_the_socket(asked):
+    """The journal of a loop that is asked for something in these cycles, who asks it, and its answers."""
+    journal, answers = JournalReader(make_journal(room(1))), []
+    writer = JournalWriter(journal.descriptor)
+
+    def disturb(cycle, heard):
+        if cycle in asked:
+            writer.post(cycle, pack(Change(cycle, asked[cycle])))
+        elif cycle - 1 in asked:
+            answers.append(writer.wait(cycle - 1, 0.0))
+
+    return journal, disturb, answers
 
 
 def states_of(sink):
@@ -136,19 +150,9 @@ def test_compensation_is_faded_in_and_out_and_the_last_offset_is_zero():
 
 
 def test_a_stop_and_a_start_at_the_control_socket_fade_the_offset_and_leave_the_drive_to_its_master():
-    mailbox = MailboxReader(room(1))
-    writer = MailboxWriter(mailbox.descriptor)
-    asked = {400: Action.STOP, 700: Action.START, 900: Action.RESET}
-    answers = []
-
-    def disturb(cycle, heard):
-        if cycle in asked:
-            writer.post(pack(Change(cycle, asked[cycle])))
-        elif cycle - 1 in asked:
-            answers.append(writer.wait(cycle - 1, 0.0))
-
+    journal, disturb, answers = at_the_socket({400: Action.STOP, 700: Action.START, 900: Action.RESET})
     machine = Machine(disturb=disturb)
-    result, sink, _axis = run(machine, mailbox=mailbox, duration_s=0.5)
+    result, sink, _axis = run(machine, journal=journal, duration_s=0.5)
     assert result.faults == []
     assert states_of(sink) == ["running", "stopping", "waiting", "running", "stopping", "done"]
     assert [refusal for _, refusal in answers] == [
@@ -160,17 +164,10 @@ def test_a_stop_and_a_start_at_the_control_socket_fade_the_offset_and_leave_the_
 
 
 def test_a_sidecar_that_is_started_again_begins_without_compensation_again():
-    mailbox = MailboxReader(room(1))
-    writer = MailboxWriter(mailbox.descriptor)
-    asked = {900: Action.STOP, 1300: Action.START}
-
-    def disturb(cycle, heard):
-        if cycle in asked:
-            writer.post(pack(Change(cycle, asked[cycle])))
-
+    journal, disturb, _ = at_the_socket({900: Action.STOP, 1300: Action.START})
     machine = Machine(disturb=disturb)
     config = configuration(compensation={"fade_s": 0.1, "baseline_s": 0.7})
-    result, sink, axis = run(machine, config=config, mailbox=mailbox, duration_s=1.5)
+    result, sink, axis = run(machine, config=config, journal=journal, duration_s=1.5)
     assert result.faults == []
     assert max(map(abs, machine.sent[800:900])) > 0.05
     assert set(machine.sent[1100:2000]) == {0.0}  # 0.7 s from the start on

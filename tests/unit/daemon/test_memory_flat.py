@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.job import Job
 from friction_hil.daemon.companion.memory import allocate
 from friction_hil.daemon.companion.worker import _Outputs
@@ -68,7 +67,7 @@ def test_the_process_that_records_keeps_no_more_than_an_entry_of_a_chunk(tmp_pat
     )
     ring = RingWriter(job.row_width, ROWS_PER_S)
     reader = RingReader(ring.descriptor)
-    outputs = _Outputs(job, reader, allocate(job, os.memfd_create("minute")), Changes(-1))
+    outputs = _Outputs(job, reader, allocate(job, os.memfd_create("minute")), -1)
     assert outputs.recorder is not None
     outputs.recorder.open(1)
     row = np.random.default_rng(1).normal(size=(2, len(NAMES) + 6))

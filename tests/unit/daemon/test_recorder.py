@@ -16,7 +16,6 @@ import friction_hil as fh
 from friction_hil.cli import main
 from friction_hil.daemon.companion import Job, free_path
 from friction_hil.daemon.companion import recorder as recorder_module
-from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.recorder import Recorder
 from friction_hil.daemon.ring import RingReader, RingWriter
 from friction_hil.doctor import disk
@@ -36,7 +35,7 @@ class Bench:
         self.writer = RingWriter(self.job.row_width, 4096)
         self.ring = RingReader(self.writer.descriptor)
         self.now_s = 0.0
-        self.recorder = Recorder(self.job, self.ring, Changes(-1), lambda: self.now_s)
+        self.recorder = Recorder(self.job, self.ring, -1, lambda: self.now_s)
         self.recorder.open(1)
         self.cycle = 0
 

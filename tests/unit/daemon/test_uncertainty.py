@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import friction_hil as fh
-from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.job import Job
 from friction_hil.daemon.companion.uncertainty import UncertaintyColumn
 from friction_hil.daemon.control.journal import append, make_journal
@@ -80,7 +79,7 @@ def filled(job, journal, state=1.0, **values):
     for name, value in values.items():
         rows[:, job.columns.index(name)] = value
     before = rows.copy()
-    UncertaintyColumn(job, Changes(journal)).fill(rows)
+    UncertaintyColumn(job, journal).fill(rows)
     at = job.columns.index(columns.UNCERTAINTY)
     np.testing.assert_array_equal(np.delete(rows, at, axis=1), np.delete(before, at, axis=1))
     return rows[:, at]

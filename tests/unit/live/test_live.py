@@ -23,7 +23,6 @@ from friction_hil.daemon.control.desk import Desk
 from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.journal import make_journal
 from friction_hil.daemon.control.lock import ControlSocket
-from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.control.names import find
 from friction_hil.daemon.control.packed import room
 from friction_hil.daemon.control.server import ControlServer
@@ -214,11 +213,10 @@ class Daemon:
     def __init__(self, name="mill"):
         self.socket = ControlSocket(name)
         self.ring = RingWriter(len(columns.NAMES) + 2, 64)
-        self.journal = make_journal()
+        self.journal = make_journal(room(1))
         job = ControlJob(name, CONFIGURATION, "mill.yaml", [], list(columns.NAMES), 2)
         self.board = LearningBoard()
-        mailbox = MailboxReader(room(1)).descriptor
-        desk = Desk(job, self.ring.descriptor, mailbox, self.journal, self.board.descriptor)
+        desk = Desk(job, self.ring.descriptor, self.journal, self.board.descriptor)
         self.answer = desk.answer
 
     def push(self, count, **values):
@@ -229,7 +227,7 @@ class Daemon:
             self.ring.push(row)
 
     def serve(self):
-        self.server = ControlServer(self.socket.descriptor, lambda line, user: self.answer(line, user))
+        self.server = ControlServer(self.socket.descriptor, lambda: self.answer)
         threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
 
     def end(self):

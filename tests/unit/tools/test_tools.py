@@ -453,7 +453,7 @@ def test_the_benchmark_of_the_exchange_times_each_part() -> None:
         "step",
         "send",
         "whole cycle",
-        "mailbox without news",
+        "journal without news",
     ]
 
 
