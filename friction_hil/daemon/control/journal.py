@@ -14,7 +14,6 @@ its sequence number is odd while it is written and the same before and after it 
 memory cannot be cut off (F_SEAL_SHRINK), which would end the loop. Whoever gets a descriptor for reading cannot write.
 """
 
-import fcntl
 import hashlib
 import json
 import mmap
@@ -64,6 +63,8 @@ class Present(NamedTuple):
 
 def make_journal(capacity: int = 0) -> int:
     """Return the descriptor of an empty journal; ``capacity``: longest block, bytes."""
+    import fcntl  # imported here: Windows lacks it, and what reads this module there makes no journal
+
     begin = _PAGE * (2 + (_BLOCK_AT + capacity - 1) // _PAGE)
     descriptor = os.memfd_create("friction_hil-journal", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     os.ftruncate(descriptor, begin)
