@@ -50,8 +50,7 @@ class Loop:
         self._log = RunLog(sink, settings.period_s)
         self._run = RunControl(axes, path_time, settings, stop, self._log)
         is_needed = any(axis.motion.stops_without_setpoints for axis in axes) and not settings.is_follower
-        delay_s = max(axis.facts.setpoint_delay_s for axis in axes)
-        self._path = PathHold(path_time, settings.period_s, delay_s, self._log, is_needed=is_needed)
+        self._path = PathHold(path_time, settings.period_s, self._run.setpoint_delay_s, self._log, is_needed=is_needed)
         self._warmer = CacheWarmer(drives, axes[0], self._parts[0])
         self._changes = None if journal is None else Changes(journal, axes, self._log, self._run)
         self.reserve = Reserve()

@@ -52,7 +52,7 @@ class RunControl:
             len(axes), is_follower=settings.is_follower, is_fault_reset_wanted=settings.is_fault_reset_wanted
         )
         self._has_begun = False
-        self._setpoint_delay_s = max(axis.facts.setpoint_delay_s for axis in axes)
+        self.setpoint_delay_s = max(axis.facts.setpoint_delay_s for axis in axes)
         self._running_since_s = 0.0 if settings.dry_run else math.nan
         self._is_paused = settings.is_waiting and not settings.dry_run
 
@@ -192,7 +192,7 @@ class RunControl:
     def _enter(self, state: LoopState, cycle: int, time_s: float) -> None:
         """Do what the new state asks for."""
         # set-points are sent ahead of time: those already sent stay valid
-        later_s = time_s + self._settings.period_s + self._setpoint_delay_s
+        later_s = time_s + self._settings.period_s + self.setpoint_delay_s
         if state is LoopState.ENABLING and (warning := self._idle_exchanges.warning()):
             self._log.warn(cycle, warning)
         elif state is LoopState.RUNNING:

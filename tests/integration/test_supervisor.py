@@ -170,9 +170,11 @@ def test_an_heir_looks_after_the_supervisor_when_the_companion_is_killed_with_it
 
 def test_a_process_that_does_not_end_is_killed_at_the_end() -> None:
     run = Run(f"{SAY}; import time; time.sleep(600)")
-    os.kill(run.pid(), signal.SIGSTOP)
-    os.kill(run.companion.supervisor_pid, signal.SIGSTOP)
+    pids = [run.pid(), run.companion.supervisor_pid]
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
     run.close()
+    assert not [pid for pid in pids if os.path.exists(f"/proc/{pid}")]
 
 
 def test_a_byte_of_the_lives_is_locked_by_one_process() -> None:
