@@ -21,7 +21,9 @@ from friction_hil.servo.servo import Servo
 from tests.servo_drives import axis_dict, configuration
 
 NODE = 5
+SDO_REQUEST, SDO_ANSWER = 0x600 + NODE, 0x580 + NODE
 STEPS_PER_MS = 80
+PLAIN: dict[str, Any] = {"friction": {"model": "coulomb", "parameters": {"coulomb": 0.01}}}
 
 Frame = tuple[int, bytes]
 
@@ -159,11 +161,20 @@ class Bench:
     def stream(self, mode: int, offset: int | None = 0x60B20010) -> None:
         """Map controlword, target and torque offset synchronously, go to Operational and enable."""
         target = {8: 0x607A0020, 9: 0x60FF0020, 10: 0x60710010}[mode]
-        words = [0x60400010, target, *([offset] if offset else [])]
-        self.map(0x1400, 0x1600, 0x205, 1, words)
-        self.map(0x1800, 0x1A00, 0x185, 1, [0x60410010, 0x60640020, 0x60770010])
+        self.command = struct.Struct(f"<H{'h' if mode == 10 else 'i'}{'h' if offset else ''}")
+        self.map(0x1400, 0x1600, 0x205, 1, [0x60400010, target, *([offset] if offset else [])])
+        self.map(0x1800, 0x1A00, 0x185, 1, [0x60410010, 0x60640020, *([0x60770010] if offset else [])])
         self.nmt(0x01)
         self.enable(mode)
+
+    def move(self, target: int, cycles: int = 1, *, offset: int = 0, word: int = 0x0F) -> list[Frame]:
+        """Send commands as `stream` has mapped them, each before a SYNC; return the answer to the last one."""
+        frames: list[Frame] = []
+        values = (word, target, offset)[: len(self.command.format) - 1]
+        for _ in range(cycles):
+            self.send(0x205, self.command.pack(*values))
+            frames = self.sync()
+        return frames
 
 
 def kill(drives: CanopenDrives) -> None:
@@ -173,11 +184,15 @@ def kill(drives: CanopenDrives) -> None:
 
 
 class BenchBus(can.BusABC):
-    """A bus to a drive on the bench: its answers are there before anybody asks for them."""
+    """A bus to a drive on the bench: its answers are there before anybody asks for them.
 
-    def __init__(self, bench: Bench) -> None:
+    ``refused`` has the SDO requests that the drive aborts: (index, client's command specifier) -> code.
+    """
+
+    def __init__(self, bench: Bench | None = None, refused: dict[tuple[int, int], int] | None = None) -> None:
         super().__init__(channel="bench")
-        self.bench = bench
+        self.bench = Bench() if bench is None else bench
+        self.refused = refused or {}
         # Not SimpleQueue, whose get() never returns when the timeout ends before it begins to wait (CPython 3.11).
         self.answers: queue.Queue[can.Message] = queue.Queue()
         self.sent: list[Frame] = []
@@ -186,12 +201,30 @@ class BenchBus(can.BusABC):
         """Return True for a frame of the master that never reaches the drive."""
         return False
 
+    def hear(self, can_id: int, data: bytes = b"") -> None:
+        """Let a frame come, of the drive or of somebody else."""
+        self.answers.put(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        frame = msg.arbitration_id, bytes(msg.data)
+        can_id, data = frame = msg.arbitration_id, bytes(msg.data)
         self.sent.append(frame)
-        if not self.loses(*frame):
-            for can_id, data in self.bench.send(*frame):
-                self.answers.put(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+        if self.loses(*frame):
+            return
+        if can_id == SDO_REQUEST and (code := self.refused.get((int.from_bytes(data[1:3], "little"), data[0] >> 5))):
+            self.hear(SDO_ANSWER, b"\x80" + data[1:4] + struct.pack("<I", code))
+            return
+        for answer in self.answers_of(*frame):
+            self.hear(*answer)
+
+    def answers_of(self, can_id: int, data: bytes) -> list[Frame]:
+        """Give the drive a frame; return its answers."""
+        return self.bench.send(can_id, data)
+
+    @property
+    def downloads(self) -> list[int]:
+        """Indices of what was written by SDO."""
+        writes = [data for can_id, data in self.sent if can_id == SDO_REQUEST and data[0] >> 5 == 1]
+        return [int.from_bytes(data[1:3], "little") for data in writes]
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         try:
@@ -208,7 +241,7 @@ class Driven:
     def __init__(
         self, mode: str = "csp", *, bus: Any = None, clock: Any = None, dry_run: bool = False, **keys: Any
     ) -> None:
-        self.bus = bus or BenchBus(Bench())
+        self.bus = bus or BenchBus()
         self.bench: Bench = self.bus.bench
         if mode == "cst":
             keys = {"controller": {"position_gain": 1.0, "velocity_gain": 0.1}} | keys

@@ -14,8 +14,6 @@ from friction_hil_drivers.cia402.objects import DataType
 from friction_hil.errors import UsageError
 from tests.canopen_bench import NODE, Bench
 
-PDO_RECORDS = {base + n for base in (0x1400, 0x1600, 0x1800, 0x1A00) for n in range(cia301.PDO_COUNT)}
-
 
 @pytest.fixture(scope="module")
 def eds() -> Any:
@@ -23,20 +21,29 @@ def eds() -> Any:
 
 
 def variables(eds: Any) -> list[Any]:
-    found: list[Any] = []
-    for item in eds.values():
-        if item.index >= 0x1000:
-            found += [item] if isinstance(item, canopen.objectdictionary.ODVariable) else [item[s] for s in item]
-    return found
+    items = [item for item in eds.values() if item.index >= 0x1000]
+    single = canopen.objectdictionary.ODVariable
+    return [entry for item in items for entry in ([item] if isinstance(item, single) else item.values())]
 
 
-def test_every_entry_has_type_access_and_default(eds: Any) -> None:
+def test_every_entry_has_type_access_and_default_and_is_that_of_the_table(eds: Any) -> None:
+    known = {index for index, _ in cia301.TABLE}
+    known |= {base + n for base in (0x1400, 0x1600, 0x1800, 0x1A00) for n in range(cia301.PDO_COUNT)}
     for variable in variables(eds):
         assert variable.data_type in set(DataType), variable
         assert variable.access_type in ("ro", "rw", "const"), variable
         assert variable.default is not None, variable
         if variable.min is not None and variable.max is not None:
             assert variable.min <= variable.default <= variable.max, variable
+        assert variable.index in known, variable
+        entry = cia301.TABLE.get((variable.index, variable.subindex))
+        if entry is not None:  # the driver also knows objects of other drives
+            assert (variable.data_type, variable.name) == (entry.type, entry.name)
+    information = eds.device_information
+    assert (information.nr_of_RXPDO, information.nr_of_TXPDO) == (cia301.PDO_COUNT, cia301.PDO_COUNT)
+    assert eds[0x1018][2].default == information.product_number
+    assert eds[0x1018][1].default == information.vendor_number
+    assert load_eds(SIMULATED_SERVO, 7)[0x1014].default == 0x87
 
 
 def test_lists_of_objects_match_the_sections() -> None:
@@ -61,15 +68,6 @@ def test_lists_of_objects_match_the_sections() -> None:
                 assert int(parser.get(f"{name}sub0", "DefaultValue"), 0) == highest, name
 
 
-def test_eds_and_table_of_objects_agree(eds: Any) -> None:
-    for entry in cia301.TABLE.values():
-        variable = eds.get_variable(entry.index, entry.subindex)
-        if variable is not None:  # the driver also knows objects of other drives
-            assert (variable.data_type, variable.name) == (entry.type, entry.name)
-    known = {index for index, _ in cia301.TABLE} | PDO_RECORDS
-    assert {variable.index for variable in variables(eds)} <= known
-
-
 def test_simulated_drive_serves_exactly_the_eds(eds: Any) -> None:
     bench = Bench()
     present = {(variable.index, variable.subindex) for variable in variables(eds)}
@@ -78,13 +76,6 @@ def test_simulated_drive_serves_exactly_the_eds(eds: Any) -> None:
             [(_, answer)] = bench.sdo(bytes([0x40, index & 0xFF, index >> 8, subindex, 0, 0, 0, 0]))
             abort = int.from_bytes(answer[4:], "little") if answer[0] == 0x80 else 0
             assert (abort in (0x06020000, 0x06090011)) == ((index, subindex) not in present), f"{index:X}:{subindex}"
-
-
-def test_device_information(eds: Any) -> None:
-    information = eds.device_information
-    assert (information.nr_of_RXPDO, information.nr_of_TXPDO) == (cia301.PDO_COUNT, cia301.PDO_COUNT)
-    assert eds[0x1018][2].default == information.product_number
-    assert eds[0x1018][1].default == information.vendor_number
 
 
 # Foreign EDS files
@@ -147,7 +138,3 @@ def test_unreadable_eds_is_a_clear_error(tmp_path: Path, name: str, text: str | 
     with pytest.raises(UsageError, match=message) as info:
         eds_dictionary(path, NODE)
     assert name in str(info.value)
-
-
-def test_loaded_eds_knows_the_node() -> None:
-    assert load_eds(SIMULATED_SERVO, 7)[0x1014].default == 0x87

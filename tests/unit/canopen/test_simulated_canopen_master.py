@@ -13,7 +13,7 @@ from canopen.profiles.p402 import BaseNode402
 from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO
 
 from friction_hil.drive import DriveState
-from tests.canopen_bench import NODE, Bench
+from tests.canopen_bench import NODE, PLAIN, Bench
 
 
 class Wire(can.BusABC):
@@ -35,7 +35,7 @@ class Wire(can.BusABC):
 @pytest.fixture
 def master() -> Iterator[Any]:
     network = canopen.Network()
-    bench = Bench({"friction": {"model": "coulomb", "parameters": {"coulomb": 0.01}}})
+    bench = Bench(PLAIN)
     network.bus = Wire(network, bench)
     node = BaseNode402(NODE, str(SIMULATED_SERVO))
     network.add_node(node)
@@ -47,14 +47,11 @@ def master() -> Iterator[Any]:
 
 def test_library_reads_the_whole_dictionary(master: Any) -> None:
     count = 0
-    for index in master.object_dictionary:
+    for index, known in master.object_dictionary.items():
         if index < 0x1000:
             continue
         item = master.sdo[index]
-        entries = (
-            [item] if isinstance(item, canopen.sdo.SdoVariable) else [item[s] for s in master.object_dictionary[index]]
-        )
-        for entry in entries:
+        for entry in [item] if isinstance(item, canopen.sdo.SdoVariable) else [item[s] for s in known]:
             if index == 0x1003 and entry.od.subindex:
                 with pytest.raises(canopen.SdoAbortedError) as info:
                     _ = entry.raw
@@ -83,13 +80,9 @@ def test_library_maps_and_the_drive_obeys(master: Any) -> None:
     master.nmt.state = "OPERATIONAL"
     master.sdo[0x6060].raw = 8
     start = master.sdo[0x6064].raw
-    for word in (0x06, 0x07, 0x0F):
+    for word, target in [(0x06, 0), (0x07, 0), *((0x0F, 50 * cycle) for cycle in range(200))]:
         master.rpdo[1][0x6040].raw = word
-        master.rpdo[1][0x607A].raw = start
-        master.rpdo[1].transmit()
-        master.network.sync.transmit()
-    for cycle in range(200):
-        master.rpdo[1][0x607A].raw = start + 50 * cycle
+        master.rpdo[1][0x607A].raw = start + target
         master.rpdo[1].transmit()
         master.network.sync.transmit()
     assert master.tpdo[1][0x6041].raw & 0x6F == 0x27

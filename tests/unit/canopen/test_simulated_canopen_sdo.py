@@ -1,29 +1,20 @@
 """The SDO server of a simulated drive, byte by byte as CiA 301 has it."""
 
-from functools import cache
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.canopen_bench import NODE, Bench
 
-RESPONSE = 0x580 + NODE
 
-
-@cache
-def shared_bench() -> Bench:
-    return Bench()
-
-
-@pytest.fixture
+@pytest.fixture(scope="module")
 def bench() -> Bench:
-    return shared_bench()
+    return Bench()
 
 
 def ask(bench: Bench, request: str) -> str:
     [(can_id, data)] = bench.sdo(bytes.fromhex(request))
-    assert can_id == RESPONSE
+    assert can_id == 0x580 + NODE
     return data.hex(" ")
 
 
@@ -92,25 +83,27 @@ def test_endless_download_is_stopped(bench: Bench) -> None:
 
 
 @given(st.lists(st.binary(min_size=8, max_size=8), max_size=8))
-def test_every_request_gets_one_answer_or_none(requests: list[bytes]) -> None:
-    bench = shared_bench()
+def test_every_request_gets_one_answer_or_none(bench: Bench, requests: list[bytes]) -> None:
     for request in requests:
         answers = bench.sdo(request)
         assert len(answers) == (0 if request[0] >> 5 == 4 else 1)
         assert all(len(data) == 8 for _, data in answers)
 
 
-def test_history_is_read_and_cleared() -> None:
+def test_history_is_read_and_cleared_and_a_stopped_node_serves_no_sdo() -> None:
     bench = Bench()
-    assert ask(bench, "40 03 10 00 00 00 00 00") == "4f 03 10 00 00 00 00 00"
-    assert ask(bench, "40 03 10 01 00 00 00 00") == "80 03 10 01 24 00 00 08"
+    none, entry, clear = "40 03 10 00 00 00 00 00", "40 03 10 01 00 00 00 00", "2f 03 10 00 00 00 00 00"
+    assert ask(bench, none) == "4f 03 10 00 00 00 00 00"
+    assert ask(bench, entry) == "80 03 10 01 24 00 00 08"
     bench.nmt(0x01)
     bench.send(0x205, b"\x06")  # a short RPDO
-    assert ask(bench, "40 03 10 00 00 00 00 00") == "4f 03 10 00 01 00 00 00"
-    assert ask(bench, "40 03 10 01 00 00 00 00") == "43 03 10 01 10 82 00 00"
+    assert ask(bench, none) == "4f 03 10 00 01 00 00 00"
+    assert ask(bench, entry) == "43 03 10 01 10 82 00 00"
     assert ask(bench, "2f 03 10 00 01 00 00 00") == "80 03 10 00 30 00 09 06"
-    assert ask(bench, "2f 03 10 00 00 00 00 00") == "60 03 10 00 00 00 00 00"
-    assert ask(bench, "40 03 10 00 00 00 00 00") == "4f 03 10 00 00 00 00 00"
+    assert ask(bench, clear) == "60 03 10 00 00 00 00 00"
+    assert ask(bench, none) == "4f 03 10 00 00 00 00 00"
+    bench.nmt(0x02)
+    assert bench.sdo(bytes.fromhex(none)) == []
 
 
 def test_interpolation_period_that_the_servo_cannot_do() -> None:
@@ -120,9 +113,3 @@ def test_interpolation_period_that_the_servo_cannot_do() -> None:
     assert bench.try_write(0x60C2, 1, "B", 25) == 0  # 250 us
     assert bench.try_write(0x60C2, 1, "B", 0) == 0x06090032
     assert bench.try_write(0x60C2, 2, "b", 1) == 0x06090031
-
-
-def test_stopped_node_serves_no_sdo() -> None:
-    bench = Bench()
-    bench.nmt(0x02)
-    assert bench.sdo(bytes.fromhex("40 00 10 00 00 00 00 00")) == []
