@@ -56,7 +56,7 @@ class Bench:
 
     def cycle(self, *frames, after_ms=1, without_sync=""):
         """One period: SYNC, then frames (identifier, data); the feedback."""
-        self.now_ns += after_ms * MS
+        self.now_ns += round(after_ms * MS)
         self.axis.begin_cycle(self.now_ns, without_sync)
         self.take(*frames)
         feedback = Feedback()

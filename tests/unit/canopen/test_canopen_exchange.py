@@ -8,74 +8,55 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-import can
 import pytest
-from friction_hil_drivers.canopen.wire import cia301
 
 from friction_hil.drive import Command, DriveState, Request
-from tests.canopen_bench import NODE, Bench, BenchBus, Driven
+from tests.canopen_bench import NODE, BenchBus, Driven
+from tests.contract.rig import SteppedTime
 
 MS = 1_000_000
-RPDO1, TPDO1 = 0x205, 0x185
+RPDO1 = 0x205
 
 
-class Time:
+class Time(SteppedTime):
     """Real for the driver; each look at it takes 10 us, so that nothing waits for ever."""
 
     is_real = True
 
     def __init__(self):
-        self.ns = 0
-
-    def now_ns(self):
-        self.ns += 10_000
-        return self.ns
-
-    def doze_until(self, deadline_ns):
-        return False
-
-    def sleep_until(self, deadline_ns):
-        self.ns = max(self.ns, deadline_ns)
+        super().__init__()
+        self.tick_ns = 10_000
 
 
 class Between(BenchBus):
     """A man in the middle: TPDOs come so many cycles late, or not at all; sending may fail."""
 
-    def __init__(self, bench):
-        super().__init__(bench)
-        self.delay_cycles = 0
-        self.is_lost = lambda: False
+    def __init__(self):
+        super().__init__()
+        self.delay_cycles = self.cycle = 0
         self.is_full = lambda can_id: False
-        self.held = []  # (cycle in which it is due, message)
-        self.cycle = 0
+        self.held = []  # (cycle in which it is due, frame)
         self.clock = None
 
     def send(self, msg, timeout=None):
         if self.is_full(msg.arbitration_id):
             raise OSError(errno.ENOBUFS, "No buffer space available")
-        before = self.answers.qsize()
         super().send(msg, timeout)
-        if not self.delay_cycles and not self.is_lost():
-            return
-        kept = [self.answers.get() for _ in range(before)]
-        new = [self.answers.get() for _ in range(self.answers.qsize())]
-        for message in kept:
-            self.answers.put(message)
-        for message in new:
-            if message.arbitration_id & 0x780 not in (0x180, 0x280):
-                self.answers.put(message)
-            elif not self.is_lost():
-                self.held.append((self.cycle + self.delay_cycles, message))
 
-    def begin_cycle(self):
-        self.cycle += 1
+    def answers_of(self, can_id, data):
+        answers = super().answers_of(can_id, data)
+        if not self.delay_cycles:
+            return answers
+        late = [frame for frame in answers if frame[0] & 0x780 in (0x180, 0x280)]
+        self.held += [(self.cycle + self.delay_cycles, frame) for frame in late]
+        return [frame for frame in answers if frame not in late]
 
     def release(self):
         """What is due comes a little after SYNC."""
-        due = [message for cycle, message in self.held if cycle <= self.cycle]
+        due = [frame for cycle, frame in self.held if cycle <= self.cycle]
         self.held = [one for one in self.held if one[0] > self.cycle]
-        for message in due:
-            self.answers.put(message)
+        for frame in due:
+            self.hear(*frame)
 
     def recv(self, timeout=None):
         if self.clock is None or self.answers.qsize():  # connecting, or something is there
@@ -92,18 +73,16 @@ class Enabled(Driven):
     """A drive in CST, enabled."""
 
     def __init__(self):
-        super().__init__("cst", bus=Between(Bench()), clock=Time())
+        super().__init__("cst", bus=Between(), clock=Time())
         self.start()
         self.bus.clock = self.clock
-        self.notices = []
         self.cycles(20, Request.ENABLE)
         assert self.feedback.state is DriveState.OPERATION_ENABLED
 
     def receive(self):
-        self.bus.begin_cycle()
+        self.bus.cycle += 1
         self.clock.ns = (self.clock.ns // MS + 1) * MS
         self.drives.receive([self.feedback], self.clock.ns + MS)
-        self.notices += self.feedback.notices
         self.feedback.notices.clear()
         return self.feedback
 
@@ -122,13 +101,15 @@ class Enabled(Driven):
     def sent(self, can_id):
         return [data for each, data in self.bus.sent if each == can_id]
 
+    def close(self):
+        self.bus.delay_cycles, self.bus.is_full, self.bus.clock = 0, lambda can_id: False, None
+        super().close()
+
 
 @pytest.fixture
-def driven(monkeypatch):
+def driven():
     one = Enabled()
     yield one
-    one.bus.delay_cycles, one.bus.is_full, one.bus.is_lost = 0, lambda can_id: False, lambda: False
-    one.bus.clock = None
     one.close()
 
 
@@ -164,7 +145,7 @@ def test_feedback_that_comes_whole_cycles_late_is_never_taken_for_fresh_for_long
     # one less while a cycle without SYNC is on its way
     assert missing[-1] in [f"the TPDOs of node 5 answer SYNC {lag} cycles late [FH-235]" for lag in (delay, delay - 1)]
     driven.bus.delay_cycles = 0
-    driven.bus.held = [(0, message) for _, message in driven.bus.held]  # at once: the last one counts
+    driven.bus.held = [(0, frame) for _, frame in driven.bus.held]  # at once: the last one counts
     fresh, missing = driven.cycles(60, Request.ENABLE)
     assert fresh >= 57
     assert driven.feedback.missing == ""
@@ -173,8 +154,8 @@ def test_feedback_that_comes_whole_cycles_late_is_never_taken_for_fresh_for_long
 def test_a_node_that_another_master_took_out_of_operational_is_brought_back_and_stopped(driven):
     driven.bench.write(0x6007, 0, "h", 0)  # the drive itself does nothing about it
     driven.cycles(5, Request.ENABLE)
-    for can_id, data in [*driven.bench.nmt(0x80), (cia301.HEARTBEAT_BASE + NODE, b"\x7f")]:
-        driven.bus.answers.put(message(can_id, data))
+    for frame in [*driven.bench.nmt(0x80), (0x700 + NODE, b"\x7f")]:
+        driven.bus.hear(*frame)
     driven.receive()
     assert not driven.feedback.is_reachable
     assert "left Operational: it is pre-operational" in driven.feedback.message
@@ -208,7 +189,3 @@ def test_an_ordinary_cycle_makes_few_calls(driven):
         sys.setprofile(None)
     assert fresh == cycles
     assert calls.total() <= 22 * cycles, calls.most_common()
-
-
-def message(can_id, data):
-    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)

@@ -43,8 +43,7 @@ def test_the_object_is_mapped_beside_the_others_and_decoded():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "text"),
-    [({"subindex": 2}, "object 60E4h:02 load position"), ({"index": 0x6041, "subindex": 0}, "has 16 bits")],
+    ("wrong", "text"), [({"subindex": 2}, "60E4h:02 load position"), ({"index": 0x6041, "subindex": 0}, "has 16 bits")]
 )
 def test_an_object_that_is_not_there_is_refused(wrong, text):
     with pytest.raises(DriveError, match=text), Driven(load_encoder={"counts_per_unit": 1.0} | wrong):
@@ -87,15 +86,13 @@ def test_a_scale_that_the_drive_contradicts_is_told_but_taken():
 
 
 @pytest.mark.parametrize(("index", "counts"), [(0x60E6, 1), (0x60E8, 10)])
-def test_a_scale_that_is_not_told_must_be_given(index, counts):
+@pytest.mark.parametrize(("kind", "unit"), [("rotary", "rad"), ("linear", "m")])
+def test_a_scale_that_is_not_told_must_be_given(index, counts, kind, unit):
     """Increments of 1, which is a default, or a gear, on either side of which the encoder may turn."""
-    options = LoadEncoderOptions()
     values = {0x60E6: 40000, 0x60EB: 1, 0x60E8: 1, 0x60ED: 1} | {index: counts}
     access = SimpleNamespace(axis="x", where="node 5", find=lambda entry: values[entry.index])
-    with pytest.raises(DriveError, match=r"give load_encoder\.counts_per_unit \(counts per rad of the axis\)"):
-        with_scale(access, options, "rotary")
-    with pytest.raises(DriveError, match="counts per m of the axis"):
-        with_scale(access, options, "linear")
+    with pytest.raises(DriveError, match=rf"give load_encoder\.counts_per_unit \(counts per {unit} of the axis\)"):
+        with_scale(access, LoadEncoderOptions(), kind)
 
 
 class WithLoad(ServoDrives):

@@ -5,23 +5,20 @@ import struct
 
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.connect.mapping import MappedPdo
-from friction_hil_drivers.canopen.cycle.axis import CanopenAxis
 from friction_hil_drivers.cia402 import objects
-from friction_hil_drivers.cia402.codec import COMMANDS
 from friction_hil_drivers.serial_line.axis import SerialAxis, make_scales
 from friction_hil_drivers.serial_line.protocol import Image
 from friction_hil_drivers.serial_line.units import AxisUnits
 from hypothesis import given
 from hypothesis import strategies as st
 
-from friction_hil.drive import AxisFacts, Feedback, Mode
+from friction_hil.drive import Feedback
 from friction_hil.drive.encoder import derived_velocity
-from tests.canopen_axis_bench import LAYOUTS, NODE, RPDO1, UNITS
+from tests.canopen_axis_bench import TPDO1, UNITS, Bench
 from tests.loop_run import MODES, LateClock, Run, axis
 from tests.serial_bench import CIA402, TinyDescription
-from tests.unit.canopen.test_sidecar_exchange import Sidecar, T, World, master_and_drive
+from tests.unit.canopen.test_sidecar_exchange import Sidecar, T
 
 COUNTS = UNITS.counts_per_unit
 MAX_MISSED = 20
@@ -47,21 +44,12 @@ class Canopen:
     """A drive without 606Ch; each cycle sends SYNC at ``time_ns``."""
 
     def __init__(self):
-        entries = objects.STATUSWORD, objects.POSITION_ACTUAL
-        tpdos = (MappedPdo(0x181, entries, struct.Struct("<Hi")),)
-        rpdos = (MappedPdo(RPDO1, COMMANDS[Mode.CSP], struct.Struct(LAYOUTS[Mode.CSP])),)
-        facts = AxisFacts("x", "a drive", 1.0 / COUNTS, 6.4e-4, 2.5e-3, 1.5e-3)
-        drive = ConfiguredDrive(facts, UNITS, Mode.CSP, tpdos, rpdos, "", PERIOD_NS * 1e-9)
-        self.axis = CanopenAxis(drive, NODE, 1e3)
-        self.axis.start(0)
+        tpdos = (MappedPdo(TPDO1, (objects.STATUSWORD, objects.POSITION_ACTUAL), struct.Struct("<Hi")),)
+        self.bench = Bench(tpdos=tpdos, period_s=PERIOD_NS * 1e-9, heartbeat_s=1e3)
 
     def velocity(self, time_ns, counts, *, is_lost=False):
-        self.axis.begin_cycle(time_ns)
-        if not is_lost:
-            self.axis.handlers[0x181](struct.pack("<Hi", 0x0637, counts))
-        feedback = Feedback()
-        self.axis.report(feedback, time_ns)
-        return feedback.velocity
+        frames = [] if is_lost else [(TPDO1, struct.pack("<Hi", 0x0637, counts))]
+        return self.bench.cycle(*frames, after_ms=(time_ns - self.bench.now_ns) / 1_000_000).velocity
 
 
 class Serial:
@@ -118,9 +106,8 @@ def test_a_smooth_motion_gives_no_velocity_that_the_axis_did_not_have(drive, pat
 @given(st.lists(st.tuples(st.integers(1, 8), st.integers(1, MAX_MISSED), st.floats(0.0, 0.99)), max_size=6))
 def test_a_sidecar_that_was_held_up_finds_the_velocity_of_the_axis(holds):
     """1000 counts a period: exactly that, in whatever part of a period the loop comes back."""
-    world = World()
-    master_and_drive(world, 130 + sum(cycles + periods + 1 for cycles, periods, _ in holds))
-    sidecar = Sidecar(world, max_missed=MAX_MISSED)
+    cycles = 130 + sum(cycles + periods + 1 for cycles, periods, _ in holds)
+    sidecar = Sidecar(cycles=cycles, max_missed=MAX_MISSED)
     for _ in range(5):
         sidecar.step()
     for cycles, periods, part in (*holds, (10, 0, 0.0)):
@@ -128,7 +115,7 @@ def test_a_sidecar_that_was_held_up_finds_the_velocity_of_the_axis(holds):
             heard = sidecar.step()
             assert heard.message == ""
             assert not heard.is_fresh or heard.velocity == pytest.approx(1000 / 1e5 / 1e-3)
-        world.ns += round((periods + part) * T)
+        sidecar.world.ns += round((periods + part) * T)
 
 
 class Held:

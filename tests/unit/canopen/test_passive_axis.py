@@ -3,7 +3,6 @@
 import struct
 
 import pytest
-from friction_hil_drivers.canopen.connect.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.connect.mapping import MappedPdo
 from friction_hil_drivers.canopen.cycle.listener import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
 from friction_hil_drivers.canopen.cycle.passive import PassiveAxis, PassiveExchange
@@ -13,25 +12,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from friction_hil.daemon.realtime import SteppedClock
-from friction_hil.drive import AxisFacts, DriveState, Feedback, Mode
+from friction_hil.drive import DriveState, Feedback
 from friction_hil.errors import DriveError
-from tests.canopen_axis_bench import EMCY, HEARTBEAT, NODE, TPDO1, TPDO2, UNITS
-
-MS = 1_000_000
+from tests.canopen_axis_bench import EMCY, HEARTBEAT, MS, NODE, TPDO1, TPDO2, UNITS, answers, drive_of
 
 
-def axis_of(*, first_is_synchronous=True, second_is_synchronous=True, first=FEEDBACK[0], second=FEEDBACK[1]):
-    tpdos = (
-        MappedPdo(TPDO1, first, struct.Struct("<Hih"), 0, is_synchronous=first_is_synchronous),
-        MappedPdo(TPDO2, second, struct.Struct("<ib"), 1, is_synchronous=second_is_synchronous),
+def axis_of(*, is_synchronous=(True, True), second=FEEDBACK[1]):
+    layouts = struct.Struct("<Hih"), struct.Struct("<ib")
+    tpdos = tuple(
+        MappedPdo(can_id, entries, layout, number, is_synchronous=is_sync)
+        for number, (can_id, entries, layout, is_sync) in enumerate(
+            zip((TPDO1, TPDO2), (FEEDBACK[0], second), layouts, is_synchronous, strict=True)
+        )
     )
-    facts = AxisFacts("x", "a drive", 1e-3, 6.4e-4, 2.5e-3, 1.5e-3)
-    return PassiveAxis(ConfiguredDrive(facts, UNITS, Mode.CSP, tpdos, (), "", 1e-3), NODE)
+    return PassiveAxis(drive_of(tpdos=tpdos, rpdos=()), NODE)
 
 
 def frames(instant):
     """What the drive sends at one instant: position and velocity are the same number of increments."""
-    return [(TPDO1, struct.pack("<Hih", 0x0637, instant, 0)), (TPDO2, struct.pack("<ib", instant, 8))]
+    return answers(instant, velocity=instant)
+
+
+def take(axis, *frames, sync=True):
+    if sync:
+        axis.on_sync()
+    for can_id, data in frames:
+        axis.handlers[can_id](data)
 
 
 def report(axis, cycle):
@@ -63,38 +69,30 @@ def test_position_and_velocity_of_a_set_are_of_one_instant(events):
 
 def test_each_set_is_reported_once():
     axis = axis_of()
-    axis.on_sync()
-    for can_id, data in frames(3):
-        axis.handlers[can_id](data)
+    take(axis, *frames(3))
     assert axis.is_complete
-    assert report(axis, 1).is_fresh
-    assert not report(axis, 2).is_fresh
-    axis.handlers[TPDO1](frames(3)[0][1])  # a bus that doubles it makes no new set
+    assert [report(axis, cycle).is_fresh for cycle in (1, 2)] == [True, False]
+    take(axis, frames(3)[0], sync=False)  # a bus that doubles it makes no new set
     assert not report(axis, 3).is_fresh
 
 
 def test_tpdos_without_sync_make_a_set_whenever_all_have_come():
-    axis = axis_of(first_is_synchronous=False, second_is_synchronous=False)
+    axis = axis_of(is_synchronous=(False, False))
     for instant in (1, 2):
-        for can_id, data in frames(instant):
+        for frame in frames(instant):
             assert not axis.is_complete
-            axis.handlers[can_id](data)
+            take(axis, frame, sync=False)
         heard = report(axis, instant)
-        assert heard.is_fresh
-        assert heard.position == instant / UNITS.counts_per_unit
-        assert heard.message == ""
+        assert (heard.is_fresh, heard.position, heard.message) == (True, instant / UNITS.counts_per_unit, "")
 
 
 def test_what_comes_seldom_is_not_waited_for_and_until_then_nothing_of_it_is_known():
     """Its statusword and mode come when they change: the position comes with each SYNC."""
-    status = (objects.VELOCITY_ACTUAL, objects.MODE_DISPLAY)
-    axis = axis_of(second_is_synchronous=False, second=status)
-    axis.on_sync()
-    axis.handlers[TPDO1](frames(5)[0][1])
+    axis = axis_of(is_synchronous=(True, False), second=(objects.VELOCITY_ACTUAL, objects.MODE_DISPLAY))
+    take(axis, frames(5)[0])
     assert report(axis, 1).is_fresh
-    axis.handlers[TPDO2](frames(7)[1][1])
-    axis.on_sync()
-    axis.handlers[TPDO1](frames(8)[0][1])
+    take(axis, frames(7)[1], sync=False)
+    take(axis, frames(8)[0])
     heard = report(axis, 2)
     assert (heard.position, heard.velocity) == (8 / UNITS.counts_per_unit, 7 / UNITS.velocity_per_unit)
 
@@ -102,9 +100,7 @@ def test_what_comes_seldom_is_not_waited_for_and_until_then_nothing_of_it_is_kno
 @pytest.mark.parametrize("size", [0, 7, 9])
 def test_a_tpdo_of_another_length_is_no_feedback_and_named(size):
     axis = axis_of()
-    axis.on_sync()
-    axis.handlers[TPDO1](bytes(size))
-    axis.handlers[TPDO2](frames(1)[1][1])
+    take(axis, (TPDO1, bytes(size)), frames(1)[1])
     heard = report(axis, 1)
     assert not heard.is_fresh
     assert f"TPDO 1 has {size} bytes" in heard.missing
@@ -112,13 +108,10 @@ def test_a_tpdo_of_another_length_is_no_feedback_and_named(size):
 
 def test_emergencies_and_a_restart_are_noticed_and_are_no_fault():
     axis = axis_of()
-    axis.handlers[EMCY](bytes.fromhex("1186200000000000"))
-    axis.handlers[HEARTBEAT](b"\x00")
+    take(axis, (EMCY, bytes.fromhex("1186200000000000")), (HEARTBEAT, b"\x00"), sync=False)
     heard = report(axis, 1)
     assert [notice.partition(" ")[0] for notice in heard.notices] == ["emergency", "node"]
-    assert heard.error == "8611h following error"
-    assert heard.message == ""
-    assert heard.state is DriveState.UNKNOWN
+    assert (heard.error, heard.message, heard.state) == ("8611h following error", "", DriveState.UNKNOWN)
 
 
 class SilentBus:

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from friction_hil_drivers.canopen.options import CanopenOptions
-from friction_hil_drivers.cia402 import objects
 from friction_hil_drivers.cia402.access import ObjectReader
 from friction_hil_drivers.cia402.scales import (
     polarity_notes,
@@ -33,6 +32,11 @@ from tests.servo_drives import axis_dict, configuration
 RPM = 2.0 * math.pi / 60.0  # rad/s
 ENCODER = {(0x608F, 1): 4096, (0x608F, 2): 1, (0x6076, 0): 640}
 COUNTS = 4096 / (2.0 * math.pi)
+
+
+def ratio(index, number):
+    """A ratio of so many to one; None: the drive has no such object."""
+    return {(index, 1): number, (index, 2): None if number is None else 1}
 
 
 class Objects(ObjectReader):
@@ -119,82 +123,75 @@ def test_what_is_no_unit_of_velocity_is_refused_with_those_that_are(text):
     ("values", "counts"),
     [
         ({}, COUNTS),
-        ({(0x6091, 1): 1, (0x6091, 2): 1, (0x6092, 1): 1, (0x6092, 2): 1}, COUNTS),  # defaults say nothing
+        (ratio(0x6091, 1) | ratio(0x6092, 1), COUNTS),  # defaults say nothing
         ({(0x60A8, 0): 0x00B50000}, COUNTS),
         ({(0x60A8, 0): 0xFD410000}, 1000.0 * 180.0 / math.pi),
         ({(0x60A8, 0): 0xFA100000}, 1e6),
-        ({(0x6092, 1): 4096, (0x6092, 2): 1}, COUNTS),
+        (ratio(0x6092, 4096), COUNTS),
+        # 10 turns of the motor are one of the shaft, which is 36000 position units
+        (ratio(0x608F, None) | ratio(0x6091, 10) | ratio(0x6092, 36000), 3600.0 / (2.0 * math.pi)),
     ],
 )
 def test_counts_per_rad_follow_from_the_drives_objects(values, counts):
     assert scales(ENCODER | values).position.value == pytest.approx(counts)
 
 
-def test_a_feed_constant_and_a_gear_give_the_counts_per_rad_of_the_motor():
-    # 10 turns of the motor are one of the shaft, which is 36000 position units
-    values = {(0x6076, 0): 640, (0x6091, 1): 10, (0x6091, 2): 1, (0x6092, 1): 36000, (0x6092, 2): 1}
-    assert scales(values).position.value == pytest.approx(3600.0 / (2.0 * math.pi))
-
-
-@pytest.mark.parametrize("values", [{(0x6091, 1): 10, (0x6091, 2): 1}, {(0x6092, 1): 10000, (0x6092, 2): 1}])
-def test_objects_that_leave_the_count_open_are_refused_with_both_numbers(values):
-    with pytest.raises(DriveError, match=r"651\.8986.*give counts_per_unit") as caught:
+@pytest.mark.parametrize(
+    ("values", "given_", "told", "confirmation"),
+    [
+        (ratio(0x6091, 10), COUNTS, r"651\.8986.*give counts_per_unit.*FH-241", "608Fh 4096 per revolution agrees"),
+        (ratio(0x6092, 10000), COUNTS, r"651\.8986.*give counts_per_unit.*FH-241", "608Fh 4096 per revolution agrees"),
+        (ratio(0x608F, None), 652.0, "encoder resolution.*give counts_per_unit", "not cross-checked"),
+        (ratio(0x608F, 1), 652.0, "encoder resolution.*give counts_per_unit", "not cross-checked"),
+        (ratio(0x608F, 0), 652.0, "encoder resolution.*give counts_per_unit", "not cross-checked"),
+    ],
+)
+def test_a_resolution_that_is_missing_a_default_or_open_is_asked_for(values, given_, told, confirmation):
+    with pytest.raises(DriveError, match=told):
         scales(ENCODER | values)
-    assert caught.value.code == "FH-241"
-    found = scales(ENCODER | values, counts_per_unit=COUNTS)
-    assert found.position.confirmation == "608Fh 4096 per revolution agrees"
-
-
-@pytest.mark.parametrize("values", [{}, {(0x608F, 1): 1, (0x608F, 2): 1}, {(0x608F, 1): 0, (0x608F, 2): 1}])
-def test_a_resolution_that_is_missing_or_a_default_is_asked_for(values):
-    with pytest.raises(DriveError, match=r"does not report its encoder resolution.*give counts_per_unit"):
-        scales({(0x6076, 0): 640} | values)
-    found = scales({(0x6076, 0): 640} | values, counts_per_unit=652.0)
-    assert found.position.confirmation == "not cross-checked"
+    assert scales(ENCODER | values, counts_per_unit=given_).position.confirmation == confirmation
 
 
 # Contradictions
 
 
 @pytest.mark.parametrize(
-    ("options", "values", "numbers"),
+    ("key", "value", "values", "numbers"),
     [
-        ({"counts_per_unit": 6519.0}, {}, ("6519", "651.8986", "a factor of 10")),
-        ({"rated_torque": 6.4}, {}, ("6.4", "0.64", "a factor of 10")),
-        ({"velocity_unit": "0.1 rpm"}, {(0x60A9, 0): 0x00B44700}, ("0.1 rpm", "60A9h rpm", "a factor of 10")),
+        ("counts_per_unit", 6519.0, {}, ("6519", "651.8986", "a factor of 10")),
+        ("rated_torque", 6.4, {}, ("6.4", "0.64", "a factor of 10")),
+        ("velocity_unit", "0.1 rpm", {(0x60A9, 0): 0x00B44700}, ("0.1 rpm", "60A9h rpm", "a factor of 10")),
     ],
 )
-def test_a_configuration_that_contradicts_the_drive_is_refused_unless_it_is_trusted(options, values, numbers):
-    with pytest.raises(DriveError) as caught:
-        scales(ENCODER | values, **options)
-    assert caught.value.code == "FH-240"
-    assert all(number in str(caught.value) for number in numbers), str(caught.value)
-    (key,) = options
-    assert f"trust: [{key}]" in str(caught.value)
-    trusted = scales(ENCODER | values, **options, trust=[key])
+def test_a_configuration_that_contradicts_the_drive_is_refused_unless_it_is_trusted(key, value, values, numbers):
+    other = "rated_torque" if key == "counts_per_unit" else "counts_per_unit"
+    for trust in ([], [other]):  # another key that is trusted does not help
+        with pytest.raises(DriveError, match="FH-240") as caught:
+            scales(ENCODER | values, **{key: value}, trust=trust)
+        assert all(text in str(caught.value) for text in (*numbers, f"trust: [{key}]")), str(caught.value)
+    trusted = scales(ENCODER | values, **{key: value}, trust=[key])
     one = {"counts_per_unit": trusted.position, "rated_torque": trusted.torque, "velocity_unit": trusted.velocity}[key]
     assert "trusted although" in one.confirmation
-    with pytest.raises(DriveError):  # another key that is trusted does not help
-        scales(ENCODER | values, **options, trust=[{"rated_torque", "counts_per_unit"}.difference([key]).pop()])
+
+
+def is_accepted(values=ENCODER, **options):
+    try:
+        scales(values, **options)
+    except DriveError:
+        return False
+    return True
 
 
 @given(st.floats(0.9, 1.1))
 def test_a_rounded_number_is_no_contradiction(ratio):
-    def is_accepted(**options):
-        try:
-            scales(ENCODER, **options)
-        except DriveError:
-            return False
-        return True
-
     assert is_accepted(counts_per_unit=COUNTS * ratio) == (abs(ratio - 1.0) <= 2e-3 * max(ratio, 1.0))
     assert is_accepted(rated_torque=0.64 * ratio) == (abs(ratio - 1.0) * 0.64 <= 1e-2 * 0.64 * ratio + 5e-4)
 
 
 def test_a_small_rated_torque_may_differ_by_half_a_step_of_6076h():
-    assert scales(ENCODER | {(0x6076, 0): 3}, rated_torque=0.00345).torque.confirmation == "6076h agrees"
-    with pytest.raises(DriveError):
-        scales(ENCODER | {(0x6076, 0): 3}, rated_torque=0.0037)
+    small = ENCODER | {(0x6076, 0): 3}
+    assert scales(small, rated_torque=0.00345).torque.confirmation == "6076h agrees"
+    assert not is_accepted(small, rated_torque=0.0037)
 
 
 def test_a_linear_axis_is_compared_where_the_drive_counts_metres():
@@ -228,28 +225,31 @@ def test_increments_of_velocity_follow_from_60a9h_or_the_key(values, options, in
     assert scales(ENCODER | values, **options).velocity.value == pytest.approx(increments)
 
 
-def test_a_unit_that_does_not_fit_the_axis_is_refused():
-    with pytest.raises(DriveError, match="60A9h of node 5 is rpm; a linear axis needs counts/s or m/s"):
-        scales(ENCODER | {(0x60A9, 0): 0x00B44700}, kind="linear", counts_per_unit=1e6, rated_torque=1.0)
-    with pytest.raises(DriveError, match="velocity_unit of node 5 is mm/s; a rotary axis needs"):
-        scales(ENCODER, velocity_unit="mm/s")
-    with pytest.raises(DriveError, match=r"60A9h SI unit velocity = 00770300h.*give velocity_unit"):
-        scales(ENCODER | {(0x60A9, 0): 0x00770300})
+LINEAR = {"kind": "linear", "counts_per_unit": 1e6, "rated_torque": 1.0}
 
 
-def test_an_inverted_axis_inverts_all_three():
-    units = scales(ENCODER).units(is_inverted=True)
-    assert (units.counts_per_unit, units.velocity_per_unit, units.rated_torque) == pytest.approx(
-        (-COUNTS, -COUNTS, -0.64)
-    )
+@pytest.mark.parametrize(
+    ("code", "options", "told"),
+    [
+        (0x00B44700, LINEAR, "60A9h of node 5 is rpm; a linear axis needs counts/s or m/s"),
+        (None, {"velocity_unit": "mm/s"}, "velocity_unit of node 5 is mm/s; a rotary axis needs"),
+        (0x00770300, {}, "60A9h SI unit velocity = 00770300h.*give velocity_unit"),
+    ],
+)
+def test_a_unit_that_does_not_fit_the_axis_is_refused(code, options, told):
+    with pytest.raises(DriveError, match=told):
+        scales(ENCODER | ({} if code is None else {(0x60A9, 0): code}), **options)
 
 
 @pytest.mark.parametrize(
     ("inverted", "command", "feedback"), [("none", 1, 1), ("command", -1, 1), ("feedback", 1, -1), ("both", -1, -1)]
 )
-@pytest.mark.parametrize("is_inverted", [False, True])
-def test_the_sign_of_the_torque_alone_can_be_inverted(is_inverted, inverted, command, feedback):
-    units, sign = scales(ENCODER).units(is_inverted=is_inverted, inverted_torque=inverted), -1 if is_inverted else 1
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_inverted_axis_inverts_all_three_and_the_sign_of_the_torque_alone_can_be_inverted(
+    sign, inverted, command, feedback
+):
+    units = scales(ENCODER).units(is_inverted=sign < 0, inverted_torque=inverted)
+    assert (units.counts_per_unit, units.velocity_per_unit) == pytest.approx((sign * COUNTS, sign * COUNTS))
     assert units.torque_per_mille(0.64) == sign * command * 1000
     assert units.torque(1000) == pytest.approx(sign * feedback * 0.64)
     assert units.position_counts(1.0) * sign > 0
@@ -294,13 +294,10 @@ def test_the_table_says_for_each_unit_where_it_comes_from_and_what_confirms_it()
 
 def test_a_torque_that_is_coarse_beside_the_friction_is_told():
     level = float(axis().model.friction_model.steady_state(np.array([1.0]))[0])
+    coarse = scales(ENCODER, rated_torque=50.0, trust=["rated_torque"])
     assert resolution_notes(scales(ENCODER), axis()) == []
-    (note,) = resolution_notes(scales(ENCODER, rated_torque=50.0, trust=["rated_torque"]), axis())
+    (note,) = resolution_notes(coarse, axis())
     assert "0.05 N m" in note
     assert f"{level:.3g} N m" in note
-    (note,) = resolution_notes(scales(ENCODER, rated_torque=50.0, trust=["rated_torque"]), axis(torque=0.03))
+    (note,) = resolution_notes(coarse, axis(torque=0.03))
     assert "no torque can be sent" in note
-
-
-def test_every_object_of_the_factor_group_is_named():
-    assert str(objects.FEED) == "6092h:01 feed"

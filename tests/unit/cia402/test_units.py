@@ -46,13 +46,6 @@ def test_a_torque_is_rounded_towards_zero(units, torque):
     assert units.torque_per_mille(-torque) == -per_mille
 
 
-@pytest.mark.parametrize(("torque", "rated", "per_mille"), [(0.3, 0.64, 468), (0.03, 50.0, 0), (0.0999, 50.0, 1)])
-def test_no_torque_becomes_larger_than_it_was_commanded(torque, rated, per_mille):
-    units = DriveUnits(COUNTS, COUNTS, rated)
-    assert units.torque_per_mille(torque) == per_mille
-    assert units.torque_per_mille(-torque) == -per_mille
-
-
 @given(st.integers(-32767, 32767), st.floats(1e-3, 1e4))
 def test_a_torque_of_whole_steps_comes_back(per_mille, rated):
     units = DriveUnits(COUNTS, COUNTS, rated)
@@ -79,8 +72,11 @@ def test_what_is_no_finite_number_never_reaches_a_drive(units, value):
             encode(value)
 
 
-def test_rated_torque_is_a_thousand():
-    assert UNITS.torque_per_mille(0.64) == 1000
-    assert UNITS.torque(1000) == pytest.approx(0.64)
-    assert INVERTED.torque_per_mille(0.32) == -500
-    assert INVERTED.torque(-500) == pytest.approx(0.32)
+@pytest.mark.parametrize(
+    ("torque", "rated", "per_mille"), [(0.3, 0.64, 468), (0.03, 50.0, 0), (0.0999, 50.0, 1), (0.64, 0.64, 1000)]
+)
+def test_no_torque_becomes_larger_than_it_was_commanded(torque, rated, per_mille):
+    for sign in (1, -1):
+        assert DriveUnits(COUNTS, COUNTS, rated).torque_per_mille(sign * torque) == sign * per_mille
+        assert DriveUnits(-COUNTS, -COUNTS, -rated).torque_per_mille(sign * torque) == -sign * per_mille
+    assert (UNITS.torque(1000), INVERTED.torque(-500)) == pytest.approx((0.64, 0.32))
