@@ -97,9 +97,7 @@ def test_an_axis_at_rest_while_it_should_slide_still_has_a_narrowest_hump() -> N
     position = np.round(0.5 * np.sin(0.8 * time) / 4e-3) * 4e-3
     velocity = np.diff(position, prepend=0.0) / 2e-3
     columns = {"time_s": time, "position": position, "velocity": velocity, "torque": np.sign(np.cos(0.8 * time))}
-
     fitter = CandidateFitter([Recording("made.csv", "x", columns)], (), IdentificationSettings(), lambda _: None)
-
     assert fitter.scales.least_sliding_speed > 0.0
     assert np.isfinite(Regression(fitter.data, fitter.build("stribeck", is_directed=False), ["inertia"]).lower).all()
 
@@ -123,7 +121,6 @@ def test_a_scale_that_is_not_positive_is_named(name, wrong) -> None:
         **dict.fromkeys(("deflections", "stribeck_velocities", "speeds"), (0.5, 1.0)),
     }
     scales[name] = (0.5, wrong) if isinstance(scales[name], tuple) else wrong
-
     with pytest.raises(RecordingError, match=f"{name.replace('_', ' ')} is .*must be finite and above zero"):
         InitialScales(**scales)
 
@@ -155,9 +152,7 @@ def test_an_error_of_the_program_costs_one_family_and_is_named(where, monkeypatc
 
     monkeypatch.setattr(BROKEN[where], broken)
     wanted = IdentificationSettings(families=("coulomb", "stribeck"), gravity="none", has_modifiers=False)
-
     result = identify([small_recording()], wanted)
-
     assert {each.structure.family for each in result.fits} == {"coulomb"}
     [failure] = result.failures
     assert failure.startswith("stribeck was left out, because of an internal error (ValueError: math domain error")
@@ -170,6 +165,5 @@ def test_errors_of_the_program_in_every_family_are_one_message(monkeypatch) -> N
 
     monkeypatch.setattr(BROKEN["build"], broken)
     wanted = IdentificationSettings(families=("stribeck",), gravity="none", has_modifiers=False)
-
     with pytest.raises(FrictionHilError, match=r"no candidate could be fitted.*stribeck was left out"):
         identify([small_recording()], wanted)

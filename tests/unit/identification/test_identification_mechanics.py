@@ -103,7 +103,6 @@ def test_the_response_is_that_of_the_discretised_axis() -> None:
     _, position, _ = signal.dlsim((*system[:4], period_s), torque, x0=[0.0, 30.0, 0.0, 30.0])
     columns = {"time_s": period_s * np.arange(len(torque)), "position": position[:, 0], "torque": torque}
     response = response_of(Recording("x.csv", "x", columns))
-    assert response is not None
     assert not response.has_instrument
     band = (response.frequency_hz > 5.0) & (response.frequency_hz < 200.0)
     turns = np.exp(2j * math.pi * response.frequency_hz * period_s)
@@ -120,7 +119,6 @@ def test_the_response_is_that_of_the_discretised_axis() -> None:
 def test_resonance_and_anti_resonance_are_those_of_the_axis() -> None:
     axis = Axis()
     response = response_of(shaken(axis))
-    assert response is not None
     assert response.has_instrument
     resonance, why = fit_resonance(response)
     assert resonance is not None, why
@@ -148,7 +146,6 @@ def test_intervals_hold_the_true_values_as_often_as_they_say() -> None:
 def test_the_telescope_is_found_as_its_file_has_it() -> None:
     axis = axis_of("telescope")
     bounds = axis.experiment
-    assert bounds is not None
     plan = multisine.plan(bounds.velocity, bounds.travel, period_s=1e-3, duration_s=24.0)
     response = response_of(record_machine(axis, multisine.multisine_path(plan), plan.duration_s))
     assert response is not None
@@ -161,7 +158,6 @@ def test_the_telescope_is_found_as_its_file_has_it() -> None:
 
 def test_a_rigid_axis_has_no_resonance() -> None:
     response = response_of(shaken(RIGID))
-    assert response is not None
     assert response.band_hz[1] > 100.0
     resonance, why = fit_resonance(response)
     assert resonance is None
@@ -173,7 +169,6 @@ def test_a_rigid_axis_has_no_resonance() -> None:
 def test_the_loops_of_an_axis_that_is_held_are_no_coupling(moved: str) -> None:
     """The links are rigid; the other joint gives way under the inertial forces, as far as its loops let it."""
     bounds = load(FOLDER / "two_link_arm.yaml").axes[moved].experiment
-    assert bounds is not None
     plan = multisine.plan(bounds.velocity, bounds.travel, period_s=1e-3, duration_s=16.0)
     recorded = record_mechanism("two_link_arm", moved, multisine.multisine_path(plan), plan.duration_s)
     own = recorded.pop(moved)
@@ -249,13 +244,11 @@ def test_with_the_position_of_the_load_each_side_is_known() -> None:
     plan = experiment.plan(2.0, 0.5, 6e-6, 12.0)
     recording = record(GAP, sweeps(plan, 12.5))
     side = find_load_side([recording], prepare(recording))
-    assert side is not None
     expected = truth(GAP)
     for name in ("backlash", "motor_inertia", "motor_friction", "load_friction", "stiffness"):
         assert side.values[name] == pytest.approx(expected[name], rel=0.05), name
     recording = record(COULOMB_LOAD, sweeps(plan, 12.5))
     side = find_load_side([recording], prepare(recording))
-    assert side is not None
     assert "backlash" not in side.values
 
 
@@ -291,7 +284,6 @@ def test_model_file_has_the_load_and_is_read_again() -> None:
     content = as_model_file(result)
     add_mechanics(content, mechanics)
     read = ModelFile.model_validate(content).mechanics
-    assert read.load is not None
     values = known(mechanics)
     assert read.load.stiffness == pytest.approx(values["stiffness"])
     assert read.inertia == pytest.approx(values["inertia"])

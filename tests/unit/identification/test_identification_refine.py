@@ -166,18 +166,14 @@ def test_without_refinement_the_same_recording_does_not_determine_damping() -> N
     assert abs(fit.values["sigma1"] / LUGRE["sigma1"] - 1.0) > 0.2
 
 
-def test_subtracting_the_shift_leaves_viscous_friction_and_inertia_at_zero_or_above(
-    result: Identification,
-) -> None:
+def test_subtracting_the_shift_leaves_viscous_friction_and_inertia_at_zero_or_above(result):
     """A shift as large as the parameter: subtracting more would make friction drive the axis."""
     fit = result.best
     regression = Regression(fine_data(result.records, is_mean=True), fit.structure, ["inertia", "offset"])
     estimate = regression.estimate(fit.coordinates)
     size = np.array([{"sigma2": 1.5, "offset": 3.0}.get(name, 1e-3) * estimate.values[name] for name in estimate.names])
     shifts = size * np.array([[0.9], [1.1]])
-
     corrected, _, notes = _corrected(regression, estimate, fit.inference, shifts)
-
     assert (corrected.values["sigma2"], corrected.at_bound, notes) == (0.0, ("sigma2",), [])
     assert corrected.values["offset"] * estimate.values["offset"] < 0.0, "an offset may have any sign"
     assert corrected.values["coulomb"] == pytest.approx(0.999 * estimate.values["coulomb"], rel=1e-5)
@@ -189,7 +185,6 @@ def test_subtracting_the_shift_leaves_viscous_friction_and_inertia_at_zero_or_ab
 def test_directions_and_ripple_are_found_at_the_resolution_of_the_encoder() -> None:
     """From an eighth of a revolution."""
     best = found(recorded(1, is_modified=True), has_modifiers=True, replicas=4).best
-
     assert best.is_refined
     assert set(best.structure.modifiers) >= {"direction", "ripple"}
     _, modifiers = best.friction
@@ -211,8 +206,6 @@ def test_a_symmetric_axis_without_ripple_gets_no_modifiers() -> None:
 @pytest.mark.parametrize(("kind", "least", "most"), [("mean", 0.4, 0.6), ("instant", -0.1, 0.3), ("late", 1.8, 2.4)])
 def test_the_age_of_the_torque_is_found(kind: str, least: float, most: float) -> None:
     result = found(recorded(2, kind=kind), torque="auto", replicas=4)
-
-    assert result.torque is not None
     assert result.torque.meaning == kind
     assert least < result.torque.delay_s / PERIOD_S < most
     assert result.torque.error_s < 0.1 * PERIOD_S
@@ -244,9 +237,7 @@ COUNT = 2.0 * math.pi / 2**20
         (None, 20.0, 1e-3, False),  # of an encoder that nobody knows
     ],
 )
-def test_the_data_decide_what_is_refined(
-    resolution: float, frequency: float, amplitude: float, is_excited: bool
-) -> None:
+def test_the_data_decide_what_is_refined(resolution, frequency, amplitude, is_excited):
     (record,) = prepare(short(resolution, frequency, amplitude))
     assert is_presliding_excited(record) == is_excited
 
@@ -400,9 +391,7 @@ def test_limits_asked_for_by_a_coarse_encoder_are_enough_and_hardly_more(change:
         (10, 3.0, [], "presliding is not shown"),
     ],
 )
-def test_what_an_encoder_cannot_show_is_left_out_and_said(
-    bits: int, velocity: float, frequencies: list[float], note: str
-) -> None:
+def test_what_an_encoder_cannot_show_is_left_out_and_said(bits, velocity, frequencies, note):
     count = 2.0 * math.pi / 2**bits
     sweeps = experiment.plan(velocity, 1.0, count, period_s=1e-3)
     assert [sweep.frequency for sweep in experiment.fast(sweeps)] == frequencies

@@ -99,11 +99,7 @@ def test_a_high_order_is_found_far_from_zero() -> None:
 @pytest.mark.parametrize(("quadratic", "is_kept"), [(-0.1, True), (-0.4, False)])
 def test_viscous_friction_may_bend_down_as_long_as_it_cannot_change_its_sign(quadratic: float, is_kept: bool) -> None:
     """Up to three times the top speed of the data, 1 rad/s."""
-    friction = {
-        "coulomb": 1.0,
-        "viscous": 0.8,
-        "modifiers": {"viscous": {"quadratic": quadratic}},
-    }
+    friction = {"coulomb": 1.0, "viscous": 0.8, "modifiers": {"viscous": {"quadratic": quadratic}}}
     result = identify([recorded(friction, 1.0)], IdentificationSettings(families=("coulomb",), gravity="none"))
     [bent] = (each for each in result.fits if each.label == "coulomb + viscous")
     assert bent.values["viscous.quadratic"] == (pytest.approx(quadratic, abs=0.02) if is_kept else 0.0)

@@ -21,7 +21,6 @@ def experiment_on(name: str, seconds: float) -> Recording:
     """The experiment of `tune` on an example machine."""
     axis = axis_of(name)
     bounds, counts = axis.experiment, axis.simulation.encoder.counts
-    assert bounds is not None
     assert bounds.acceleration is not None
     plan = experiment.plan(
         bounds.velocity, bounds.travel, math.tau / counts, seconds, acceleration=bounds.acceleration, period_s=1e-3
@@ -37,11 +36,8 @@ def fitter_of(recording: Recording) -> CandidateFitter:
 @pytest.mark.deep
 def test_weight_and_inertia_of_a_joint_are_found_behind_its_soft_gear() -> None:
     mechanics = axis_of("harmonic_drive").simulation.mechanics
-    assert mechanics.load is not None
-    assert mechanics.gravity is not None
     fitter = fitter_of(experiment_on("harmonic_drive", 40.0))
     fit = fitter.fit(fitter.build("lugre", is_directed=False))
-    assert fit is not None
     # losses of the gear count as a little of either
     assert fit.mechanics["inertia"] == pytest.approx(mechanics.inertia + mechanics.load.inertia, rel=0.15)
     assert fit.mechanics["gravity.sine"] == pytest.approx(mechanics.gravity.sine, rel=0.15)
@@ -51,7 +47,6 @@ def test_weight_and_inertia_of_a_joint_are_found_behind_its_soft_gear() -> None:
 def test_a_stiff_axis_without_gravity_has_none_and_nothing_held() -> None:
     fitter = fitter_of(experiment_on("direct_drive", 24.0))
     fit = fitter.fit(fitter.build("coulomb", is_directed=False))
-    assert fit is not None
     assert fit.mechanics["gravity.sine"] == fit.mechanics["gravity.cosine"] == 0.0
     assert "inertia" in fit.inference.standard_errors
     assert fitter.notes == []
@@ -62,15 +57,12 @@ def test_an_inertia_that_the_user_holds_stays() -> None:
     settings = IdentificationSettings(families=("coulomb",), has_modifiers=False, held={"inertia": 1.0})
     fitter = CandidateFitter([recording], [], settings, lambda _: None)
     fit = fitter.fit(fitter.build("coulomb", is_directed=False))
-    assert fit is not None
     assert fit.mechanics["inertia"] == 1.0
 
 
 def test_a_load_that_swings_makes_the_axis_look_light_in_fast_motion_only() -> None:
     records = prepare(experiment_on("harmonic_drive", 40.0))
     slow, fast = (sliding_mechanics(records, can_swing=True, low_hz=low_hz) for low_hz in (LOW_HZ, WIDE_HZ))
-    assert slow is not None
-    assert fast is not None
     assert slow.differs(fast)
     assert fast.inertia < 0.7 * slow.inertia
     assert slow.has_swing

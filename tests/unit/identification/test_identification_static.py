@@ -1,7 +1,6 @@
 """Static friction from maps of speed and torque."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,9 +40,7 @@ def test_a_map_gives_back_its_friction_at_any_scale(level: float, speed: float) 
     assert best.offset == pytest.approx(0.01 * level, rel=1e-2)
 
 
-def test_the_command_writes_a_model_file_and_the_preview_names_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_a_model_file_and_the_preview_names_it(tmp_path, capsys):
     path, output = tmp_path / "map.csv", tmp_path / "map.yaml"
     rows = [f"{v * 30 / np.pi:.6f},{1e3 * t:.6f}" for v, t in zip(*points(SPEEDS).columns.values(), strict=True)]
     path.write_text("speed [rpm],torque (mNm)\n" + "\n".join(rows) + "\n")

@@ -193,16 +193,12 @@ def test_groups_are_held_out_as_a_whole() -> None:
         ({"gravity.sine": GRAVITY}, {"least_speed": -1.0}, UsageError, "above 0, not -1"),
     ],
 )
-def test_mistakes_are_reported(
-    held: dict[str, float], settings: dict[str, Any], error: type[Exception], message: str
-) -> None:
+def test_mistakes_are_reported(held, settings, error, message):
     with pytest.raises(error, match=message):
         found(recorded(trajectory="a"), held=held, **settings)
 
 
-def test_command_writes_the_friction_in_torque(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_writes_the_friction_in_torque(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     recordings.write(tmp_path / "swing.csv", recorded(noise=0.1))
     words = ["identify", "swing.csv", "--models", "coulomb", "--unknown-gain", "--fix", f"gravity.sine={GRAVITY}"]
@@ -213,7 +209,6 @@ def test_command_writes_the_friction_in_torque(
     assert model.friction.parameters["coulomb"] == pytest.approx(0.05, rel=0.1)
     assert model.mechanics.gravity.sine == pytest.approx(GRAVITY)
     assert model.fit is not None
-    assert model.torque_signal is not None
     assert model.torque_signal.model_dump(exclude={"column"}) == pytest.approx(document["fits"][0]["drive"], rel=1e-6)
     assert main([*words, "--controller", "position_gain=1", "--controller", "velocity_gain=1"]) == 2
     assert "not with --unknown-gain" in capsys.readouterr().err
@@ -221,9 +216,7 @@ def test_command_writes_the_friction_in_torque(
 
 @pytest.mark.deep
 @needs_bam
-def test_servo_has_friction_that_grows_with_its_load(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_servo_has_friction_that_grows_with_its_load(tmp_path, monkeypatch, capsys):
     """Its volts are the duty, a signed register of 885 counts, times the supply; released, it has none."""
     monkeypatch.chdir(tmp_path)
     facts = [json.loads(path.read_text()) for path in sorted(BAM.glob("*.json"))]
@@ -245,7 +238,6 @@ def test_servo_has_friction_that_grows_with_its_load(
     assert model.fit is not None
     # data sheet: 0.52 N m and 1.47 A at 5 V, 103 rpm without load, so that k_e is at most 0.46 V s/rad
     drive = model.torque_signal
-    assert drive is not None
     assert drive.column == "load:int16*input_volts*0.001129943503"
     assert 0.06 < drive.gain < 0.11
     assert 0.25 < drive.back_emf / drive.gain < 0.46

@@ -35,9 +35,7 @@ def moved(factor: float, weight: dict[str, float], amplitude: float = 1.0, seed:
     return Recording("x.csv", "x", {"time_s": time, "position": q, "torque": torque})
 
 
-def found(
-    factor: float, weight: dict[str, float], load_inertia: float = LOAD_INERTIA, **given: float
-) -> LoadDependence:
+def found(factor, weight, load_inertia=LOAD_INERTIA, **given) -> LoadDependence:
     result = find_load_dependence(prepare(moved(factor, weight, **given)), weight, load_inertia, ())
     assert result is not None
     return result
@@ -70,7 +68,6 @@ def test_friction_of_the_load_that_holds_it_against_one_side_hides_the_factor(in
     torque += 0.1 * np.random.default_rng(0).standard_normal(len(time))
     recording = Recording("x.csv", "x", {"time_s": time, "position": q, "torque": torque})
     result = find_load_dependence(prepare(recording), {}, inertia, ())
-    assert result is not None
     assert not result.is_clear
     assert not result.is_excluded
 
@@ -80,11 +77,8 @@ def test_the_factor_of_a_hobby_servo_is_right_though_its_load_is_not_known() -> 
     plan = experiment.plan(2.0, 1.2, math.tau / 4096, 60.0, acceleration=25.0, period_s=PERIOD_S)
     records = prepare(record(axis, sweeps_path(plan), 60.0))
     slow = sliding_mechanics(records, can_swing=True)
-    assert slow is not None
     result = find_load_dependence(records, {"gravity.sine": slow.sine}, None, ())
-    assert result is not None
     gear = axis.simulation.gear
-    assert gear is not None
     true = 0.5 * (1.0 / gear.forward_efficiency - gear.backward_efficiency)
     assert result.is_clear
     assert abs(result.factor - true) < 3.0 * result.error

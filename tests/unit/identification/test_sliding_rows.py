@@ -29,9 +29,7 @@ def slow_axis() -> Recording:
 def test_a_slow_axis_shows_its_levels_where_the_bristles_have_turned() -> None:
     turned = 5.0 * TRUE["static"] / STIFFNESS
     settings = IdentificationSettings(families=("stribeck",), **SLIDING, sliding_distance=turned)
-
     fit = next(each for each in identify([slow_axis()], settings).fits if each.label == "stribeck")
-
     assert {name: fit.values[name] for name in TRUE} == pytest.approx(TRUE, rel=0.05)
     assert fit.values["viscous"] == pytest.approx(VISCOUS, rel=0.03)
     assert fit.values["inertia"] == pytest.approx(INERTIA, rel=0.02)

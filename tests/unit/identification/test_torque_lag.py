@@ -44,9 +44,7 @@ def test_the_response_to_a_command_is_that_of_a_simulation_in_small_steps(lag, d
     delay = round(delay * STEPS) / STEPS
     impulse = np.zeros(20)
     impulse[1] = 1.0
-
     found = lag_response(lag, delay, is_mean=is_mean)
-
     expected = followed(impulse, lag, delay, is_mean=is_mean)[1:18]
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
@@ -80,7 +78,6 @@ def commanded(lag_s, *, delay=1.0, is_mean=False, gain=1.0, rows=4000, seed=1):
 @pytest.mark.parametrize("is_mean", [False, True])
 def test_the_lag_of_a_commanded_torque_is_found(lag_s, is_mean) -> None:
     found = identify_torque_lag([commanded(lag_s, is_mean=is_mean)], "cst", PERIOD_S, is_mean=is_mean)
-
     assert found.error_s < 0.05 * lag_s
     assert found.lag_s == pytest.approx(lag_s, abs=max(4.0 * found.error_s, 0.01 * lag_s))
     assert found.gain == pytest.approx(1.0, abs=0.01)
@@ -92,10 +89,8 @@ def test_what_the_rounding_of_both_torques_hides_is_added_and_counts_as_an_error
     rounded = RESOLUTION * np.round(command / RESOLUTION)
     torque = RESOLUTION * np.round(followed(rounded, 0.3, 1.0) / RESOLUTION)
     run.columns.update(command=command, torque=torque)
-
     plain = identify_torque_lag([run], "cst", PERIOD_S, is_mean=False)
     found = identify_torque_lag([run], "cst", PERIOD_S, is_mean=False, resolution=RESOLUTION)
-
     assert abs(plain.lag_s - 3e-4) > 3.0 * plain.error_s, "rounding hides a part"
     assert abs(found.lag_s - 3e-4) < 3.0 * found.error_s
     assert abs(found.lag_s - 3e-4) < abs(plain.lag_s - 3e-4)
@@ -125,9 +120,7 @@ def recorded(mode, servo, *, is_compensated):
 def test_the_loops_of_the_drive_do_not_disturb_the_lag(mode, lag_s, bits) -> None:
     servo = ServoConfig(motor=Motor(torque_lag_s=lag_s), encoder=Encoder(counts=2**bits))
     runs = [recorded(mode, servo, is_compensated=is_compensated) for is_compensated in (False, True)]
-
     found = identify_torque_lag(runs, mode, PERIOD_S, is_mean=False)
-
     assert found.error_s < 0.3 * lag_s
     assert abs(found.lag_s - lag_s) < 3.0 * found.error_s
 
@@ -138,9 +131,7 @@ def test_rows_that_are_missing_do_not_change_the_lag() -> None:
     kept[[700, 701, 1500, 2600]] = False
     values = {name: each[kept] for name, each in whole.columns.items()}
     values["torque"][2000], values["is_fresh"][2000] = 9.0, 0.0
-
     found = identify_torque_lag([replace(whole, columns=values)], "cst", PERIOD_S, is_mean=False)
-
     assert found.lag_s == pytest.approx(5e-4, abs=1e-5)
 
 
@@ -165,7 +156,6 @@ def decided(lag_s, *, former_s=0.0, timing=None, delay_s=0.0, **changes):
 
 def test_a_lag_is_taken_where_none_is_stated() -> None:
     lag = decided(4e-4)
-
     assert (lag.is_replaced, lag.is_determined, lag.reason) == (True, True, "")
     assert lag.value_s == pytest.approx(4e-4, rel=0.02)
     assert f"torque lag {1e3 * lag.value_s:.3g} ms (standard error " in lag.text
@@ -175,7 +165,6 @@ def test_a_lag_is_taken_where_none_is_stated() -> None:
 def test_a_stated_lag_is_replaced_only_if_the_age_of_the_torque_is_known() -> None:
     kept = decided(4e-4, former_s=6e-4)
     replaced = decided(4e-4, former_s=6e-4, timing=INSTANT)
-
     assert (kept.is_replaced, kept.is_determined, kept.value_s) == (False, True, 6e-4)
     assert "the age of the reported torque is not known" in kept.text
     assert "0.6 ms of the former model is kept" in kept.text
@@ -186,21 +175,18 @@ def test_a_stated_lag_is_replaced_only_if_the_age_of_the_torque_is_known() -> No
 def test_a_stated_lag_that_the_trial_confirms_stays_as_it_is() -> None:
     found = decided(4e-4).estimate
     lag = decided(4e-4, former_s=found.lag_s + found.error_s, timing=INSTANT)
-
     assert (lag.is_replaced, lag.is_determined) == (False, True)
     assert "agrees with the stated one" in lag.text
 
 
 def test_a_stated_delay_is_no_lag() -> None:
     lag = decided(4e-4, delay=1.3, delay_s=1.3 * PERIOD_S)
-
     assert lag.value_s == pytest.approx(4e-4, rel=0.05)
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 5e-5])
 def test_a_demanded_torque_looks_like_a_lag_that_is_too_short_to_see(lag_s) -> None:
     lag = decided(lag_s, former_s=3e-4, timing=INSTANT)
-
     assert (lag.is_determined, lag.is_replaced, lag.value_s) == (False, False, 3e-4)
     assert "torque lag not determined: the reported torque probably follows the command within 0." in lag.text
     assert "the drive reports the torque that it demands" in lag.text
@@ -208,14 +194,12 @@ def test_a_demanded_torque_looks_like_a_lag_that_is_too_short_to_see(lag_s) -> N
 
 def test_a_torque_that_is_not_the_commanded_one_tells_nothing() -> None:
     lag = decided(4e-4, gain=0.5)
-
     assert (lag.is_determined, lag.is_replaced) == (False, False)
     assert "changes by 0.5 of the commanded one" in lag.reason
 
 
 def test_a_long_lag_may_be_a_filter_of_the_reported_torque() -> None:
     doubtful = decided(2e-3)
-
     assert (doubtful.is_determined, doubtful.value_s) == (False, 0.0)
     assert "more than usual current loops do, and may be filtered" in doubtful.text
     assert decided(2e-3, timing=INSTANT).value_s == pytest.approx(2e-3, rel=0.02)
@@ -223,7 +207,6 @@ def test_a_long_lag_may_be_a_filter_of_the_reported_torque() -> None:
 
 def test_a_lag_of_several_periods_is_not_guessed() -> None:
     lag = decided(8e-3)
-
     assert not lag.is_determined
     assert "as long as 3 ms" in lag.reason
 
@@ -239,8 +222,6 @@ def test_a_lag_of_several_periods_is_not_guessed() -> None:
 def test_what_the_reported_torque_cannot_tell_is_said(torque_delay_s, timing, reason) -> None:
     run = commanded(4e-4)
     run.metadata["facts"][0]["torque_delay_s"] = torque_delay_s
-
     lag = find_torque_lag(run, [run], configuration().axes["x"], timing)
-
     assert (lag.estimate, lag.is_determined, lag.value_s) == (None, False, 3e-4)
     assert reason in lag.text

@@ -59,9 +59,7 @@ def test_the_families_are_those_with_the_levels_of_stribeck() -> None:
 def test_the_curve_is_that_of_the_chosen_stribeck_fit(sliding, family, viscous) -> None:
     best = next(each for each in sliding.fits if each.label == "stribeck")
     levels = ("coulomb", "static", "stribeck_velocity")
-
     held = steady_curve([sliding], family)
-
     assert held == {
         "inertia": best.mechanics["inertia"],
         **{name: best.values[name] for name in levels},
@@ -74,13 +72,9 @@ def test_a_modifier_that_predicts_slightly_better_does_not_take_the_curve_away(s
     best = next(each for each in sliding.fits if each.label == "stribeck")
     error = replace(best.held_out, rmse=0.99 * best.held_out.rmse)
     modified = replace(
-        best,
-        structure=replace(best.structure, modifiers=("viscous",)),
-        across_speeds=error,
-        cross_validation=error,
+        best, structure=replace(best.structure, modifiers=("viscous",)), across_speeds=error, cross_validation=error
     )
     fits = (modified, *sliding.fits)
-
     assert steady_curve([replace(sliding, fits=fits)], "lugre") == steady_curve([sliding], "lugre")
 
 
@@ -88,9 +82,7 @@ def test_levels_of_each_direction_keep_their_sides_and_a_missing_hump_is_flat(sl
     best = next(each for each in sliding.fits if each.label == "coulomb")
     sides = {"direction.positive.coulomb": 0.1, "direction.negative.coulomb": 0.06, "direction.positive.viscous": 0.001}
     directed = replace(best, values=sides, structure=replace(best.structure, coordinates=(), modifiers=("direction",)))
-
     held = steady_curve([replace(sliding, fits=(directed,))], "lugre")
-
     assert held["direction.positive.static"] == held["direction.positive.coulomb"] == 0.1
     assert held["direction.negative.static"] == 0.06
     assert held["direction.positive.sigma2"] == 0.001
@@ -99,7 +91,6 @@ def test_levels_of_each_direction_keep_their_sides_and_a_missing_hump_is_flat(sl
 def test_without_a_plain_fit_there_is_no_curve(sliding) -> None:
     best = sliding.best
     rippled = replace(best, structure=replace(best.structure, modifiers=("ripple",)))
-
     assert steady_curve([replace(sliding, fits=())], "lugre") == {}
     assert steady_curve([replace(sliding, fits=(rippled,))], "lugre") == {}
 
@@ -111,9 +102,7 @@ def test_a_fit_that_is_wrong_where_the_axis_slides_is_less_likely() -> None:
     curves = SimpleNamespace(velocity=velocity, friction=true, residual=noise)
     static = fit("stribeck", {}, curves=curves)
     right, flat = fit("lugre", LUGRE), fit("lugre", LUGRE | {"static": 0.08})
-
     weights = steady_weights({0: right, 1: flat}, found(static))
-
     assert weights[0] == 1.0
     assert weights[1] < 0.1
 
@@ -123,9 +112,7 @@ def test_a_search_for_a_hump_begins_above_the_coulomb_level_and_stays_there() ->
     structure = build("lugre", scales, "rotary", 1e-3, is_directed=False)
     dip = {"coulomb": 0.08, "static": 0.004, "stribeck_velocity": 0.003, "sigma0": 1e3, "sigma1": 1.0}
     narrow = SimpleFit(structure, dip, np.array([each.inner(dip[each.name]) for each in structure.coordinates]))
-
     begun = humps.upright(narrow, dip | {"static": 0.08}, scales)
-
     bounds = {each.name: each.lower for each in begun.structure.coordinates}
     values = begun.structure.values(begun.coordinates)
     assert bounds["static"] == dip["coulomb"]

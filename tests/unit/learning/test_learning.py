@@ -257,10 +257,7 @@ def holed(rows):
     rows["torque"][5] = math.nan
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [(frozen, "torque"), (slipped, "jumps"), (holed, "gaps")],
-)
+@pytest.mark.parametrize(("change", "words"), [(frozen, "torque"), (slipped, "jumps"), (holed, "gaps")])
 def test_a_record_that_is_not_that_of_the_axis_ends_learning_within_a_second(tried, change, words):
     at = tried.ticks
     tried.take(4, until=Step.BACK, change=change, error=1e-3)

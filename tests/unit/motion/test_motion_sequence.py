@@ -35,7 +35,6 @@ def test_strokes_go_to_and_fro_and_rest_at_both_ends(stroke, frequency, rest) ->
     path, half = strokes_path(stroke, frequency, rest), 0.5 / frequency
     step = half / 2000
     rows = sampled(path, 2.0 * half, step)
-
     assert_is_integral(rows, step)
     assert (rows[:, 0].min(), rows[:, 0].max()) == pytest.approx((0.0, stroke), abs=1e-9)
     moving_s = (1.0 - rest) * half
@@ -56,7 +55,6 @@ PARTS = (
 def test_motions_of_a_sequence_join_at_rest() -> None:
     path, duration_s = sequence_path(PARTS), sum(part.duration_s for part in PARTS)
     rows = sampled(path, duration_s + 0.5)
-
     assert_is_integral(rows, 1e-3, jumps=40.0)
     begin_s = 0.0
     for part in PARTS:
@@ -70,7 +68,6 @@ def test_between_its_ramps_a_motion_is_as_it_is() -> None:
     """A whole number of periods: two axes stay on their circle."""
     axes = [sequence_path([Part(circle_path(0.5, 1.0, phase), 3.0, 0.5, 0.0)]) for phase in (0.0, -0.5 * math.pi)]
     x, y = (sampled(each, 3.5) for each in axes)
-
     assert np.hypot(x[:, 0] + 0.5, y[:, 0]) == pytest.approx(0.5, abs=1e-9)
     steady = slice(510, 2990)
     assert np.hypot(x[steady, 1], y[steady, 1]) == pytest.approx(math.pi, rel=1e-9)
@@ -91,9 +88,7 @@ def test_a_configured_sequence_is_the_path_of_its_motions() -> None:
     bus = {"interface": "virtual", "channel": "test"}
     data = {"version": 1, "period_s": PERIOD_S, "bus": bus, "axes": {"x": {**given_axis, "node": 1}}}
     axis = from_dict(data, "test").axes["x"]
-
     path = make_path(axis, 1e-6, PERIOD_S)
-
     assert axis.trajectory.duration_s == pytest.approx((4.0 + 0.5 + 0.5) + (4.0 + 1.0))
     low, high, speed = extent(path, axis.trajectory.duration_s, 10_000)
     assert (low, high) == pytest.approx((-0.5, 0.5), rel=1e-3)

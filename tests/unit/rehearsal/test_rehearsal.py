@@ -54,11 +54,9 @@ def test_a_rehearsal_has_the_error_of_the_loop_itself(mode, bits, is_compensated
     columns = recorded(config, servo, 5.0)
     error = (columns["position_demand"] - columns["position"])[round(2.0 / PERIOD_S) :][: round(2.0 / PERIOD_S)]
     motion = Motion(sine_path(AMPLITUDE, HZ, 0.0), 2.0, ramp_s=0.25, start_s=2.0)
-
     outcome = Rehearsal(axis, facts(mode, servo), PERIOD_S).run(
         servo, axis.model, motion, is_compensated=is_compensated
     )
-
     assert outcome.rms == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=0.05)
     assert outcome.peak == pytest.approx(float(np.max(np.abs(error))), rel=0.1)
     assert outcome.gain_factor == 1.0
@@ -90,10 +88,8 @@ def test_a_model_with_too_much_friction_swings_in_a_rehearsal() -> None:
     wrong = ModelFile.model_validate({"axis": "rotary", "friction": friction, "mechanics": {"inertia": 2e-4}})
     rehearsal = Rehearsal(axis, facts("csp", servo), PERIOD_S)
     motion = Motion(sine_path(0.02, 0.5, 0.0), 4.0)
-
     without = rehearsal.run(servo, wrong, motion, is_compensated=False)
     outcome = rehearsal.run(servo, wrong, motion)
-
     assert outcome.gain_factor < 1.0 or outcome.rms > without.rms
     assert rehearsal.run(servo, axis.model, motion).rms < without.rms
 
@@ -112,9 +108,7 @@ def test_the_loops_of_a_drive_are_found_from_its_torque(bits) -> None:
     true = Loops(position_gain=90.0, velocity_gain=0.12, integral_hz=6.0)
     servo = ServoConfig(loops=true, encoder=Encoder(counts=2**bits))
     recording = excited("csp", servo)
-
     found = identify_loops(recording, "csp", 2.0 * math.pi / 2**bits)
-
     assert found.explained > 0.98
     assert found.velocity_gain == pytest.approx(true.velocity_gain, rel=0.12)
     # the torque depends on the sum and the product of the two corners
@@ -127,18 +121,14 @@ def test_the_loops_of_a_drive_are_found_from_its_torque(bits) -> None:
 
 def test_a_drive_without_feedforward_is_recognised() -> None:
     servo = ServoConfig(loops=Loops(position_gain=90.0, velocity_gain=0.12, integral_hz=6.0, velocity_feedforward=0.0))
-
     found = identify_loops(excited("csp", servo), "csp", 2.0 * math.pi / 2**20)
-
     assert found.velocity_feedforward == pytest.approx(0.0, abs=0.1)
     assert found.velocity_gain == pytest.approx(0.12, rel=0.12)
 
 
 def test_the_velocity_loop_is_found_in_csv() -> None:
     true = Loops(velocity_gain=0.1, integral_hz=8.0)
-
     found = identify_loops(excited("csv", ServoConfig(loops=true)), "csv", 2.0 * math.pi / 2**20, 30.0)
-
     assert (found.position_gain, found.explained > 0.98) == (0.0, True)
     assert found.velocity_gain == pytest.approx(true.velocity_gain, rel=0.12)
     assert found.integral_hz == pytest.approx(true.integral_hz, rel=0.2)
@@ -148,6 +138,5 @@ def test_a_torque_that_follows_no_loop_is_refused() -> None:
     recording = excited("csp", ServoConfig())
     noise = np.random.default_rng(1).normal(size=len(recording))
     strange = replace(recording, columns={**recording.columns, "torque": noise})
-
     with pytest.raises(RecordingError, match="cascade of gains explains"):
         identify_loops(strange, "csp", 6e-6)

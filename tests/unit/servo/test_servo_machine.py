@@ -369,19 +369,12 @@ def test_backlash_in_the_position_loop_cycles_as_its_describing_function_says():
     """The encoder is at a light load with friction, which stays where the gap leaves it."""
     gain, lag, gap, inertia = 160.0, 0.05, 0.02, 1e-2
     predicted = backlash_cycle(gain, lag)
-    assert predicted is not None
     one = machine(
         inertia=inertia,
         loops={"rate_hz": HZ, "position_gain": gain, "velocity_gain": inertia / lag, "integral_hz": 0.0}
         | {"velocity_filter_hz": 20_000.0, "inertia_feedforward": 0.0},
         encoder={"at": "both", "counts": 1e9},
-        load={
-            "inertia": 2e-6,
-            "stiffness": 20.0,
-            "damping": 5e-3,
-            "backlash": gap,
-            "friction": coulomb(0.002),
-        },
+        load={"inertia": 2e-6, "stiffness": 20.0, "damping": 5e-3, "backlash": gap, "friction": coulomb(0.002)},
     )
     one.command(CSP, 0.0)
     pushed(one, 0.5)

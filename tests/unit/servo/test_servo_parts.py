@@ -290,11 +290,7 @@ def test_the_ambient_steps_at_its_times():
 
 
 def test_friction_wears_and_is_lubricated_again():
-    wear = [
-        {"time_s": 0.0, "factor": 1.0},
-        {"time_s": 3600.0, "factor": 2.0},
-        {"time_s": 3601.0, "factor": 0.9},
-    ]
+    wear = [{"time_s": 0.0, "factor": 1.0}, {"time_s": 3600.0, "factor": 2.0}, {"time_s": 3601.0, "factor": 0.9}]
     one = servo(friction={"model": "coulomb", "parameters": {"coulomb": 0.1}}, wear=wear, time_lapse=3600.0)
     found = []
     for _ in range(1500):

@@ -311,7 +311,6 @@ def test_experiments_scale_with_the_levels_that_are_given():
     """Ten times the forces at ten times the stiffness: the same paths, ten times the forces."""
     strong = dataclasses.replace(REFERENCE, coulomb=10.0, static=15.0, viscous=4.0, stiffness=1e6)
     given = StudySettings(friction=strong, mass=10.0)
-
     for experiment in (static_curve, stress_strain, break_away_force):
         for name in ("coulomb", "dahl"):
             plain, scaled = experiment(name).facts, experiment(name, given).facts
@@ -322,9 +321,7 @@ def test_experiments_scale_with_the_levels_that_are_given():
 
 def test_a_smaller_circle_has_a_smaller_radius_and_other_speeds():
     given = StudySettings(radius=0.1, frequency=1.0)
-
     facts = reversal("coulomb", None, given).facts
-
     assert given.servo_levels.top_velocity == pytest.approx(math.tau * 0.1)
     assert facts["peak_urad"] != reversal("coulomb", None).facts["peak_urad"]
 

@@ -53,9 +53,7 @@ def test_a_fit_that_swings_in_the_loop_is_not_tried(experiment, found) -> None:
     wrong = replace(best, values=levels, structure=replace(best.structure, modifiers=()))
     mixed = replace(found, fits=(best, *(fit for fit in found.fits if fit.structure.family == "coulomb")))
     strange = replace(found, fits=(wrong,))
-
     rehearsed = rehearse(recording, config, [mixed, strange])
-
     by_level = {each.fit.values["coulomb"]: each for each in rehearsed if each.fit.label == "lugre"}
     assert by_level[wrong.values["coulomb"]].swings
     assert "; the axis oscillates or follows worse: " in rehearsal_text(by_level[wrong.values["coulomb"]])
@@ -74,9 +72,7 @@ def test_fits_whose_errors_refer_to_other_rows_are_not_rehearsed(experiment, fou
     config, recording = experiment
     best = next(fit for fit in found.fits if fit.label == "lugre")
     other = next(fit for fit in found.fits if fit.structure.family == "coulomb")
-
     rehearsed = rehearse(recording, config, [replace(found, fits=(replace(best, is_refined=True), other))])
-
     assert [each.fit.structure.family for each in rehearsed] == ["lugre"]
 
 
@@ -143,7 +139,6 @@ def test_rehearsed_motions_stay_within_the_experiment(velocity, travel, radius, 
     own = Circle(kind="circle", radius=radius, frequency=frequency)
     bounds = ExperimentBounds(velocity=velocity, travel=travel)
     fastest = math.tau * frequency * radius
-
     for name, motion in rehearsal_motions(own, bounds, COUNT).items():
         points = [motion.path(motion.duration_s * k / 200.0) for k in range(200)]
         speed = max(abs(point[1]) for point in points)

@@ -38,14 +38,12 @@ def runs() -> list[Recording]:
 @pytest.mark.parametrize("noise", [0.0, 5.0 * RESOLUTION])
 def test_the_ratio_is_told_from_the_loops_of_the_drive(runs, gain, noise) -> None:
     found = identify_torque_ratio([reporting(each, gain, noise) for each in runs], "csp")
-
     assert found.error < 0.03
     assert abs(found.ratio - gain) < 2.0 * found.error
 
 
 def test_in_cst_the_command_is_all_of_the_torque() -> None:
     found = identify_torque_ratio([commanded(5e-4, gain=0.8)], "cst")
-
     assert found.ratio == pytest.approx(0.8, abs=min(2.0 * found.error, 0.01))
 
 
@@ -58,7 +56,6 @@ def decided(runs: list[Recording], former: float = 1.0):
 @pytest.mark.parametrize(("gain", "former", "is_other"), [(1.0, 1.0, False), (0.8, 1.0, True), (0.8, 0.8, False)])
 def test_a_ratio_counts_where_it_differs_from_that_of_the_model(runs, gain, former, is_other) -> None:
     found = decided([reporting(each, gain) for each in runs], former)
-
     assert (found.is_determined, found.is_other) == (True, is_other)
     assert (f"{found.estimate.ratio:.3g} (standard error {found.estimate.error:.2g})") in found.text
     assert ("too small for the commands" in found.text) == is_other
@@ -70,7 +67,6 @@ def test_a_torque_that_is_another_one_determines_nothing(runs) -> None:
         replace(each, columns={**each.columns, "torque": np.cumsum(noise.standard_normal(len(each)))}) for each in runs
     ]
     found = decided(wild)
-
     assert (found.is_determined, found.is_other) == (False, False)
     assert "of the reported torque unexplained" in found.text
     assert found.figures["estimate"] == found.estimate.ratio
@@ -78,7 +74,6 @@ def test_a_torque_that_is_another_one_determines_nothing(runs) -> None:
 
 def test_a_torque_that_acts_in_the_opposite_direction_names_the_key(runs) -> None:
     found = decided([reporting(each, -1.0) for each in runs])
-
     assert (found.is_determined, found.is_other) == (False, False)
     assert "the torque acts in the opposite direction; set inverted_torque: command" in found.text
 
@@ -132,9 +127,7 @@ def test_a_scaled_model_explains_the_recording_as_before() -> None:
     recording = Recording("memory", "x", columns)
     scaled = with_torque_ratio(MODEL, 0.8, 0.01)
     models = {"plain": ModelFile.model_validate(MODEL), "scaled": ModelFile.model_validate(scaled)}
-
     plain, other = replay(recording, models).predictions
-
     np.testing.assert_allclose(0.8 * other.torque, plain.torque, rtol=1e-6, atol=1e-9)
     assert other.relative_error == pytest.approx(plain.relative_error, rel=1e-6)
     assert models["scaled"].mechanics.load.stiffness == pytest.approx(50.0 / 0.8)
@@ -146,6 +139,5 @@ def test_a_scaled_model_explains_the_recording_as_before() -> None:
 
 def test_scaled_again_only_the_last_ratio_counts() -> None:
     once, twice = with_torque_ratio(MODEL, 0.9), with_torque_ratio(with_torque_ratio(MODEL, 1.5), 0.9)
-
     assert twice["mechanics"]["inertia"] == pytest.approx(once["mechanics"]["inertia"])
     assert twice["friction"]["parameters"] == pytest.approx(once["friction"]["parameters"])

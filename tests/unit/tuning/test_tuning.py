@@ -25,14 +25,7 @@ from friction_hil.tuning import AxisTuning, TriedModel, TuneSettings, Tuning, tu
 from friction_hil.tuning.announcement import experiment_text, shaken_text
 from friction_hil.tuning.candidates import candidates
 from friction_hil.tuning.experiment import refuse_limit_cycle
-from friction_hil.tuning.motions import (
-    TuningError,
-    experiment_of,
-    experiment_run,
-    shaken_run,
-    sliding_part,
-    trial_run,
-)
+from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, shaken_run, sliding_part, trial_run
 from friction_hil.tuning.trial import MotionTrial, Trial
 from tests.servo_drives import PERIOD_S, axis_dict
 
@@ -54,9 +47,7 @@ def axis(**changes):
 def test_in_an_experiment_one_axis_moves_and_nothing_is_compensated() -> None:
     shadows = [{"name": "other", "model": axis()["model"]}]
     configuration = machine(x=axis(), y=axis(shadows=shadows), z=axis(**BY_HAND))
-
     run, duration = experiment_run(configuration, "x")
-
     assert [each.trajectory.kind for each in run.axes.values()] == ["experiment", "hold", "none"]
     assert not any(each.compensation.enabled or each.shadows for each in run.axes.values())
     assert all(run.axes[name].limits == configuration.axes[name].limits for name in run.axes)
@@ -64,11 +55,7 @@ def test_in_an_experiment_one_axis_moves_and_nothing_is_compensated() -> None:
 
 
 @settings(max_examples=30, deadline=None)
-@given(
-    velocity=st.floats(0.5, 20.0),
-    travel=st.floats(0.1, 5.0),
-    kind=st.sampled_from(["hold", "experiment", "sine"]),
-)
+@given(velocity=st.floats(0.5, 20.0), travel=st.floats(0.1, 5.0), kind=st.sampled_from(["hold", "experiment", "sine"]))
 def test_no_experiment_goes_further_or_faster_than_it_may(velocity, travel, kind) -> None:
     motion = {
         "hold": {"kind": "hold"},
@@ -79,7 +66,6 @@ def test_no_experiment_goes_further_or_faster_than_it_may(velocity, travel, kind
     configuration = machine(x=axis(trajectory=motion, experiment=bounds))
     run, duration = experiment_run(configuration, "x")
     low, high, speed = extent(make_path(run.axes["x"], COUNT, PERIOD_S), duration, 4000)
-
     assert -travel <= low <= high <= travel
     assert 0.0 < speed <= velocity * (1.0 + 1e-9)
 
@@ -87,9 +73,7 @@ def test_no_experiment_goes_further_or_faster_than_it_may(velocity, travel, kind
 def test_a_trial_holds_what_has_nothing_to_try_and_believes_the_new_model() -> None:
     configuration = machine(x=axis(), y=axis())
     model = configuration.axes["x"].model.model_copy(update={"fit": {"chosen": "new"}})
-
     run, _ = trial_run(configuration, {"x": model}, {"x": COUNT})
-
     assert run.axes["x"].model.fit == {"chosen": "new"}
     assert run.axes["x"].compensation.enabled
     assert (run.axes["y"].trajectory.kind, run.axes["y"].compensation.enabled) == ("hold", False)
@@ -101,7 +85,6 @@ def test_a_compensation_that_needs_the_inertia_is_not_tried_without_it(needy) ->
     configuration = machine(x=axis(compensation=needy))
     model = configuration.axes["x"].model
     unknown = model.model_copy(update={"mechanics": model.mechanics.model_copy(update={"inertia": 0.0})})
-
     assert trial_run(configuration, {"x": model}, {"x": COUNT})
     with pytest.raises(TuningError, match="x: the experiment does not show the inertia"):
         trial_run(configuration, {"x": unknown}, {"x": COUNT})
@@ -124,9 +107,7 @@ def test_static_models_are_shown_where_an_axis_slides_and_none_of_its_presliding
     }
     facts = [{"name": name, "position_resolution": resolution} for name, resolution in (("y", 1.0), ("x", COUNT))]
     whole = Recording("x_experiment.mcap", "x", columns, {"facts": facts})
-
     part = sliding_part(whole, configuration)
-
     kept, rest = np.split(demand, [len(part)])
     assert np.array_equal(part["position_demand"], kept)
     assert np.array_equal(part["cycle"], columns["cycle"][: len(part)])
@@ -148,24 +129,19 @@ def test_static_models_are_shown_where_an_axis_slides_and_none_of_its_presliding
 def test_what_tuning_needs_to_know_is_asked_for_by_its_key(changes, key) -> None:
     with pytest.raises(OptionError) as caught:
         experiment_of("x", machine(x=axis(**changes)).axes["x"])
-
     assert (caught.value.axis, caught.value.key) == ("x", key)
 
 
 def test_an_axis_that_is_moved_by_hand_is_not_said_to_be_held() -> None:
     configuration = machine(x=axis(), y=axis(**BY_HAND))
     run, duration = experiment_run(configuration, "x")
-
     text = experiment_text(run, "x", experiment_of("x", configuration.axes["x"]), duration)
-
     assert text == (
         "x moves by up to 0.8 rad to either side of where it stands, at up to 5 rad/s (stopped above 7.5 rad/s), "
         "for 21 s, without compensation; y free; "
         "presliding is identified too if one encoder count is 0.00064 rad or less"
     )
-
     text = experiment_text(run, "x", experiment_of("x", configuration.axes["x"]), 66.0, (15.0, 15.0, 30.0))
-
     assert (
         "(stopped above 7.5 rad/s), for at most 66 s, without compensation; it moves in parts of 15, 15, 30 s" in text
     )
@@ -174,9 +150,7 @@ def test_an_axis_that_is_moved_by_hand_is_not_said_to_be_held() -> None:
 def test_an_axis_is_shaken_alone_within_the_bounds_of_its_experiment_and_that_is_announced() -> None:
     configuration = machine(x=axis(), y=axis(**BY_HAND))
     run, duration = shaken_run(configuration, "x")
-
     text = shaken_text(run, "x", experiment_of("x", configuration.axes["x"]), duration)
-
     assert [each.trajectory.kind for each in run.axes.values()] == ["multisine", "none"]
     assert not any(each.compensation.enabled for each in run.axes.values())
     path = make_path(run.axes["x"], COUNT, PERIOD_S)
@@ -203,10 +177,8 @@ def test_a_static_model_that_takes_presliding_for_no_friction_at_standstill_is_n
     sought = IdentificationSettings(
         families=("coulomb", "stribeck"), axis="linear", has_modifiers=False, least_speed=0.03
     )
-
     found = identify([recording], sought)
     alone = identify([recording], replace(sought, families=("stribeck",)))
-
     assert found.best.structure.family == "stribeck"
     assert found.best.values["static"] < 0.01 * found.best.values["coulomb"]
     [(_, tried)] = candidates([found])
@@ -243,7 +215,6 @@ def test_a_jump_at_break_away_is_reported_and_a_loop_that_swings_is_refused(spee
     """At whatever speed, and however late the axis is."""
     shown = refuse_limit_cycle(moved(lambda time: jumps(time, speed, lag)), 2.0, "rad")
     assert re.match(r"x has moved at .* rad/s, where its experiment asks for 2 at most: .* the axis jumps", shown)
-
     swing = moved(lambda time: 2.0 * speed * np.sin(2.0 * np.pi * frequency * time + lag))
     with pytest.raises(TuningError, match="the loop that controls it swings"):
         refuse_limit_cycle(swing, 2.0, "rad")
@@ -255,7 +226,6 @@ def test_an_axis_that_follows_with_some_overshoot_is_neither() -> None:
 
 def test_a_report_that_cannot_be_written_costs_no_result(tmp_path, capsys) -> None:
     pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
-
     assert _report(tmp_path / "gone", Tuning(), is_simulated=False) is None
     assert "no report: " in capsys.readouterr().err
 
@@ -284,7 +254,6 @@ def test_a_broken_matplotlib_costs_no_result(mistake, tmp_path, capsys, monkeypa
         tmp_path / "x.yaml",
         True,
     )
-
     assert _report(tmp_path, Tuning(axes={"x": learned}), is_simulated=False) is None
     kind, _, text = mistake.partition("(")
     assert capsys.readouterr().err == f"no report: {kind}: {text[1:-2]}\n"
@@ -322,10 +291,8 @@ def test_whatever_ends_a_tune_after_motion_names_the_recordings_and_how_to_go_on
     module = sys.modules[tune.__module__]
     monkeypatch.setattr(module, "TuningRuns", Runs)
     monkeypatch.setattr(module, "read", broken)
-
     with pytest.raises(type(error)) as raised:
         tune(machine(x=axis()), TuneSettings(folder=folder, is_simulated=True), Answers())
-
     [note] = raised.value.__notes__
     assert f"The recordings made so far are kept: {path}." in note
     assert f"friction-hil identify {path} --axis x --output {folder / 'x_identified.yaml'}" in note

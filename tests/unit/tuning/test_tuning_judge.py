@@ -112,7 +112,6 @@ def start_of(name):
 def test_each_motion_is_judged_by_its_own_error(without) -> None:
     """Of the own motion whole periods of settled motion; of the others all, from start to rest."""
     trial = judged(without, recorded({"own": wave(1e-3), "slow": lambda _: 2e-3, "tiny": lambda _: 5e-4}))
-
     found = {each.name: each for each in trial.motions}
     assert tuple(found) == NAMES
     assert NAMES == MOTIONS
@@ -133,7 +132,6 @@ def test_each_motion_is_judged_by_its_own_error(without) -> None:
 
 def test_the_own_motion_counts_once_it_is_steady_and_compensated() -> None:
     begin, end = windows(SEQUENCE, FADE_S)["own"]
-
     assert begin >= max(RAMP_S, FADE_S) + SETTLE_S - 1e-9
     assert end - begin == pytest.approx(round((end - begin) * FREQUENCY) / FREQUENCY)
     assert end - begin >= 4.0 - 1e-9
@@ -153,7 +151,6 @@ def test_worse_or_hardly_better_is_no_help(without) -> None:
 @pytest.mark.parametrize("name", [name for name in MOTIONS if name != "own"])
 def test_a_motion_that_gets_worse_is_named(name, without) -> None:
     trial = judged(without, recorded({"own": wave(1e-3), name: lambda _: 3.3e-3 if name == "slow" else 1.1e-3}))
-
     assert trial.worse == (name,)
     assert trial.has_helped, "the own motion is what the axis is for"
     assert trial.problems == (f"the following error of the motion {name!r} is larger with compensation than without",)
@@ -193,7 +190,6 @@ def test_an_oscillation_is_attributed_to_its_motion(name, into_s, without) -> No
     at_s = start_of(name) + into_s
     others = [(at_s + 0.1, "warning", lowered("y")), (0.5, "warning", "x: faster than the network was trained for")]
     trial = judged(without, recorded({"own": wave(1e-3)}, events=[(at_s, "warning", lowered()), *others]))
-
     assert trial.swinging == (name,)
     assert trial.has_helped == (name != "own"), "it would oscillate in the motion that the axis is for"
     assert trial.problems[0].startswith(f"the axis oscillates by its compensation in the motion {name!r}")
@@ -205,7 +201,6 @@ def test_all_motions_with_harm_are_named_in_one_sentence(without) -> None:
     trial = judged(
         without, recorded({"own": wave(1e-3), "rests": lambda _: 2e-3, "fast": lambda _: 2e-3}, events=events)
     )
-
     assert trial.problems == (
         "the axis oscillates by its compensation in the motions 'slow', 'tiny': the gain had to be lowered",
         "the following error of the motions 'rests', 'fast' is larger with compensation than without",
@@ -228,7 +223,6 @@ def test_where_the_computer_was_late_nothing_counts(without) -> None:
     after = slice(row, row + round(RECOVERY_S / PERIOD_S))
     gap = replace(whole, columns={name: values[missing] for name, values in whole.columns.items()})
     gap.columns["position"][after] += 7.0
-
     for damaged in (late, gap):
         assert judged(without, damaged).own.compensated.peak == pytest.approx(1e-3, rel=1e-3)
 
@@ -243,9 +237,7 @@ def test_after_missed_periods_the_motions_are_found_by_the_time_of_the_path(with
     columns["time_s"] = columns["cycle"] * PERIOD_S
     columns["path_lag_s"][row + held :] = held * PERIOD_S
     columns["path_lag_s"][row : row + held] = PERIOD_S * np.arange(1, held + 1)
-
     trial = judged(without, replace(whole, columns=columns))
-
     ratios = {each.name: each.reduction.rms for each in trial.motions}
     assert ratios == pytest.approx({**dict.fromkeys(NAMES, 1.0), "own": 4.0}, rel=1e-6)
 
@@ -255,7 +247,6 @@ def test_a_run_that_is_too_short_or_was_mostly_missed_is_refused(without) -> Non
     short = replace(whole, columns={name: values[:-2500] for name, values in whole.columns.items()})
     with pytest.raises(RecordingError, match="x: the run ended before all of its motions"):
         judged(without, short)
-
     late = replace(whole, columns={name: values.copy() for name, values in whole.columns.items()})
     late.columns["is_fresh"][-5000::7] = 0.0
     with pytest.raises(RecordingError, match="periods of the laps can be used"):
@@ -265,7 +256,6 @@ def test_a_run_that_is_too_short_or_was_mostly_missed_is_refused(without) -> Non
 def test_an_error_below_the_resolution_is_no_division_by_zero() -> None:
     none = Figures(0.0, 0.0)
     perfect = motion_trial("own", Figures(1e-3, 2e-3), none)
-
     assert Trial((perfect,)).reduction == Figures(math.inf, math.inf)
     assert Trial((perfect, motion_trial("slow", none, none))).has_helped
     assert not Trial((motion_trial("own", none, none),)).has_helped
@@ -297,7 +287,6 @@ def best(*models):
 def test_what_helped_goes_before_what_did_not() -> None:
     """Even where RMS times peak is smaller with a model whose peak is higher than without any."""
     spiky, steady = model_with((1.0, 21.0)), model_with((5.0, 10.0))
-
     assert best(spiky, steady) is steady
     assert best(spiky) is spiky
 
@@ -306,7 +295,6 @@ def test_a_model_that_swings_or_harms_anywhere_loses() -> None:
     """However much smaller its error in the own motion is."""
     good, swinging = model_with((5.0, 10.0)), model_with((0.1, 0.2), swings=True)
     harmful = model_with((0.1, 0.2), slow=(2.5, 4.0))
-
     assert best(swinging, good) is best(good, swinging) is good
     assert best(harmful, good) is good
     assert best(swinging, harmful) is best(harmful, swinging) is harmful
@@ -349,9 +337,7 @@ def test_the_tables_show_each_motion_within_80_columns() -> None:
         ("stribeck", model_with((10.0, 20.0), slow=(20.0, 40.0), swings=True)),
     )
     terminal = Console(width=80)
-
     shown = list(lines(_motions_table(tuning), terminal))
-
     assert max(map(len, shown)) <= 80
     assert shown[1].split() == ["axis", "model", "lower", *MOTIONS], "side by side"
     numbers = [re.findall(r"(?<=rms).*|(?<=peak).*", line) for line in shown]
@@ -366,9 +352,7 @@ def test_the_tables_show_each_motion_within_80_columns() -> None:
 
 def test_json_has_the_own_motion_as_before_and_each_motion() -> None:
     tuning = tuning_of(("lugre", model_with((1.0, 2.0))), ("stribeck", model_with((9.0, 9.0), swings=True)))
-
     axis_result = _as_dict(tuning)["axes"]["spindle"]
-
     assert axis_result["model"] == "lugre"
     first, second = axis_result["tried"]
     assert first["uncompensated"] == {"rms": 10.0, "peak": 20.0}
@@ -388,9 +372,7 @@ def test_a_fit_in_two_steps_has_a_name_of_its_own() -> None:
     free, again = axis.candidates
     held = SimpleNamespace(settings=SimpleNamespace(axis="rotary", held={"coulomb": 0.08}), reason="simplest")
     tuning.axes["spindle"] = replace(axis, candidates=(free, replace(again, identification=held)))
-
     shown = " ".join(" ".join(lines(_table(tuning), Console(width=120))).split())
-
     assert "lugre rms" in shown
     assert "lugre in two steps (kept)" in shown
     assert [each["model"] for each in _as_dict(tuning)["axes"]["spindle"]["tried"]] == ["lugre", "lugre in two steps"]

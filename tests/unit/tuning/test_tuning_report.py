@@ -62,16 +62,9 @@ def cells(page):
 
 def test_the_report_shows_what_each_model_did_in_simulation(full) -> None:
     header, first, second = cells(full)
-
     assert header == ["in simulation", "times lower", "own", "slow", ""]
     assert first == ["lugre", "4.0", "8.0", "<strong>2.0</strong>", "tried on the machine"]
-    assert second == [
-        "stribeck &lt;1&gt;",
-        "1.4",
-        "4.0",
-        "<strong>0.50</strong>",
-        "oscillates, or follows worse: slow",
-    ]
+    assert second == ["stribeck &lt;1&gt;", "1.4", "4.0", "<strong>0.50</strong>", "oscillates, or follows worse: slow"]
 
 
 def test_the_report_says_that_there_was_no_rehearsal(bare) -> None:

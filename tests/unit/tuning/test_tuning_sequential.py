@@ -29,7 +29,6 @@ PART_S = 15.0
 @given(duration_s=st.floats(10.0, 1000.0))
 def test_parts_fill_the_configured_duration_and_each_is_an_experiment(duration_s) -> None:
     parts = part_durations(duration_s)
-
     assert math.fsum(parts) == pytest.approx(duration_s, rel=1e-12)
     assert min(parts) >= 10.0
     if duration_s < 40.0:
@@ -85,7 +84,6 @@ def test_what_is_unknown_is_the_error_of_the_torque_and_falls_from_part_to_part(
     observer = Observer(machine(), "x")
     first = observer.take(part())
     second = observer.take(part(seed=1))
-
     assert math.isnan(first.change)
     assert not first.is_negligible, "nothing confirms a single part"
     assert second.deviation < first.deviation
@@ -128,14 +126,12 @@ def test_an_experiment_says_why_it_ended_and_what_is_uncertain(uncertain) -> Non
         "creep: constant speeds far below the Stribeck velocity, and slow starts from rest"
     )
     assert [each["parameter"] for each in whole.figures["uncertain"]] == ["sigma1", "static"]
-
     enough = ExperimentResult((15.0, 15.0), 60.0, Unknown("own", 0.002, 0.003, 0.014, {"coulomb": 1.0}))
     assert enough.is_ended_early
     assert enough.text == (
         "the experiment took 30 s of 60 s in 2 parts: stopped early: friction is known to 0.3 %, and 1.4 % suffices "
         "(standard deviation 0.2 % of the friction along the own motion, the last part differs by 0.3 %)"
     )
-
     none = ExperimentResult((10.0,), 10.0, None, "the axis stood")
     assert none.text == (
         "the experiment took 10 s: the configured duration is over; what is unknown is not estimated: the axis stood"
@@ -149,7 +145,6 @@ def test_an_error_of_the_program_costs_the_estimate_and_is_named(monkeypatch) ->
 
     monkeypatch.setattr("friction_hil.tuning.sequential.estimate", broken)
     monkeypatch.setattr("friction_hil.tuning.sequential.plain_fit", broken)
-
     with pytest.raises(
         FrictionHilError, match=r"the estimate fails: an internal error \(ValueError: math domain error"
     ):

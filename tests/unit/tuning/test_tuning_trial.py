@@ -28,7 +28,7 @@ own_motions = st.one_of(
     ),
     st.builds(
         lambda size, frequency, corner: {
-            **{"kind": "triangle", "amplitude": size, "frequency": frequency, "rounding": corner},
+            **{"kind": "triangle", "amplitude": size, "frequency": frequency, "rounding": corner}
         },
         *(sizes, frequencies, st.floats(0.05, 0.5)),
     ),
@@ -40,7 +40,7 @@ own_motions = st.one_of(
 )
 experiments = st.builds(
     lambda velocity, travel, acceleration, ramp: {
-        **{"velocity": velocity, "travel": travel, "acceleration": acceleration, "ramp_s": ramp},
+        **{"velocity": velocity, "travel": travel, "acceleration": acceleration, "ramp_s": ramp}
     },
     *(st.floats(0.5, 12.0), st.floats(0.1, 3.0), st.none() | st.floats(3.0, 300.0), st.floats(0.1, 2.0)),
 )
@@ -68,7 +68,6 @@ def test_a_trial_stays_within_what_the_user_allowed(own, bounds, resolution) -> 
     sequence = run.axes["x"].trajectory
     step = min(5e-3, 0.01 / max(part.motion.frequency for part in sequence.motions))
     rows = demanded(run.axes["x"], step)
-
     first = rows[: math.ceil(sequence.motions[0].duration_s / step)]  # its own
     travel = bounds["travel"]
     assert min(-travel, 1.01 * first[:, 0].min()) <= rows[:, 0].min()
@@ -96,7 +95,6 @@ def test_each_motion_of_a_trial_is_what_its_name_says(own, bounds, resolution) -
     parts = {part.name: part for part in run.axes["x"].trajectory.motions}
     speeds = {name: peak_speed(part.motion) for name, part in parts.items()}
     strokes = {name: amplitude_of(part.motion) for name, part in parts.items()}
-
     assert list(parts) == [name for name in MOTIONS if name in parts]
     if own["kind"] != "hold":
         assert parts["own"].motion == configuration.axes["x"].trajectory
@@ -119,10 +117,8 @@ def test_what_a_coarse_encoder_does_not_show_is_left_out_and_said() -> None:
     coarse = {"x": 2.0 * math.pi / 2**12}
     configuration, run, duration = tried(x=axis(), resolutions=coarse)
     bounds = {"x": experiment_of("x", configuration.axes["x"])}
-
     names = [part.name for part in run.axes["x"].trajectory.motions]
     text = trial_text(run, bounds, [{"x": "dahl"}], duration)
-
     amplitude = (
         getattr(configuration.axes["x"].trajectory, "amplitude", None)
         or run.axes["x"].trajectory.motions[0].motion.radius
@@ -138,7 +134,6 @@ def test_all_axes_begin_each_motion_together_and_stay_on_their_common_circle() -
     x, y = axis(trajectory=circle), axis(trajectory={**circle, "phase": -0.5 * math.pi})
     quick = axis(trajectory={"kind": "sine", "amplitude": 0.01, "frequency": 2.0, "ramp_s": 0.2})
     _, run, duration = tried(x=x, y=y, z=quick, resolutions={"x": COUNT, "y": COUNT, "z": 1e-4})
-
     starts = {}
     for name, each in run.axes.items():
         begin, starts[name] = 0.0, {}
@@ -160,9 +155,7 @@ def test_all_axes_begin_each_motion_together_and_stay_on_their_common_circle() -
 
 def test_the_run_without_compensation_is_the_same_motion() -> None:
     _, run, _ = tried("x", x=axis(compensation={"baseline_s": 5.0}), y=axis())
-
     without = uncompensated(run)
-
     assert run.axes["x"].compensation.enabled
     assert run.axes["x"].compensation.baseline_s == 0.0
     assert not any(each.compensation.enabled for each in without.axes.values())
@@ -177,9 +170,7 @@ def test_the_announcement_of_a_trial_says_how_far_and_how_fast(own, bounds) -> N
     """The numbers in the text are those of the set-points that the daemon would send."""
     configuration, run, duration = tried("x", x=axis(trajectory=own, experiment=bounds), y=axis())
     limits = {"x": experiment_of("x", configuration.axes["x"])}
-
     text = trial_text(run, limits, [{"x": "dahl"}, {"x": "gms"}], duration)
-
     first, *lines, last = text.splitlines()
     numbers = r"-?\d+\.?\d*(?:e-?\d+)?"
     low, high, fastest, stopped = (float(each) for each in re.findall(numbers, first))
@@ -206,9 +197,7 @@ def test_the_announcement_of_a_trial_says_how_far_and_how_fast(own, bounds) -> N
 def test_the_announcement_names_the_model_of_each_axis() -> None:
     configuration, run, duration = tried(x=axis(), y=axis())
     limits = {name: experiment_of(name, configuration.axes[name]) for name in ("x", "y")}
-
     text = trial_text(run, limits, [{"x": "dahl", "y": "gms"}, {"x": "dahl", "y": "dahl"}], duration)
-
     assert text.splitlines()[-1] == (
         f"all axes at once, all of it in {duration:.0f} s, 3 times: without compensation, compensated by dahl (x) and "
         "gms (y), compensated by dahl, then at most 2 times more by the best model at other gains"
@@ -219,7 +208,6 @@ def test_a_motion_that_takes_its_time_is_made_once_and_still_shown() -> None:
     """A period of a minute: only the own motion takes minutes."""
     bounds = ExperimentBounds(velocity=0.5, travel=1.0)
     _, run, duration = tried(x=axis(trajectory={"kind": "sine", "amplitude": 0.5, "frequency": 1 / 60}))
-
     others = sum(part.duration_s for part in run.axes["x"].trajectory.motions[1:])
     assert others < 60.0
     assert duration < 60.0 * 4 + others
