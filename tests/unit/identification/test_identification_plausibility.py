@@ -1,6 +1,7 @@
 """What is said of a finished identification: torques that are turned, wrong, of other joints, or of an axis at rest."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ EMPS, BAM = SHARED / "emps" / "DATA_EMPS.mat", SHARED / "bam_xl330"
 needs_emps = pytest.mark.skipif(not EMPS.exists(), reason="the shared data are not here")
 needs_bam = pytest.mark.skipif(not BAM.exists(), reason="the shared data are not here")
 PERIOD_S = 0.01
+TURNED = "the sign of the torque is turned"
 
 
 def sines(time: np.ndarray, seed: int) -> np.ndarray:
@@ -77,6 +79,12 @@ def text_of(found: list[Finding]) -> str:
     return "\n".join(each.text for each in found)
 
 
+def with_torque(torque: Any, recording: Recording | None = None) -> Recording:
+    recording = arm() if recording is None else recording
+    recording.columns["torque"] = torque(recording) if callable(torque) else torque
+    return recording
+
+
 def test_nothing_is_said_of_a_sound_model() -> None:
     assert findings(arm()) == []
     assert findings(moves(static=0.0), least_speed=0.1) == []
@@ -92,25 +100,23 @@ def test_nothing_is_said_of_a_sound_model() -> None:
         ({"torque": "vir*-35.15"}, "--column torque='vir*35.15'"),
     ],
 )
-def test_a_turned_torque_is_named_with_the_option_that_turns_it(sources: dict[str, str], option: str) -> None:
-    recording = arm()
-    recording.columns["torque"] = -recording["torque"]
+def test_a_turned_torque_is_named_with_the_option_that_turns_it(sources, option):
+    recording = with_torque(lambda one: -one["torque"])
     recording.sources = sources
     found = findings(recording, gravity="pendulum")
     assert found[0].is_fatal
     assert option in text_of(found)
-    assert "the sign of the torque is turned" in text_of(found)
+    assert TURNED in text_of(found)
 
 
-def test_a_turned_torque_is_found_where_gravity_is_most_of_it() -> None:
+def test_a_turned_torque_is_found_where_gravity_is_most_of_it():
     """Gravity has no sign that is known; the error of the model alone would not tell."""
-    recording = arm()
-    recording.columns["torque"] = -recording["torque"] + 8.0 * np.cos(recording["position"])
+    recording = with_torque(lambda one: -one["torque"] + 8.0 * np.cos(one["position"]))
     result = identify([recording], IdentificationSettings(families=("coulomb",), gravity="pendulum"))
     assert result.best.held_out.relative_error < 0.3
     (finding,) = check_result(result, [recording])
     assert finding.is_fatal
-    assert "the sign of the torque is turned" in finding.text
+    assert TURNED in finding.text
 
 
 @pytest.mark.parametrize("frequencies", [(0.7,), (0.3, 1.1)])
@@ -123,41 +129,31 @@ def test_a_spring_is_not_taken_for_a_turned_torque(frequencies: tuple[float, ...
     torque = 5.0 * position + 0.1 * np.sign(velocity) + 0.02 * np.gradient(velocity, PERIOD_S)
     torque += 0.01 * np.random.default_rng(0).normal(size=len(time))
     recording = Recording("spring.csv", "x", {"time_s": time, "position": position, "torque": sign * torque})
-    text = text_of(findings(recording))
-    assert ("the sign of the torque is turned" in text) == (sign < 0.0)
+    assert (TURNED in text_of(findings(recording))) == (sign < 0.0)
 
 
-def test_a_torque_that_has_nothing_to_do_with_the_motion_makes_no_model() -> None:
-    found = findings(arm(torque="tau3"))
-    assert found[0].is_fatal
-    assert "so that it explains nothing" in found[0].text
-    assert "the column tau1 fits the motion of this axis better than tau3" in text_of(found)
+def test_a_torque_that_has_nothing_to_do_with_the_motion_makes_no_model():
+    """A constant one too, however small its error is."""
+    constant = with_torque(lambda one: 7.0 + 0.1 * np.random.default_rng(2).normal(size=len(one)))
+    for found in (findings(arm(torque="tau3")), findings(constant, gravity="none")):
+        assert found[0].is_fatal
+        assert "explains nothing" in found[0].text
+    assert "tau1 fits the motion" in text_of(findings(arm(torque="tau3")))
 
 
-def test_a_constant_torque_makes_no_model_however_small_its_error() -> None:
-    recording = arm()
-    recording.columns["torque"] = 7.0 + 0.1 * np.random.default_rng(2).normal(size=len(recording))
-    found = findings(recording, gravity="none")
-    assert found[0].is_fatal
-    assert "so that it explains nothing" in found[0].text
-
-
-def test_an_axis_without_friction_has_no_model() -> None:
-    recording = arm()
-    velocity = recording["velocity"]
-    recording.columns["torque"] = 0.5 * np.gradient(velocity, PERIOD_S)
+def test_an_axis_without_friction_has_no_model():
+    recording = with_torque(lambda one: 0.5 * np.gradient(one["velocity"], PERIOD_S))
     assert "has no friction" in text_of(findings(recording, gravity="none"))
-    recording.columns["torque"] += 0.05 * velocity
+    recording.columns["torque"] += 0.05 * recording["velocity"]
     assert findings(recording, gravity="none") == []
 
 
-def test_an_unsigned_register_is_named() -> None:
-    recording = arm()
-    recording.columns["torque"] = np.round(100.0 * recording["torque"]) % 65536.0
+def test_an_unsigned_register_is_named():
+    recording = with_torque(lambda one: np.round(100.0 * one["torque"]) % 65536.0)
     recording.sources["torque"] = "load"
-    found = findings(recording)
-    assert "a signed register of 16 bits" in text_of(found)
-    assert "--column torque='load:int16'" in text_of(found)
+    text = text_of(findings(recording))
+    assert "register of 16 bits" in text
+    assert "--column torque='load:int16'" in text
 
 
 def test_a_coupled_arm_is_not_one_axis() -> None:
@@ -189,10 +185,8 @@ def test_rest_in_a_slow_recording_is_left_out_by_a_speed_that_helps() -> None:
     text = text_of(findings(moves()))
     assert "try --min-speed" in text
     speed = float(text.rpartition("--min-speed ")[2])
-    before, after = (
-        identify([moves()], IdentificationSettings(families=("coulomb",), has_modifiers=False, least_speed=each)).best
-        for each in (0.0, speed)
-    )
+    wanted = IdentificationSettings(families=("coulomb",), has_modifiers=False)
+    before, after = (identify([moves()], replace(wanted, least_speed=each)).best for each in (0.0, speed))
     assert abs(before.values["coulomb"] - 0.6) > 0.15
     assert after.values["coulomb"] == pytest.approx(0.6, abs=0.1)
     assert after.held_out.relative_error < 0.5 * before.held_out.relative_error
@@ -220,8 +214,7 @@ def test_siblings_are_named_alike_but_for_the_joint(name: str, there: list[str],
 
 def test_command_fails_and_writes_no_model_that_explains_nothing(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    recording = arm()
-    recording.columns["torque"] = -recording["torque"]
+    recording = with_torque(lambda one: -one["torque"])
     recordings.write(tmp_path / "arm.csv", recording)
     words = ["identify", "arm.csv", "--models", "coulomb", "--output", "axis.yaml"]
     assert main([*words, "--report", "axis.html"]) == 1
@@ -231,7 +224,7 @@ def test_command_fails_and_writes_no_model_that_explains_nothing(tmp_path, monke
     assert "Chosen" not in printed.out
     assert "axis.yaml is not written" in printed.err
     assert not Path("axis.yaml").exists()
-    assert "the sign of the torque is turned" in Path("axis.html").read_text()
+    assert TURNED in Path("axis.html").read_text()
     assert main([*words, "--scale", "torque=-1", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["is_usable"], document["findings"], document["output"]) == (True, [], "axis.yaml")
@@ -308,15 +301,11 @@ def test_the_daemons_recordings_are_in_torque_whatever_the_model_came_from(tmp_p
     assert not own.problems
 
 
-def test_a_gain_that_is_no_number_above_zero_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "signal.yaml"
-    path.write_text(
-        "axis: rotary\nfriction: {model: coulomb, parameters: {coulomb: 0.5}}\ntorque_signal: {gain: -0.2}\n"
-    )
-    with pytest.raises(ConfigurationError, match=r"signal.yaml:3: torque_signal.gain"):
-        load_model_file(path)
-    path.write_text(
-        "axis: rotary\nfriction: {model: coulomb, parameters: {coulomb: 0.5}}\nfit: {drive: {gain: fast}}\n"
-    )
-    with pytest.raises(ConfigurationError, match=r"signal.yaml:3: fit.drive.gain"):
+@pytest.mark.parametrize("field", ["torque_signal.gain: -0.2", "fit.drive.gain: fast"])
+def test_a_gain_that_is_no_number_above_zero_is_refused(tmp_path, field):
+    path, (name, value) = tmp_path / "signal.yaml", field.split(": ")
+    *above, last = name.split(".")
+    line = "".join(f"{each}: {{" for each in above) + f"{last}: {value}" + "}" * len(above)
+    path.write_text(f"axis: rotary\nfriction: {{model: coulomb, parameters: {{coulomb: 0.5}}}}\n{line}\n")
+    with pytest.raises(ConfigurationError, match=rf"signal.yaml:3: {name}"):
         load_model_file(path)

@@ -11,7 +11,6 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from friction_hil import config
 from friction_hil.daemon.assembly import make_path
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.drive import AxisFacts
@@ -28,19 +27,13 @@ from friction_hil.numerics import filtering
 from friction_hil.recordings import Recording
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
+from tests.servo_drives import axis_dict, configuration
 
 Array = NDArray[np.float64]
 
 PERIOD_S = 1e-3
-LUGRE = {
-    "sigma0": 900.0,
-    "sigma1": 0.6,
-    "sigma2": 4e-3,
-    "coulomb": 0.11,
-    "static": 0.17,
-    "stribeck_velocity": 0.12,
-    "damping_velocity": 0.12,
-}
+LUGRE = {"sigma0": 900.0, "sigma1": 0.6, "sigma2": 4e-3, "coulomb": 0.11, "static": 0.17}
+LUGRE |= {"stribeck_velocity": 0.12, "damping_velocity": 0.12}
 TRUTH = {**LUGRE, "inertia": 2e-4}
 PLANT = ServoConfig.model_validate(
     {
@@ -128,11 +121,12 @@ def test_each_parameter_is_found_within_its_limits(results: list[Identification]
 
 
 @pytest.mark.deep
-def test_stated_errors_cover_the_truth_and_are_not_too_wide(results: list[Identification]) -> None:
+def test_stated_errors_cover_the_truth_and_are_not_too_wide(results):
     """95 % intervals of LuGre's own parameters; a few seeds cannot tell 88 from 99, but 60 from 95."""
     names = [name for name in LUGRE if name != "damping_velocity"]  # tied to the Stribeck velocity
-    errors = np.array([[fit.values[name] / TRUTH[name] - 1.0 for name in names] for fit in bests(results)])
-    stated = np.array([[fit.inference.standard_errors[name] / TRUTH[name] for name in names] for fit in bests(results)])
+    bests = [result.best for result in results]
+    errors = np.array([[fit.values[name] / TRUTH[name] - 1.0 for name in names] for fit in bests])
+    stated = np.array([[fit.inference.standard_errors[name] / TRUTH[name] for name in names] for fit in bests])
     deviations = np.abs(errors) / stated
     assert np.mean(deviations < 1.96) >= 0.85
     assert deviations.max() < 4.0
@@ -141,19 +135,12 @@ def test_stated_errors_cover_the_truth_and_are_not_too_wide(results: list[Identi
     assert widths.max() < 4.0  # a ratio of six values is itself known to a third only
 
 
-def bests(results: list[Identification]) -> list[Any]:
-    return [result.best for result in results]
-
-
-def test_the_residual_is_the_noise_of_the_torque(result: Identification) -> None:
+def test_the_residual_is_the_noise_of_the_torque_and_the_result_says_that_it_was_refined(result):
     """White noise of 1 % passes the low-pass at 80 of 500 Hz in part; the rest is due to wrong states."""
     fit = result.best
     assert 0.003 < fit.train.relative_error < 0.04
     assert fit.held_out.relative_error < 0.04
     assert len(fit.curves.measured) == len(fit.curves.time_s) == len(fit.curves.velocity)
-
-
-def test_the_result_says_that_it_was_refined(result: Identification) -> None:
     assert "presliding" in result.reason
     assert as_model_file(result)["fit"]["refined"] is True
     assert [fit["refined"] for fit in as_json(result)["fits"]] == [True] + [False] * (len(result.fits) - 1)
@@ -369,7 +356,7 @@ def test_an_impossible_experiment_is_refused(change: dict[str, float], message: 
 )
 def test_limits_asked_for_by_a_coarse_encoder_are_enough_and_hardly_more(change: dict[str, float]) -> None:
     wanted = {"rated_velocity": 2.0, "travel": 0.5, "resolution": COUNT, **change}
-    with pytest.raises(UsageError, match="the encoder is too coarse") as refusal:
+    with pytest.raises(UsageError, match="too coarse") as refusal:
         experiment.plan(**wanted)
     asked = dict(re.findall(r"(velocity|acceleration|travel) to ([\d.e+-]+\d)", str(refusal.value)))
     raised = {("rated_velocity" if name == "velocity" else name): float(value) for name, value in asked.items()}
@@ -402,50 +389,20 @@ def test_what_an_encoder_cannot_show_is_left_out_and_said(bits, velocity, freque
     assert experiment.duration_s(sweeps) == pytest.approx(60.0, abs=2.0), "what is left out is time for the rest"
 
 
-AXIS = {
-    "driver": "canopen",
-    "node": 1,
-    "mode": "csp",
-    "limits": {"torque": 0.3, "velocity": 2.5},
-    "model": {
-        "version": 1,
-        "axis": "rotary",
-        "friction": {"model": "coulomb", "parameters": {"coulomb": 0.1}},
-        "mechanics": {"inertia": 2e-4},
-    },
-    "trajectory": {"kind": "experiment", "velocity": 2.0, "travel": 0.5},
-}
+def configured(velocity: float = 2.5) -> Any:
+    wanted = {"kind": "experiment", "velocity": 2.0, "travel": 0.5}
+    return configuration(x=axis_dict(trajectory=wanted, limits={"torque": 0.3, "velocity": velocity})).axes["x"]
 
 
-def configured(**changes: Any) -> Any:
-    return config.from_dict(
-        {
-            "version": 1,
-            "period_s": PERIOD_S,
-            "bus": {"interface": "virtual", "channel": "x"},
-            "axes": {"x": {**AXIS, **changes}},
-        },
-        "made.yaml",
-    )
-
-
-def test_a_configuration_can_ask_for_the_experiment() -> None:
-    path = make_path(configured().axes["x"], COUNT, PERIOD_S)
+def test_a_configuration_can_ask_for_the_experiment():
+    path = make_path(configured(), COUNT, PERIOD_S)
     times = np.linspace(0.0, 61.0, 500)
-    position, velocity = experiment.demand(times, experiment.plan(2.0, 0.5, COUNT, 60.0))
-    assert [path(float(t))[0] for t in times] == position.tolist()
-    assert [path(float(t))[1] for t in times] == velocity.tolist()
-
-
-def test_an_encoder_that_is_too_coarse_is_reported_with_the_axis() -> None:
-    facts = AxisFacts("x", "servo", 0.2, 1e-3, 1e-3, 1e-3)
-    with pytest.raises(UsageError, match=r"^x: the encoder is too coarse for this experiment"):
-        AxisLoop("x", configured(limits={"torque": 0.3, "velocity": 9.0}).axes["x"], facts, PERIOD_S, PathTime(1.0))
-
-
-def test_an_experiment_faster_than_the_limit_is_refused() -> None:
-    with pytest.raises(UsageError, match="moves at up to 2"):
-        configured(limits={"torque": 0.3, "velocity": 1.5})
+    demand = np.transpose(experiment.demand(times, experiment.plan(2.0, 0.5, COUNT, 60.0)))
+    assert [path(float(t))[:2] for t in times] == list(map(tuple, demand.tolist()))
+    with pytest.raises(UsageError, match=r"^x: the encoder is too coarse"):
+        AxisLoop("x", configured(9.0), AxisFacts("x", "servo", 0.2, 1e-3, 1e-3, 1e-3), PERIOD_S, PathTime(1.0))
+    with pytest.raises(UsageError, match="up to 2"):
+        configured(1.5)
 
 
 @pytest.mark.parametrize("first", range(0, 50, 7))

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 ROWS_HZ = 200.0
 TURN = 2.0 * math.pi
+COULOMB = IdentificationSettings(families=("coulomb",), gravity="none")
 
 
 def swelling(amplitude: float, frequency: float = 0.31, seconds: float = 40.0) -> Array:
@@ -51,18 +52,19 @@ def test_whole_orders_are_found_together_in_a_fraction_of_a_turn(low: int, high:
     assert set(search(position, residual + 0.5 * noise(len(position), 1))) == {low, high}
 
 
-@pytest.mark.parametrize("order", [7.57, 42.4])
-def test_an_order_that_is_clearly_not_whole_stays_so(order: float) -> None:
-    """Ripple of a motor behind a gear, over several turns."""
-    position = swelling(12.0, 0.05)
-    [found] = search(position, np.cos(order * position) + 0.3 * noise(len(position), 2))
-    assert found == pytest.approx(order, abs=0.02)
-
-
-def test_orders_of_a_linear_axis_are_real() -> None:
-    position = swelling(0.2)
-    [found] = search(position, np.cos(TURN * 212.7 * position) + 0.3 * noise(len(position), 3), is_linear=True)
-    assert found == pytest.approx(212.7, abs=0.1)
+@pytest.mark.parametrize(
+    ("order", "axis", "position", "most"),
+    [
+        (7.57, "rotary", (12.0, 0.05), 0.02),  # of a motor behind a gear, over several turns
+        (42.4, "rotary", (12.0, 0.05), 0.02),
+        (212.7, "linear", (0.2,), 0.1),
+    ],
+)
+def test_an_order_that_is_clearly_not_whole_stays_so(order, axis, position, most):
+    position, is_linear = swelling(*position), axis == "linear"
+    turn = TURN if is_linear else 1.0
+    residual = np.cos(turn * order * position) + 0.3 * noise(len(position), 3 if is_linear else 2)
+    assert search(position, residual, is_linear=is_linear) == [pytest.approx(order, abs=most)]
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -87,11 +89,8 @@ def test_a_high_order_is_found_far_from_zero() -> None:
     """The decimator's gain is 0.99: in an angle of 150 times 3 rad, five are missing."""
     ripple = [{"order": 150, "cosine": 0.1, "sine": 0.1}]
     friction = {"coulomb": 1.0, "viscous": 0.5, "modifiers": {"ripple": ripple}}
-    result = identify(
-        [recorded(friction, 0.6, position=3.0)], IdentificationSettings(families=("coulomb",), gravity="none")
-    )
-    _, modifiers = result.best.friction
-    [found] = modifiers["ripple"]
+    result = identify([recorded(friction, 0.6, position=3.0)], COULOMB)
+    [found] = result.best.friction[1]["ripple"]
     assert found["order"] == 150.0
     assert (found["cosine"], found["sine"]) == pytest.approx((0.1, 0.1), abs=0.01)
 
@@ -100,7 +99,7 @@ def test_a_high_order_is_found_far_from_zero() -> None:
 def test_viscous_friction_may_bend_down_as_long_as_it_cannot_change_its_sign(quadratic: float, is_kept: bool) -> None:
     """Up to three times the top speed of the data, 1 rad/s."""
     friction = {"coulomb": 1.0, "viscous": 0.8, "modifiers": {"viscous": {"quadratic": quadratic}}}
-    result = identify([recorded(friction, 1.0)], IdentificationSettings(families=("coulomb",), gravity="none"))
+    result = identify([recorded(friction, 1.0)], COULOMB)
     [bent] = (each for each in result.fits if each.label == "coulomb + viscous")
     assert bent.values["viscous.quadratic"] == (pytest.approx(quadratic, abs=0.02) if is_kept else 0.0)
 

@@ -27,12 +27,8 @@ def points(velocity: np.ndarray, offset: float = 0.0, **truth: float) -> Recordi
 @settings(max_examples=15, deadline=None)
 @given(st.floats(1e-3, 1e3), st.floats(0.1, 30.0))
 def test_a_map_gives_back_its_friction_at_any_scale(level: float, speed: float) -> None:
-    truth = {
-        "coulomb": 0.16 * level,
-        "static": 0.2 * level,
-        "stribeck_velocity": 6.0 * speed,
-        "viscous": 3e-4 * level / speed,
-    }
+    units = {"coulomb": level, "static": level, "stribeck_velocity": speed, "viscous": level / speed}
+    truth = {name: unit * TRUTH[name] for name, unit in units.items()}
     velocity = speed * np.concatenate([-SPEEDS, SPEEDS])
     best = fit_map([points(velocity, 0.01 * level, **truth)]).fits[0]
     assert best.family == "stribeck"
@@ -48,10 +44,8 @@ def test_the_command_writes_a_model_file_and_the_preview_names_it(tmp_path, caps
     suggestion = json.loads(capsys.readouterr().out)["axes"]["map"]["suggestion"]
     assert "--static" in suggestion["command"]
     words = [word for name, source in suggestion["columns"].items() for word in ("--column", f"{name}={source}")]
-    assert (
-        main(["identify", str(path), "--static", *words, "--fix", "inertia=1e-4", "--output", str(output), "--json"])
-        == 0
-    )
+    words += ["--fix", "inertia=1e-4", "--output", str(output), "--json"]
+    assert main(["identify", str(path), "--static", *words]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["best"] == "stribeck"
     model = load_model_file(output)
@@ -59,12 +53,15 @@ def test_the_command_writes_a_model_file_and_the_preview_names_it(tmp_path, caps
     assert (model.mechanics.inertia, model.mechanics.offset) == (1e-4, 0.0)
 
 
-def test_what_is_no_map_is_refused() -> None:
-    with pytest.raises(RecordingError, match="another sign than friction: --scale torque=-1"):
-        fit_map([Recording("m", "m", {"velocity": SPEEDS, "torque": -1.0 - SPEEDS})])
-    with pytest.raises(RecordingError, match="2 speeds above zero; a map takes at least 3"):
-        fit_map([Recording("m", "m", {"velocity": np.array([0.0, 1.0, 2.0]), "torque": np.ones(3)})])
-    with pytest.raises(UsageError, match="shows no 'lugre'; there are: coulomb, power_law, stribeck"):
-        fit_map([points(SPEEDS)], ["lugre"])
-    with pytest.raises(RecordingError, match="no column torque"):
-        fit_map([Recording("m", "m", {"velocity": SPEEDS})])
+@pytest.mark.parametrize(
+    ("columns", "families", "error", "message"),
+    [
+        ({"velocity": SPEEDS, "torque": -1.0 - SPEEDS}, [], RecordingError, "--scale torque=-1"),
+        ({"velocity": np.arange(3.0), "torque": np.ones(3)}, [], RecordingError, "2 speeds.*at least 3"),
+        ({"velocity": SPEEDS, "torque": 1.0 + SPEEDS}, ["lugre"], UsageError, "'lugre'.*coulomb, power_law, stribeck"),
+        ({"velocity": SPEEDS}, [], RecordingError, "column torque"),
+    ],
+)
+def test_what_is_no_map_is_refused(columns, families, error, message):
+    with pytest.raises(error, match=message):
+        fit_map([Recording("m", "m", columns)], families)

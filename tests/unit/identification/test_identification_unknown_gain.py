@@ -15,6 +15,7 @@ from friction_hil.errors import RecordingError, UsageError
 from friction_hil.identification import Identification, IdentificationSettings, identify
 from friction_hil.models.files import load_model_file
 from friction_hil.recordings import Recording
+from tests.unit.identification.test_identification import plain
 
 BAM = Path(__file__).parents[4] / "shared" / "data" / "bam_xl330"
 needs_bam = pytest.mark.skipif(not BAM.exists(), reason="the shared data are not here")
@@ -65,8 +66,9 @@ def found(*given: Recording, held: dict[str, float] | None = None, **settings: A
     return identify(given, IdentificationSettings(held=held, has_unknown_gain=True, **content))
 
 
-def plain(result: Identification, family: str) -> Any:
-    return next(each for each in result.fits if each.label == family)
+def fit_of(*given: Recording, **settings: Any) -> Any:
+    """The fit of Coulomb friction."""
+    return plain(found(*given, **settings), "coulomb")
 
 
 @pytest.mark.parametrize("held", [{"gravity.sine": GRAVITY}, {"inertia": INERTIA}], ids=["gravity", "inertia"])
@@ -85,19 +87,18 @@ def test_truth_is_found_in_torque(family: str, held: dict[str, float]) -> None:
 def test_gain_is_that_of_gravity_found_in_volts() -> None:
     """An ordinary fit in volts, divided by hand, is the same one."""
     recording = recorded(noise=0.3)
-    fit = plain(found(recording), "coulomb")
+    fit = fit_of(recording)
     volts = plain(identify([recording], IN_VOLTS), "coulomb")
     gain = GRAVITY / volts.values["gravity.sine"]
-    assert fit.drive["drive.gain"] == pytest.approx(gain, rel=1e-6)
-    assert fit.drive["drive.back_emf"] == pytest.approx(gain * volts.values["viscous"], rel=1e-6)
-    assert fit.values["inertia"] == pytest.approx(gain * volts.values["inertia"], rel=1e-6)
-    assert fit.values["coulomb"] == pytest.approx(gain * volts.values["coulomb"], rel=1e-6)
+    drive = {"drive.gain": gain, "drive.back_emf": gain * volts.values["viscous"]}
+    assert fit.drive == pytest.approx(drive, rel=1e-6)
+    for name in ("inertia", "coulomb"):
+        assert fit.values[name] == pytest.approx(gain * volts.values[name], rel=1e-6), name
     assert fit.train.rmse == pytest.approx(gain * volts.train.rmse, rel=1e-6)
     assert fit.held_out.relative_error == pytest.approx(volts.held_out.relative_error, rel=1e-6)
     assert fit.curves.measured == pytest.approx(gain * volts.curves.measured)
-    assert fit.curves.friction == pytest.approx(
-        gain * (volts.curves.friction - volts.values["viscous"] * fit.curves.velocity)
-    )
+    sliding = volts.curves.friction - volts.values["viscous"] * fit.curves.velocity
+    assert fit.curves.friction == pytest.approx(gain * sliding)
 
 
 def test_unit_of_the_signal_changes_the_gain_alone() -> None:
@@ -115,7 +116,7 @@ def test_stated_errors_are_those_of_repeated_experiments() -> None:
     truth = {"drive.gain": GAIN, "drive.back_emf": BACK_EMF, "inertia": INERTIA, "coulomb": 0.05}
     errors, stated = [], []
     for seed in range(40):
-        fit = plain(found(recorded(noise=0.5, seed=seed), decimation=1), "coulomb")
+        fit = fit_of(recorded(noise=0.5, seed=seed), decimation=1)
         errors.append([fit.values[name] - truth[name] for name in names])
         stated.append([fit.inference.standard_errors[name] for name in names])
     ratio = np.std(errors, axis=0) / np.mean(stated, axis=0)
@@ -125,12 +126,12 @@ def test_stated_errors_are_those_of_repeated_experiments() -> None:
 
 def test_back_emf_and_viscous_friction_are_one_until_one_is_held() -> None:
     recording = recorded(viscous=0.01)
-    both = plain(found(recording), "coulomb")
+    both = fit_of(recording)
     assert both.drive["drive.back_emf"] == pytest.approx(BACK_EMF + 0.01, rel=1e-4)
     assert both.friction[0]["viscous"] == 0.0
     assert any("drive.back_emf with viscous friction" in flag for flag in both.flags)
     held = {"gravity.sine": GRAVITY, "drive.back_emf": BACK_EMF}
-    apart = plain(found(recording, held=held), "coulomb")
+    apart = fit_of(recording, held=held)
     assert apart.friction[0]["viscous"] == pytest.approx(0.01, rel=1e-3)
     assert apart.drive["drive.gain"] == pytest.approx(GAIN, rel=1e-4)
     assert not any("drive.back_emf" in flag for flag in apart.flags)
@@ -155,12 +156,12 @@ def test_rows_at_rest_do_not_count() -> None:
     volts += GRAVITY * (np.sin(position) - np.sin(recording["position"])) / GAIN
     volts[rest] = 3.0 * np.sin(5.0 * recording["time_s"][rest])
     recording.columns.update(position=position, velocity=velocity, torque=volts)
-    sliding = plain(found(recording, least_speed=0.05, decimation=1), "coulomb")
+    sliding = fit_of(recording, least_speed=0.05, decimation=1)
     assert sliding.drive["drive.gain"] == pytest.approx(GAIN, rel=0.01)
     assert sliding.train.relative_error < 0.02
     assert np.min(np.abs(sliding.curves.velocity)) >= 0.05
     assert np.all(np.diff(sliding.curves.time_s) > 0.0)
-    assert plain(found(recording, decimation=1), "coulomb").train.relative_error > 0.2
+    assert fit_of(recording, decimation=1).train.relative_error > 0.2
 
 
 def test_groups_are_held_out_as_a_whole() -> None:
@@ -169,7 +170,7 @@ def test_groups_are_held_out_as_a_whole() -> None:
         recorded(noise=0.2, seed=i, amplitude=0.5 + 0.25 * (i // 2), name=f"{i}.csv", trajectory="abc"[i // 2])
         for i in range(6)
     ]
-    fit = plain(found(*given, group_by="trajectory"), "coulomb")
+    fit = fit_of(*given, group_by="trajectory")
     assert fit.across_speeds is None
     errors = []
     for group in "abc":
@@ -186,11 +187,11 @@ def test_groups_are_held_out_as_a_whole() -> None:
         ({}, {}, UsageError, "--fix gravity.sine=MASS"),
         ({"gravity.cosine": 0.0, "offset": 0.1}, {}, UsageError, "--fix gravity.sine=MASS"),
         ({"gravity.sine": -GRAVITY}, {}, RecordingError, "the sign of the signal"),
-        ({"gravity.sine": GRAVITY, "coulomb": 0.05}, {}, UsageError, "torque of friction cannot be held"),
+        ({"gravity.sine": GRAVITY, "coulomb": 0.05}, {}, UsageError, "friction cannot be held"),
         ({"gravity.sine": GRAVITY, "drive.gain": 0.1}, {}, UsageError, "--scale torque=GAIN"),
         ({"gravity.sine": GRAVITY}, {"group_by": "trajectry"}, UsageError, "did you mean 'trajectory'"),
-        ({"gravity.sine": GRAVITY}, {"least_speed": 1e3}, RecordingError, r"axis \w+ moves in 0 rows only"),
-        ({"gravity.sine": GRAVITY}, {"least_speed": -1.0}, UsageError, "above 0, not -1"),
+        ({"gravity.sine": GRAVITY}, {"least_speed": 1e3}, RecordingError, "0 rows"),
+        ({"gravity.sine": GRAVITY}, {"least_speed": -1.0}, UsageError, "not -1"),
     ],
 )
 def test_mistakes_are_reported(held, settings, error, message):

@@ -49,10 +49,12 @@ def test_the_response_to_a_command_is_that_of_a_simulation_in_small_steps(lag, d
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
-def test_without_a_lag_a_command_is_all_of_the_torque_for_a_period() -> None:
-    np.testing.assert_allclose(lag_response(0.0, 1.0, is_mean=False)[:4], [0.0, 0.0, 1.0, 0.0])
-    np.testing.assert_allclose(lag_response(0.0, 1.0, is_mean=True)[:4], [0.0, 0.0, 1.0, 0.0])
-    np.testing.assert_allclose(lag_response(0.0, 0.5, is_mean=True)[:4], [0.0, 0.5, 0.5, 0.0])
+@pytest.mark.parametrize(
+    ("delay", "is_mean", "expected"),
+    [(1.0, False, [0.0, 0.0, 1.0, 0.0]), (1.0, True, [0.0, 0.0, 1.0, 0.0]), (0.5, True, [0.0, 0.5, 0.5, 0.0])],
+)
+def test_without_a_lag_a_command_is_all_of_the_torque_for_a_period(delay, is_mean, expected):
+    np.testing.assert_allclose(lag_response(0.0, delay, is_mean=is_mean)[:4], expected)
 
 
 def commanded(lag_s, *, delay=1.0, is_mean=False, gain=1.0, rows=4000, seed=1):
@@ -154,61 +156,45 @@ def decided(lag_s, *, former_s=0.0, timing=None, delay_s=0.0, **changes):
     return find_torque_lag(runs[0], runs[1:], axis, timing)
 
 
-def test_a_lag_is_taken_where_none_is_stated() -> None:
-    lag = decided(4e-4)
-    assert (lag.is_replaced, lag.is_determined, lag.reason) == (True, True, "")
-    assert lag.value_s == pytest.approx(4e-4, rel=0.02)
-    assert f"torque lag {1e3 * lag.value_s:.3g} ms (standard error " in lag.text
-    assert lag.figures["standard_error_s"] > 0.0
+@pytest.mark.parametrize(
+    ("given", "is_determined", "is_replaced", "value_s", "words"),
+    [
+        ({}, True, True, 4e-4, ""),
+        ({"former_s": 6e-4}, True, False, 6e-4, "0.6 ms of the former model is kept"),
+        ({"former_s": 6e-4}, True, False, 6e-4, "age of the reported torque is not known"),
+        ({"former_s": 6e-4, "timing": INSTANT}, True, True, 4e-4, ""),
+        ({"delay": 1.3, "delay_s": 1.3 * PERIOD_S}, True, True, 4e-4, ""),
+        ({"lag_s": 0.0, "former_s": 3e-4, "timing": INSTANT}, False, False, 3e-4, "follows the command within 0."),
+        (
+            {"lag_s": 5e-5, "former_s": 3e-4, "timing": INSTANT},
+            False,
+            False,
+            3e-4,
+            "reports the torque that it demands",
+        ),
+        ({"gain": 0.5}, False, False, 0.0, "changes by 0.5"),
+        ({"lag_s": 2e-3}, False, False, 0.0, "may be filtered"),
+        ({"lag_s": 2e-3, "timing": INSTANT}, True, True, 2e-3, ""),
+        ({"lag_s": 8e-3}, False, False, 0.0, "as long as 3 ms"),
+    ],
+)
+def test_a_lag_replaces_the_stated_one_only_where_the_trial_determines_it(
+    given, is_determined, is_replaced, value_s, words
+):
+    lag = decided(**{"lag_s": 4e-4, **given})
+    assert (lag.is_determined, lag.is_replaced) == (is_determined, is_replaced)
+    assert lag.value_s == (pytest.approx(value_s, rel=0.05 if "delay" in given else 0.02) if is_replaced else value_s)
+    assert words in lag.text
+    if is_replaced:
+        assert f"torque lag {1e3 * lag.value_s:.3g} ms (standard error" in lag.text
+        assert lag.figures["standard_error_s"] > 0.0
 
 
-def test_a_stated_lag_is_replaced_only_if_the_age_of_the_torque_is_known() -> None:
-    kept = decided(4e-4, former_s=6e-4)
-    replaced = decided(4e-4, former_s=6e-4, timing=INSTANT)
-    assert (kept.is_replaced, kept.is_determined, kept.value_s) == (False, True, 6e-4)
-    assert "the age of the reported torque is not known" in kept.text
-    assert "0.6 ms of the former model is kept" in kept.text
-    assert replaced.is_replaced
-    assert replaced.value_s == pytest.approx(4e-4, rel=0.02)
-
-
-def test_a_stated_lag_that_the_trial_confirms_stays_as_it_is() -> None:
+def test_a_stated_lag_that_the_trial_confirms_stays_as_it_is():
     found = decided(4e-4).estimate
     lag = decided(4e-4, former_s=found.lag_s + found.error_s, timing=INSTANT)
     assert (lag.is_replaced, lag.is_determined) == (False, True)
     assert "agrees with the stated one" in lag.text
-
-
-def test_a_stated_delay_is_no_lag() -> None:
-    lag = decided(4e-4, delay=1.3, delay_s=1.3 * PERIOD_S)
-    assert lag.value_s == pytest.approx(4e-4, rel=0.05)
-
-
-@pytest.mark.parametrize("lag_s", [0.0, 5e-5])
-def test_a_demanded_torque_looks_like_a_lag_that_is_too_short_to_see(lag_s) -> None:
-    lag = decided(lag_s, former_s=3e-4, timing=INSTANT)
-    assert (lag.is_determined, lag.is_replaced, lag.value_s) == (False, False, 3e-4)
-    assert "torque lag not determined: the reported torque probably follows the command within 0." in lag.text
-    assert "the drive reports the torque that it demands" in lag.text
-
-
-def test_a_torque_that_is_not_the_commanded_one_tells_nothing() -> None:
-    lag = decided(4e-4, gain=0.5)
-    assert (lag.is_determined, lag.is_replaced) == (False, False)
-    assert "changes by 0.5 of the commanded one" in lag.reason
-
-
-def test_a_long_lag_may_be_a_filter_of_the_reported_torque() -> None:
-    doubtful = decided(2e-3)
-    assert (doubtful.is_determined, doubtful.value_s) == (False, 0.0)
-    assert "more than usual current loops do, and may be filtered" in doubtful.text
-    assert decided(2e-3, timing=INSTANT).value_s == pytest.approx(2e-3, rel=0.02)
-
-
-def test_a_lag_of_several_periods_is_not_guessed() -> None:
-    lag = decided(8e-3)
-    assert not lag.is_determined
-    assert "as long as 3 ms" in lag.reason
 
 
 @pytest.mark.parametrize(

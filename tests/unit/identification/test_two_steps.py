@@ -10,8 +10,7 @@ from friction_hil.friction import create, names
 from friction_hil.identification import Identification, humps
 from friction_hil.identification.structures import InitialScales, ModelStructure, build
 from friction_hil.tuning.two_steps import steady_curve, steady_weights, with_steady_curve
-from tests.unit.identification.test_identification import found as identified
-from tests.unit.identification.test_identification import recorded
+from tests.unit.identification.test_identification import found, plain, recorded
 
 
 @dataclass(frozen=True)
@@ -30,46 +29,29 @@ LUGRE = {
 }
 
 
-def fit(family, values, modifiers=(), rmse=1.0, curves=None):
-    structure = SimpleNamespace(family=family, modifiers=modifiers, axis="rotary")
-    return SimpleNamespace(
-        structure=structure,
-        values=values,
-        mechanics=MECHANICS,
-        held_out=SimpleNamespace(rmse=rmse),
-        friction=(values, {}),
-        curves=curves,
-    )
-
-
-def found(*fits):
-    return [SimpleNamespace(fits=fits, best=fits[0])]
+def fit(family, values, curves=None):
+    structure = SimpleNamespace(family=family, modifiers=(), axis="rotary")
+    given = {"mechanics": MECHANICS, "held_out": SimpleNamespace(rmse=1.0), "friction": (values, {}), "curves": curves}
+    return SimpleNamespace(structure=structure, values=values, **given)
 
 
 @pytest.fixture(scope="module")
 def sliding() -> Identification:
-    return identified(recorded("stribeck", noise=0.01), families=("coulomb", "stribeck", "table"))
-
-
-def test_the_families_are_those_with_the_levels_of_stribeck() -> None:
-    assert set(with_steady_curve(names())) == {"lugre", "elasto_plastic", "gms"}
+    return found(recorded("stribeck", noise=0.01), families=("coulomb", "stribeck", "table"))
 
 
 @pytest.mark.parametrize(("family", "viscous"), [("lugre", "sigma2"), ("gms", "viscous")])
-def test_the_curve_is_that_of_the_chosen_stribeck_fit(sliding, family, viscous) -> None:
-    best = next(each for each in sliding.fits if each.label == "stribeck")
-    levels = ("coulomb", "static", "stribeck_velocity")
-    held = steady_curve([sliding], family)
-    assert held == {
-        "inertia": best.mechanics["inertia"],
-        **{name: best.values[name] for name in levels},
-        viscous: best.values["viscous"],
-    }
+def test_the_curve_is_that_of_the_chosen_stribeck_fit(sliding, family, viscous):
+    best = plain(sliding, "stribeck")
+    levels = {name: best.values[name] for name in ("coulomb", "static", "stribeck_velocity")}
+    expected = {"inertia": best.mechanics["inertia"], **levels, viscous: best.values["viscous"]}
+    assert steady_curve([sliding], family) == expected
+    assert set(with_steady_curve(names())) == {"lugre", "elasto_plastic", "gms"}
 
 
 def test_a_modifier_that_predicts_slightly_better_does_not_take_the_curve_away(sliding) -> None:
     """A quadratic viscous part that lowers the held-out error by chance must leave the levels as they are."""
-    best = next(each for each in sliding.fits if each.label == "stribeck")
+    best = plain(sliding, "stribeck")
     error = replace(best.held_out, rmse=0.99 * best.held_out.rmse)
     modified = replace(
         best, structure=replace(best.structure, modifiers=("viscous",)), across_speeds=error, cross_validation=error
@@ -79,7 +61,7 @@ def test_a_modifier_that_predicts_slightly_better_does_not_take_the_curve_away(s
 
 
 def test_levels_of_each_direction_keep_their_sides_and_a_missing_hump_is_flat(sliding) -> None:
-    best = next(each for each in sliding.fits if each.label == "coulomb")
+    best = plain(sliding, "coulomb")
     sides = {"direction.positive.coulomb": 0.1, "direction.negative.coulomb": 0.06, "direction.positive.viscous": 0.001}
     directed = replace(best, values=sides, structure=replace(best.structure, coordinates=(), modifiers=("direction",)))
     held = steady_curve([replace(sliding, fits=(directed,))], "lugre")
@@ -102,7 +84,7 @@ def test_a_fit_that_is_wrong_where_the_axis_slides_is_less_likely() -> None:
     curves = SimpleNamespace(velocity=velocity, friction=true, residual=noise)
     static = fit("stribeck", {}, curves=curves)
     right, flat = fit("lugre", LUGRE), fit("lugre", LUGRE | {"static": 0.08})
-    weights = steady_weights({0: right, 1: flat}, found(static))
+    weights = steady_weights({0: right, 1: flat}, [SimpleNamespace(fits=(static,), best=static)])
     assert weights[0] == 1.0
     assert weights[1] < 0.1
 

@@ -13,12 +13,14 @@ from friction_hil.config import Circle, ExperimentBounds
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import AxisFacts
 from friction_hil.identification import IdentificationSettings, identify
+from friction_hil.identification.drive_loop import DriveLoops
 from friction_hil.recordings import Recording
 from friction_hil.tuning.rehearsal_motions import rehearsal_motions
-from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, rehearse, to_try
+from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, rehearse, simulated_axis, to_try
 from friction_hil.tuning.trial_motions import MOTIONS
 from tests.servo_drives import PERIOD_S, axis_dict, configuration, run
 
+LOOPS = DriveLoops(80.0, 0.1, 6.0, 1.0, 2e-4, 3e-4, 0.99)
 BOUNDS = {"velocity": 4.0, "travel": 0.8, "duration_s": 12.0, "ramp_s": 0.25}
 COUNT = 2.0 * math.pi / 2**20
 FACTS = AxisFacts("x", "servo", COUNT, 6.4e-4, 2.5 * PERIOD_S, 1.5 * PERIOD_S)
@@ -90,29 +92,20 @@ def tried_of(*rehearsed):
 TWO_STEPS = {"coulomb": 0.1}
 
 
-def test_a_fit_of_the_same_family_in_two_steps_is_tried_too() -> None:
+def test_a_fit_in_two_steps_is_tried_too_and_of_what_is_told_apart_only_the_next_best():
     """Its curve comes from other data: it may be right where the free one is bent."""
     free, again = imagined("lugre", 8.7), imagined("lugre", 8.0, held=TWO_STEPS)
-    assert tried_of(free, imagined("lugre", 8.5), imagined("gms", 8.4), again) == [
-        ("lugre", False),
-        ("lugre", True),
-        ("gms", False),
-    ]
-
-
-def test_of_what_the_rehearsal_tells_apart_only_the_next_best_is_tried() -> None:
+    tried = tried_of(free, imagined("lugre", 8.5), imagined("gms", 8.4), again)
+    assert tried == [("lugre", False), ("lugre", True), ("gms", False)]
     tried = tried_of(imagined("lugre", 9.0), imagined("gms", 3.0), imagined("stribeck", 2.9, held=TWO_STEPS))
     assert tried == [("lugre", False), ("gms", False)]
 
 
+fits = st.tuples(st.sampled_from(["lugre", "gms", "stribeck"]), st.integers(1, 20), st.booleans(), st.booleans())
+
+
 @settings(deadline=None)
-@given(
-    st.lists(
-        st.tuples(st.sampled_from(["lugre", "gms", "stribeck"]), st.integers(1, 20), st.booleans(), st.booleans()),
-        min_size=1,
-        max_size=8,
-    )
-)
+@given(st.lists(fits, min_size=1, max_size=8))
 def test_tried_fits_are_few_distinct_and_begin_with_the_best(fits) -> None:
     rehearsed = [
         imagined(family, float(score), held=TWO_STEPS if is_held else {}, swings=("slow",) if is_swinging else ())
@@ -147,3 +140,16 @@ def test_rehearsed_motions_stay_within_the_experiment(velocity, travel, radius, 
             assert speed <= 0.11 * fastest
         if name == "rests":
             assert sum(point[1] == 0.0 for point in points) > 20
+
+
+@pytest.mark.parametrize("inertia", [0.0, math.nan, 1e-4])
+def test_an_inertia_that_the_motion_does_not_show_is_that_of_the_feed_forward(inertia):
+    recording = Recording("x.mcap", "x", {"torque": np.array([0.1, -0.2])}, {})
+
+    def simulated(inertia, loops):
+        return simulated_axis(configuration().axes["x"].model, inertia, loops, recording, 1e-3, COUNT)
+
+    found = simulated(inertia, LOOPS)
+    assert found.mechanics.inertia == (1e-4 if inertia == 1e-4 else 2e-4)
+    assert found.loops.inertia_feedforward * found.mechanics.inertia == pytest.approx(LOOPS.inertia)
+    assert simulated(0.0, None) is None

@@ -17,8 +17,6 @@ from friction_hil.tuning.torque_ratio import find_torque_ratio, refuse_turned_to
 from tests.servo_drives import axis_dict, configuration
 from tests.unit.identification.test_torque_lag import RESOLUTION, commanded, recorded
 
-CST = {"mode": "cst", "controller": {"position_gain": 40.0, "velocity_gain": 0.04, "integral_hz": 3.0}}
-
 
 def reporting(run: Recording, gain: float, noise: float = 0.0) -> Recording:
     """The same run with a drive that reports ``gain`` times its torque."""
@@ -61,21 +59,14 @@ def test_a_ratio_counts_where_it_differs_from_that_of_the_model(runs, gain, form
     assert ("too small for the commands" in found.text) == is_other
 
 
-def test_a_torque_that_is_another_one_determines_nothing(runs) -> None:
+def test_a_torque_that_is_another_one_or_a_turned_one_determines_nothing(runs):
     noise = np.random.default_rng(2)
-    wild = [
-        replace(each, columns={**each.columns, "torque": np.cumsum(noise.standard_normal(len(each)))}) for each in runs
-    ]
-    found = decided(wild)
-    assert (found.is_determined, found.is_other) == (False, False)
-    assert "of the reported torque unexplained" in found.text
-    assert found.figures["estimate"] == found.estimate.ratio
-
-
-def test_a_torque_that_acts_in_the_opposite_direction_names_the_key(runs) -> None:
-    found = decided([reporting(each, -1.0) for each in runs])
-    assert (found.is_determined, found.is_other) == (False, False)
-    assert "the torque acts in the opposite direction; set inverted_torque: command" in found.text
+    wild = [replace(run, columns=run.columns | {"torque": np.cumsum(noise.standard_normal(len(run)))}) for run in runs]
+    other, turned = decided(wild), decided([reporting(each, -1.0) for each in runs])
+    for found, words in ((other, "unexplained"), (turned, "set inverted_torque: command")):
+        assert (found.is_determined, found.is_other) == (False, False)
+        assert words in found.text
+    assert other.figures["estimate"] == other.estimate.ratio
 
 
 @pytest.mark.parametrize(
@@ -88,11 +79,10 @@ def test_an_experiment_whose_torque_has_the_other_sign_is_refused_with_the_key(r
         refuse_turned_torque(reporting(runs[0], -1.0), axis)
 
 
-def test_what_the_runs_cannot_tell_is_said(runs) -> None:
-    with pytest.raises(RecordingError, match="the command does not change"):
-        identify_torque_ratio([runs[0]], "csp")
-    with pytest.raises(RecordingError, match="too short"):
-        identify_torque_ratio([commanded(5e-4, rows=150)], "cst")
+def test_what_the_runs_cannot_tell_is_said(runs):
+    for run, mode, words in ((runs[0], "csp", "command does not change"), (commanded(5e-4, rows=150), "cst", "short")):
+        with pytest.raises(RecordingError, match=words):
+            identify_torque_ratio([run], mode)
     for delay_s, reason in ((None, "does not report its torque"), (2e-3, "read in the background")):
         facts = [{**each, "torque_delay_s": delay_s} for each in runs[1].metadata["facts"]]
         hidden = replace(runs[1], metadata={**runs[1].metadata, "facts": facts})
@@ -133,11 +123,8 @@ def test_a_scaled_model_explains_the_recording_as_before() -> None:
     assert models["scaled"].mechanics.load.stiffness == pytest.approx(50.0 / 0.8)
     assert scaled["mechanics"]["torque_ratio"] == 0.8
     assert scaled["fit"]["standard_errors"] == {"coulomb": 1e-3, "torque_ratio": 0.01}
-    assert "reports 0.8 of the commanded torque (standard error 0.01)" in scaled["fit"]["flags"][0]
+    assert "0.8 of the commanded torque (standard error 0.01)" in scaled["fit"]["flags"][0]
     assert MODEL["fit"]["flags"] == [], "the given model stays as it is"
-
-
-def test_scaled_again_only_the_last_ratio_counts() -> None:
     once, twice = with_torque_ratio(MODEL, 0.9), with_torque_ratio(with_torque_ratio(MODEL, 1.5), 0.9)
-    assert twice["mechanics"]["inertia"] == pytest.approx(once["mechanics"]["inertia"])
+    assert twice["mechanics"]["inertia"] == pytest.approx(once["mechanics"]["inertia"]), "only the last ratio counts"
     assert twice["friction"]["parameters"] == pytest.approx(once["friction"]["parameters"])

@@ -40,27 +40,26 @@ def tried(given: Compensation, known: Unknown | None, result, swings=lambda gain
     return gains
 
 
-def test_gains_rise_to_what_is_known_and_then_to_1_as_long_as_that_is_better() -> None:
-    def falling(gain: float) -> float:
-        return 100.0 * (1.02 - gain)
+@pytest.mark.parametrize(
+    ("result", "known", "expected", "best"),
+    [
+        pytest.param(lambda gain: 1.02 - gain, unknown(0.02), [0.9, 0.96, 1.0], 1.0, id="known to 2 %"),
+        pytest.param(lambda gain: 1.02 - gain, unknown(0.01, 0.03), [0.9, 0.94, 1.0], 1.0, id="the larger one counts"),
+        pytest.param(lambda gain: 1.02 - gain, unknown(0.2), [0.9, 1.0], 1.0, id="none below the configured one"),
+        pytest.param(lambda gain: 1.02 - gain, None, [0.9, 0.95, 1.0], 1.0, id="not known"),
+        pytest.param(lambda gain: 0.01 * gain, unknown(0.02), [0.9, 0.96], 0.9, id="the higher one was worse"),
+        pytest.param(lambda gain: 1.0, unknown(0.02), [0.9], 0.9, id="a model that does not help"),
+    ],
+)
+def test_gains_rise_to_what_is_known_and_then_to_1_as_long_as_that_is_better(result, known, expected, best):
+    gains = tried(Compensation(gain=0.9), known, lambda gain: 100.0 * result(gain))
+    assert ([each.gain for each in gains.tried], gains.best.gain) == (expected, best)
 
-    def found(result, known):
-        gains = tried(Compensation(gain=0.9), known, result)
-        return [each.gain for each in gains.tried], gains.best.gain
 
-    assert found(falling, unknown(0.02)) == ([0.9, 0.96, 1.0], 1.0)
-    assert found(falling, unknown(0.01, 0.03)) == ([0.9, 0.94, 1.0], 1.0), "the larger of deviation and change counts"
-    assert found(falling, unknown(0.2)) == ([0.9, 1.0], 1.0), "below the configured one is none"
-    assert found(falling, None) == ([0.9, 0.95, 1.0], 1.0)
-    assert found(lambda gain: gain, unknown(0.02)) == ([0.9, 0.96], 0.9), "the higher one was worse"
-    assert found(lambda gain: 100.0, unknown(0.02)) == ([0.9], 0.9), "a model that does not help is left alone"
-
-
-def test_a_gain_that_swings_anywhere_is_not_kept() -> None:
-    gains = tried(Compensation(gain=0.9), unknown(0.02), lambda gain: 1.1 - gain, lambda gain: gain > 0.97)
-    assert ([each.gain for each in gains.tried], gains.best.gain) == ([0.9, 0.96, 1.0], 0.96)
-    lower = tried(Compensation(gain=0.9), unknown(0.02), lambda gain: 1.1 - gain, lambda gain: gain > 0.75)
-    assert ([each.gain for each in lower.tried], lower.best.gain) == ([0.9, 0.8, 0.7], 0.7)
+@pytest.mark.parametrize(("limit", "expected", "best"), [(0.97, [0.9, 0.96, 1.0], 0.96), (0.75, [0.9, 0.8, 0.7], 0.7)])
+def test_a_gain_that_swings_anywhere_is_not_kept(limit, expected, best):
+    gains = tried(Compensation(gain=0.9), unknown(0.02), lambda gain: 1.1 - gain, lambda gain: gain > limit)
+    assert ([each.gain for each in gains.tried], gains.best.gain) == (expected, best)
 
 
 @pytest.mark.parametrize("limit", [0.06, 0.3])

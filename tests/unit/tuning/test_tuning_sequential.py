@@ -3,6 +3,7 @@
 import math
 from functools import cache
 from itertools import pairwise
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -103,49 +104,32 @@ def test_an_axis_that_changes_between_the_parts_is_not_known() -> None:
 
 def test_what_the_following_error_has_left_decides_what_matters() -> None:
     """A lower gain leaves more: less has to be known."""
-    shares = [
-        Observer(machine(compensation={"fade_s": 0.1, "gain": gain}), "x").take(part()).negligible
-        for gain in (1.0, 0.5)
-    ]
+    machines = [machine(compensation={"fade_s": 0.1, "gain": gain}) for gain in (1.0, 0.5)]
+    shares = [Observer(each, "x").take(part()).negligible for each in machines]
     assert shares[0] < shares[1]
     # errors add up as squares: sqrt(left^2 + share^2) = 1.01 left
     assert shares[1] == pytest.approx(math.sqrt(1.01**2 - 1.0) * 0.5, rel=0.1)
 
 
-@pytest.fixture
-def uncertain():
-    return Unknown("own", 0.03, 0.01, 0.014, {"sigma1": 0.8, "static": 0.2})
-
-
-def test_an_experiment_says_why_it_ended_and_what_is_uncertain(uncertain) -> None:
+def test_an_experiment_says_why_it_ended_and_what_is_uncertain():
+    uncertain = Unknown("own", 0.03, 0.01, 0.014, {"sigma1": 0.8, "static": 0.2})
     whole = ExperimentResult((15.0, 15.0, 30.0), 60.0, uncertain)
-    assert whole.text == (
-        "the experiment took 60 s in 3 parts: the configured duration is over: friction is known to 3 %, and 1.4 % "
-        "would suffice (standard deviation 3 % of the friction along the own motion, the last part differs by 1 %). "
-        "Still uncertain: sigma1: reverse fast with presliding amplitudes: 20 to 200 Hz at a few deflections; static: "
-        "creep: constant speeds far below the Stribeck velocity, and slow starts from rest"
-    )
+    wanted = ("60 s in 3 parts: ", "known to 3 %", "1.4 % would suffice", "(standard deviation 3 %", "differs by 1 %")
+    assert [each for each in (*wanted, "sigma1: ", "static: ") if each not in whole.text] == []
     assert [each["parameter"] for each in whole.figures["uncertain"]] == ["sigma1", "static"]
     enough = ExperimentResult((15.0, 15.0), 60.0, Unknown("own", 0.002, 0.003, 0.014, {"coulomb": 1.0}))
     assert enough.is_ended_early
-    assert enough.text == (
-        "the experiment took 30 s of 60 s in 2 parts: stopped early: friction is known to 0.3 %, and 1.4 % suffices "
-        "(standard deviation 0.2 % of the friction along the own motion, the last part differs by 0.3 %)"
-    )
+    wanted = ("30 s of 60 s in 2 parts: stopped early: ", "to 0.3 %", "1.4 %", "deviation 0.2 %", "differs by 0.3 %")
+    assert [each for each in wanted if each not in enough.text] == []
     none = ExperimentResult((10.0,), 10.0, None, "the axis stood")
-    assert none.text == (
-        "the experiment took 10 s: the configured duration is over; what is unknown is not estimated: the axis stood"
-    )
+    assert "10 s: " in none.text
+    assert none.text.endswith(": the axis stood")
     assert none.figures["deviation"] is None
 
 
-def test_an_error_of_the_program_costs_the_estimate_and_is_named(monkeypatch) -> None:
-    def broken(*_):
-        raise ValueError("math domain error")
-
-    monkeypatch.setattr("friction_hil.tuning.sequential.estimate", broken)
-    monkeypatch.setattr("friction_hil.tuning.sequential.plain_fit", broken)
-    with pytest.raises(
-        FrictionHilError, match=r"the estimate fails: an internal error \(ValueError: math domain error"
-    ):
+def test_an_error_of_the_program_costs_the_estimate_and_is_named(monkeypatch):
+    for name in ("estimate", "plain_fit"):
+        broken = Mock(side_effect=ValueError("math domain error"))
+        monkeypatch.setattr(f"friction_hil.tuning.sequential.{name}", broken)
+    with pytest.raises(FrictionHilError, match=r"\(ValueError: math domain error"):
         Observer(machine(), "x").take(part())
