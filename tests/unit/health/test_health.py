@@ -59,9 +59,8 @@ def test_the_run_length_is_that_of_simulated_sums():
 @pytest.mark.parametrize(("memory", "per_kelvin"), [(0.0, 0.0), (0.5, 0.0), (0.0, 0.002)])
 def test_false_alarms_are_not_more_than_stated(memory, per_kelvin):
     rng = np.random.default_rng(2)
-    axes, days, first = 150, 395, 30
+    axes, days, first, alarms = 150, 395, 30, 0
     threshold = threshold_for(2.0 * 365.25)  # one false alarm a year of both sums
-    alarms = 0
     for _ in range(axes):
         noise = rng.normal(size=days)
         for k in range(1, days):
@@ -100,14 +99,10 @@ def test_a_warm_summer_is_no_change_and_a_change_in_summer_is_one():
     assert later.change == pytest.approx(0.04, abs=5.0 * later.change_error)
 
 
-def test_one_recording_that_went_wrong_is_no_change():
-    values = 0.2 + 0.002 * np.random.default_rng(4).normal(size=60)
-    values[45] = 5.0
-    assert only(observed(values)).state == "unchanged"
-
-
-def test_a_change_that_has_ended_is_no_change_any_more():
+def test_a_recording_that_went_wrong_or_a_change_that_has_ended_is_no_change():
     values = 0.2 + 0.002 * np.random.default_rng(5).normal(size=150)
+    wrong = np.where(np.arange(60) == 45, 5.0, values[:60])
+    assert only(observed(wrong)).state == "unchanged"
     values[60:80] += 0.05
     assert only(observed(values[:80])).state == "changed"
     assert only(observed(values)).state == "unchanged"
@@ -117,10 +112,7 @@ def test_observations_with_large_errors_count_less():
     values = 0.2 + 0.002 * np.random.default_rng(6).normal(size=45)
     values[35:] += 0.02
     exact = observed(values)
-    vague = exact[:35] + [
-        dataclasses.replace(each, quantities={"coulomb.positive": Quantity(value, 0.2)})
-        for each, value in zip(exact[35:], values[35:], strict=True)
-    ]
+    vague = exact[:35] + observed(values, error=0.2)[35:]
     assert only(exact).state == "changed"
     assert only(vague).state == "unchanged"
 
@@ -153,9 +145,9 @@ def test_what_limits_the_judgement_is_said():
     assert (health.count, health.changed) == (35, ())
     assert any("5 of 40 observations have another motion" in note for note in health.notes)
     assert not fh.health.judge("x", [], LAYOUT).is_judged
-    with pytest.raises(UsageError, match="10 observations or more, not 3"):
+    with pytest.raises(UsageError, match="not 3"):
         fh.health.judge("x", some, LAYOUT, baseline=3)
-    with pytest.raises(UsageError, match="a number above 0, not nan"):
+    with pytest.raises(UsageError, match="nan"):
         fh.health.judge("x", some, LAYOUT, false_alarms=math.nan)
 
 
@@ -210,7 +202,7 @@ def test_motion_in_one_direction_at_one_speed_shows_neither_viscous_friction_nor
     (found,), _, _ = fh.health.observe(Recording("a.csv", "x", columns), started_s=0.0, layout=layout)
     assert {"viscous.positive", "coulomb.negative", "asymmetry", "breakaway.positive"} <= set(found.not_shown)
     assert "several constant speeds" in found.not_shown["viscous.positive"]
-    (health,) = [fh.health.judge("x", [found] * 3, layout)]
+    health = fh.health.judge("x", [found] * 3, layout)
     assert {each.state for each in health.verdicts if each.name.startswith("viscous")} == {"not shown"}
 
 

@@ -66,8 +66,7 @@ def test_what_is_shown_is_never_a_model_that_does_not_exist():
 def test_standard_errors_of_the_model_file_are_what_is_known_at_first():
     found = coordinates_of(LUGRE, {"coulomb": 0.004, "static": 0.0, "sigma0": math.inf})
     errors = dict(zip(found.names, found.errors.tolist(), strict=True))
-    assert errors["coulomb"] == pytest.approx(0.05)
-    assert errors["static"] == pytest.approx(0.01)
+    assert (errors["coulomb"], errors["static"]) == pytest.approx((0.05, 0.01))
     assert errors["sigma0"] == errors["sigma2"] == DEFAULT_ERROR
 
 

@@ -88,22 +88,19 @@ def test_a_position_that_did_not_arrive_is_not_taken_for_one():
 
 
 @pytest.mark.parametrize(
-    "missing", [slice(TICK, TICK + 13), slice(TICK, 2 * TICK, 20)], ids=["too many", "disturbed throughout"]
+    ("missing", "lost", "whole"),
+    [
+        pytest.param(slice(TICK, TICK + 13), 1, 3, id="too many"),
+        pytest.param(slice(TICK, 2 * TICK, 20), 1, 3, id="disturbed throughout"),
+        pytest.param(0, 0, 1, id="at the beginning"),
+    ],
 )
-def test_of_a_tick_with_too_many_gaps_nothing_is_returned_and_the_next_ones_are_whole(missing):
+def test_of_a_tick_with_too_many_gaps_nothing_is_made_up_and_the_next_ones_are_whole(missing, lost, whole):
     is_there = np.ones(4 * TICK, dtype=bool)
     is_there[missing] = False
     ticks = filled(rows_of(4), is_there)
-    assert ticks[1] is None
-    assert ticks[3] is not None
-
-
-def test_a_record_that_begins_with_a_gap_is_not_made_up():
-    is_there = np.ones(2 * TICK, dtype=bool)
-    is_there[0] = False
-    ticks = filled(rows_of(2), is_there)
-    assert ticks[0] is None
-    assert ticks[1] is not None
+    assert ticks[lost] is None
+    assert ticks[whole] is not None
 
 
 def test_rows_that_nobody_has_read_are_no_missed_periods():

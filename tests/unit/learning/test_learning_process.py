@@ -20,7 +20,7 @@ FACTS = AxisFacts("x", "servo", 6e-6, 1e-4, 2.5e-3, 1.5e-3)
 def rows_of(tick, state=LoopState.RUNNING):
     cycle = np.arange(tick * TICK, (tick + 1) * TICK, dtype=float)
     angle = math.tau * 0.5 * cycle * PERIOD_S
-    rows = {
+    return {
         "cycle": cycle,
         "position": 1.0 - np.cos(angle),
         "torque": 0.08 * np.sign(np.sin(angle)) + 1e-4 * np.sin(7.0 * angle),
@@ -34,7 +34,6 @@ def rows_of(tick, state=LoopState.RUNNING):
         "is_enabled": np.ones(TICK),
         "is_fresh": np.ones(TICK),
     }
-    return rows
 
 
 def taken(one, tick, missing=(), *, is_busy=False, **given):
@@ -45,33 +44,22 @@ def taken(one, tick, missing=(), *, is_busy=False, **given):
     return one.report()["doing"], one.report()["reason"]
 
 
-@pytest.fixture
-def one():
-    return AxisLearning("x", CONFIG, FACTS, PERIOD_S, None)
+WATCHING, MANY = ("watching", ""), range(50, 90)
 
 
-def test_missed_periods_do_not_end_the_record(one):
-    assert taken(one, 0) == ("watching", "")
-    assert taken(one, 1, missing=[100, 101]) == ("watching", "")
-    assert taken(one, 2, missing=[TICK - 1]) == ("watching", "")
-    assert len(one.learner.record.ticks) == 3
-
-
-def test_a_record_with_too_many_gaps_begins_anew(one):
-    taken(one, 0)
-    assert taken(one, 1, missing=range(50, 90)) == ("waiting", "too many rows are missing")
-    assert taken(one, 2)[0] == "watching"
-    assert len(one.learner.record.ticks) == 1
-
-
-def test_an_axis_at_rest_is_not_in_compensated_motion_whatever_is_missing(one):
-    taken(one, 0)
-    doing = taken(one, 1, missing=range(50, 90), state=LoopState.IDLE)
-    assert doing == ("waiting", "the axis is not in compensated motion")
-
-
-def test_a_process_that_is_too_busy_says_so_and_goes_on_with_its_record(one):
-    taken(one, 0)
-    assert taken(one, 1, is_busy=True) == ("waiting", "this process has used its share of the processor")
-    assert taken(one, 2) == ("watching", "")
-    assert len(one.learner.record.ticks) == 3
+@pytest.mark.parametrize(
+    ("given", "doing", "after", "kept"),
+    [
+        ({"missing": [100, 101]}, WATCHING, {"missing": [TICK - 1]}, 3),
+        ({"missing": MANY}, ("waiting", "too many rows are missing"), {}, 1),
+        ({"missing": MANY, "state": LoopState.IDLE}, ("waiting", "the axis is not in compensated motion"), {}, 1),
+        ({"is_busy": True}, ("waiting", "this process has used its share of the processor"), {}, 3),
+    ],
+    ids=["missed periods", "too many gaps", "at rest, whatever is missing", "busy"],
+)
+def test_what_interrupts_learning_is_said_and_only_gaps_and_rest_begin_the_record_anew(given, doing, after, kept):
+    one = AxisLearning("x", CONFIG, FACTS, PERIOD_S, None)
+    assert taken(one, 0) == WATCHING
+    assert taken(one, 1, **given) == doing
+    assert taken(one, 2, **after)[0] == "watching"
+    assert len(one.learner.record.ticks) == kept

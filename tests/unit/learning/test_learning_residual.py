@@ -1,6 +1,7 @@
 """The residual layer: found where it is, silent in noise, bounded, forgotten, and on only where it is a gain."""
 
 import math
+from copy import deepcopy
 from dataclasses import asdict
 
 import numpy as np
@@ -139,17 +140,17 @@ def test_noise_is_left_alone(seed, correlated_s):
         assert residual.look(left_over(noise(seed + k, correlated_s), begin_s=k * WINDOW_S), None).layer is None
 
 
+def test_rest_shows_no_layer():
+    at_rest = left_over(lambda q: np.full(q.size, 0.03), amplitude=0.0)
+    assert Residual(LUGRE).look(at_rest, None).layer is None
+
+
 @pytest.mark.parametrize("factor", [0.5, 30.0])
 def test_the_torque_of_a_layer_is_at_most_a_share_of_the_level(factor):
     found = Residual(LUGRE).look(left_over(lambda q: factor * ripple(LAYER, q)), None).layer
     largest = float(np.max(np.abs(ripple(found, np.linspace(0.0, math.tau, 20000)))))
     assert largest <= min(SHARE * LEVEL, 1.01 * factor * LAYER.most) + 1e-12
     assert found.most == pytest.approx(min(SHARE * LEVEL, factor * LAYER.most), rel=0.01)
-
-
-def test_rest_shows_no_layer():
-    at_rest = left_over(lambda q: np.full(q.size, 0.03), amplitude=0.0)
-    assert Residual(LUGRE).look(at_rest, None).layer is None
 
 
 def test_a_layer_follows_what_changes_and_ends_with_it():
@@ -166,30 +167,46 @@ def test_a_layer_follows_what_changes_and_ends_with_it():
 # on trial
 
 
-def rippled(seconds_of_error):
+ON_TRIAL = {"true": LAYER.on(LUGRE), "amplitude": 1.0, "seed": 1}
+
+
+@pytest.fixture(scope="module")
+def handed_over():
+    driven = Driven(LUGRE, gain=1.0)
+    return driven.take(5 * WINDOW_TICKS, until=Step.LAYER, error=1e-3, **ON_TRIAL)
+
+
+@pytest.fixture
+def rippled(handed_over):
     """A learner on an axis with cogging, at the moment at which a layer is handed over."""
-    return Driven(LUGRE, gain=1.0).take(
-        5 * WINDOW_TICKS, until=Step.LAYER, error=seconds_of_error, true=LAYER.on(LUGRE), amplitude=1.0, seed=1
-    )
+    return deepcopy(handed_over)
 
 
-def test_a_layer_that_helps_is_kept_and_told():
-    driven = rippled(1e-3)
-    _, last = driven.proposals[-1]
+def test_a_layer_that_helps_is_kept_and_told(rippled):
+    _, last = rippled.proposals[-1]
     assert last.step is Step.LAYER
     assert {7.0, 24.0} <= {each["order"] for each in last.model.modifiers["ripple"]}
-    driven.take(WINDOW_TICKS + 14, until=Step.BACK, error=3e-4, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
-    figures = driven.learner.figures.layer
+    rippled.take(WINDOW_TICKS + 14, until=Step.BACK, error=3e-4, **ON_TRIAL)
+    figures = rippled.learner.figures.layer
     assert figures.state == "on"
     assert figures.error_after < 0.5 * figures.error_before
+    at, before = rippled.ticks, len(rippled.proposals)  # it is off at once where the position jumps
 
+    def slip(rows):
+        rows["position"][100:] += 0.01
 
-def test_a_layer_without_a_gain_is_off():
-    driven = rippled(1e-3)
-    driven.take(WINDOW_TICKS + 14, until=Step.BACK, error=1e-3, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
-    _, back = driven.proposals[-1]
+    rippled.take(4, until=Step.BACK, change=slip, error=3e-4, **ON_TRIAL)
+    assert rippled.ticks - at <= 4
+    _, back = rippled.proposals[before]
     assert (back.step, dict(back.model.modifiers)) == (Step.BACK, {})
-    assert driven.learner.figures.layer.state == "no gain"
+    assert figures.state == "no longer a gain"
+
+
+def test_a_layer_without_a_gain_is_off(rippled):
+    rippled.take(WINDOW_TICKS + 14, until=Step.BACK, error=1e-3, **ON_TRIAL)
+    _, back = rippled.proposals[-1]
+    assert (back.step, dict(back.model.modifiers)) == (Step.BACK, {})
+    assert rippled.learner.figures.layer.state == "no gain"
 
 
 def test_an_axis_without_a_residual_never_gets_a_layer():
@@ -210,24 +227,7 @@ def test_an_axis_without_a_residual_never_gets_a_layer():
     ],
 )
 def test_the_last_line_of_a_run_names_the_layer(figures, words):
-    report = first_report("on", "rad", 0.9) | {"residual_layer": asdict(figures)}
+    report = first_report("on", "rad", 0.9)
+    assert report["residual_layer"] == asdict(LayerFigures()), "before anything was learned"
+    report |= {"residual_layer": asdict(figures)}
     assert learning_words.result(report) == f"re-identified 0 times{words}"
-
-
-def test_a_layer_is_off_at_once_where_the_position_jumps():
-    driven = rippled(1e-3)
-    driven.take(WINDOW_TICKS + 14, error=3e-4, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
-    at, before = driven.ticks, len(driven.proposals)
-
-    def slip(rows):
-        rows["position"][100:] += 0.01
-
-    driven.take(4, until=Step.BACK, change=slip, error=3e-4, true=LAYER.on(LUGRE), amplitude=1.0, seed=1)
-    assert driven.ticks - at <= 4
-    _, back = driven.proposals[before]
-    assert (back.step, dict(back.model.modifiers)) == (Step.BACK, {})
-    assert driven.learner.figures.layer.state == "no longer a gain"
-
-
-def test_a_report_has_the_figures_of_the_layer_before_anything_was_learned():
-    assert first_report("on", "rad", 0.9)["residual_layer"] == asdict(LayerFigures())

@@ -44,39 +44,33 @@ def recorded(config, servo, duration_s):
     return {name: values[moves] for name, values in columns.items()}
 
 
+def rehearsed_and_run(mode, servo, **compensation):
+    """The rehearsal of an axis, and the errors that the loop itself leaves in the same motion."""
+    config = machine(mode, compensation={"fade_s": 0.1, **compensation})
+    axis, columns = config.axes["x"], recorded(config, servo, 5.0)
+    error = (columns["position_demand"] - columns["position"])[round(2.0 / PERIOD_S) :][: round(2.0 / PERIOD_S)]
+    motion = Motion(sine_path(AMPLITUDE, HZ, 0.0), 2.0, ramp_s=0.25, start_s=2.0)
+    is_compensated = compensation.get("enabled", True)
+    rehearsal = Rehearsal(axis, facts(mode, servo), PERIOD_S)
+    return rehearsal.run(servo, axis.model, motion, is_compensated=is_compensated), error
+
+
 @pytest.mark.deep
 @pytest.mark.parametrize(("mode", "bits"), [("csp", 20), ("csp", 13), ("csv", 20), ("cst", 20)])
 @pytest.mark.parametrize("is_compensated", [False, True])
-def test_a_rehearsal_has_the_error_of_the_loop_itself(mode, bits, is_compensated) -> None:
+def test_a_rehearsal_has_the_error_of_the_loop_itself(mode, bits, is_compensated):
     servo = ServoConfig(loops=Loops(position_gain=100.0, velocity_gain=0.1), encoder=Encoder(counts=2**bits))
-    config = machine(mode, compensation={"fade_s": 0.1, "enabled": is_compensated})
-    axis = config.axes["x"]
-    columns = recorded(config, servo, 5.0)
-    error = (columns["position_demand"] - columns["position"])[round(2.0 / PERIOD_S) :][: round(2.0 / PERIOD_S)]
-    motion = Motion(sine_path(AMPLITUDE, HZ, 0.0), 2.0, ramp_s=0.25, start_s=2.0)
-    outcome = Rehearsal(axis, facts(mode, servo), PERIOD_S).run(
-        servo, axis.model, motion, is_compensated=is_compensated
-    )
+    outcome, error = rehearsed_and_run(mode, servo, enabled=is_compensated)
     assert outcome.rms == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=0.05)
     assert outcome.peak == pytest.approx(float(np.max(np.abs(error))), rel=0.1)
     assert outcome.gain_factor == 1.0
 
 
-def test_a_machine_of_two_masses_is_rehearsed_as_the_loop_itself_moves_it() -> None:
+def test_a_machine_of_two_masses_is_rehearsed_as_the_loop_itself_moves_it():
     load = {"inertia": 1e-4, "stiffness": 50.0, "damping": 5e-3, "backlash": 2e-3}
-    servo = ServoConfig.model_validate(
-        {
-            "mechanics": {"inertia": 1e-4, "load": load},
-            "loops": {"position_gain": 60.0, "velocity_gain": 0.05},
-            "encoder": {"at": "both"},
-        }
-    )
-    config = machine("csp", compensation={"fade_s": 0.1})
-    axis = config.axes["x"]
-    columns = recorded(config, servo, 5.0)
-    error = (columns["position_demand"] - columns["position"])[round(2.0 / PERIOD_S) :][: round(2.0 / PERIOD_S)]
-    motion = Motion(sine_path(AMPLITUDE, HZ, 0.0), 2.0, ramp_s=0.25, start_s=2.0)
-    outcome = Rehearsal(axis, facts("csp", servo), PERIOD_S).run(servo, axis.model, motion)
+    loops = {"position_gain": 60.0, "velocity_gain": 0.05}
+    parts = {"mechanics": {"inertia": 1e-4, "load": load}, "loops": loops, "encoder": {"at": "both"}}
+    outcome, error = rehearsed_and_run("csp", ServoConfig.model_validate(parts))
     assert outcome.rms == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=0.1)
 
 

@@ -4,7 +4,6 @@ import base64
 import json
 import re
 import time
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from friction_hil.reports.run.picture import comparison_text
 from friction_hil.reports.run.view import make_view
 from tests.browser import PROGRAM, browser
 from tests.loop_run import BELIEVED, Run, axis, model
+from tests.pages import Page
 
 pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
 
@@ -111,9 +111,8 @@ def test_the_table_of_the_picture_holds_the_recomputed_numbers(csp, runs):
         found = re.fullmatch(rf"{name} +\[(\w+)\] +([\d.]+) +([\d.]+) +([\d.]+)", line)
         assert found, line
         unit, *numbers = found.groups()
-        assert [float(each) for each in numbers] == pytest.approx(
-            [was * factors[unit], now * factors[unit], was / now], rel=6e-3
-        ), line
+        expected = [was * factors[unit], now * factors[unit], was / now]
+        assert [float(each) for each in numbers] == pytest.approx(expected, rel=6e-3), line
 
 
 @pytest.mark.deep
@@ -147,9 +146,8 @@ def test_missed_periods_and_a_fault_are_marked(tmp_path, capsys):
 
 
 def test_columns_of_nothing_but_nan_cost_their_panels_and_are_named(runs, tmp_path, capsys):
-    path = write(
-        tmp_path / "run.mcap", runs["csp"], torque=np.nan, late_us=np.nan, exchange_us=np.nan, path_lag_s=np.nan
-    )
+    unknown = dict.fromkeys(("torque", "late_us", "exchange_us", "path_lag_s"), np.nan)
+    path = write(tmp_path / "run.mcap", runs["csp"], **unknown)
     facts = plotted(capsys, path)["axes"]["x"]
     assert facts["panels"] == ["position", "velocity", "error", "torque", "friction"]
     assert facts["notes"] == ["no timing of the loop: no column late_us"]
@@ -206,7 +204,7 @@ def test_axes_get_a_picture_each_and_share_a_page(runs, tmp_path, capsys):
     assert plotted(capsys, path)["files"] == [str(tmp_path / "run_x.png"), str(tmp_path / "run_y.png")]
     assert plotted(capsys, path, "--axis", "y")["files"] == [str(tmp_path / "run.png")]
     plotted(capsys, path, "--output", tmp_path / "run.html")
-    assert len(Page(tmp_path / "run.html").data) == 2
+    assert len(views(tmp_path / "run.html")) == 2
 
 
 @pytest.mark.parametrize("suffix", ["png", "html"])
@@ -236,29 +234,10 @@ def test_a_value_that_no_picture_can_show_is_named(tmp_path, capsys):
     assert "no recording (.mcap) is in this folder" in capsys.readouterr().err
 
 
-class Page(HTMLParser):
-    """What a page loads, says about loading, and holds as data."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.loaded, self.policy, self.data, self.kinds = [], "", [], []
-        self._kind = None
-        self.feed(path.read_text(encoding="utf-8"))
-
-    def handle_starttag(self, tag, attributes):
-        given = dict(attributes)
-        self.loaded += [value for name, value in given.items() if name in ("src", "href", "srcset", "data", "action")]
-        if given.get("http-equiv") == "Content-Security-Policy":
-            self.policy = given["content"]
-        self._kind = given.get("type", "") if tag == "script" else None
-        self.kinds += [self._kind] * (tag == "script")
-
-    def handle_data(self, text):
-        if self._kind == "application/json":
-            self.data.append(json.loads(text))
-
-    def handle_endtag(self, tag):
-        self._kind = None
+def views(path: Path) -> list:
+    """The data that a page holds."""
+    scripts = Page(path.read_text(encoding="utf-8")).scripts
+    return [json.loads(text) for kind, text in scripts if kind == "application/json"]
 
 
 def unpacked(text: str, kind: str) -> np.ndarray:
@@ -267,11 +246,12 @@ def unpacked(text: str, kind: str) -> np.ndarray:
 
 def test_the_page_loads_nothing_and_holds_every_row(csp, tmp_path, capsys):
     plotted(capsys, csp, "--output", tmp_path / "run.html")
-    page = Page(tmp_path / "run.html")
-    assert page.loaded == []
-    assert "default-src 'none'" in page.policy
-    assert page.kinds == ["application/json", "", "module"]
-    (view,) = page.data
+    page = Page((tmp_path / "run.html").read_text(encoding="utf-8"))
+    assert page.sources == []
+    metas = {given.get("http-equiv"): given.get("content") for tag, given in page.tags if tag == "meta"}
+    assert "default-src 'none'" in metas["Content-Security-Policy"]
+    assert [given.get("type", "") for tag, given in page.tags if tag == "script"] == ["application/json", "", "module"]
+    (view,) = views(tmp_path / "run.html")
     recording = recordings.read(csp)
     np.testing.assert_array_equal(unpacked(view["time"], "<f8"), recording["time_s"])
     (position,) = (panel for panel in view["panels"] if panel["name"] == "position")
@@ -334,7 +314,7 @@ def test_names_of_a_file_are_no_html(runs, tmp_path, capsys):
     writer.close()
     plotted(capsys, tmp_path / "run.mcap", "--output", tmp_path / "run.html")
     assert hostile not in (tmp_path / "run.html").read_text(encoding="utf-8")
-    (view,) = Page(tmp_path / "run.html").data
+    (view,) = views(tmp_path / "run.html")
     assert "alert(1)" in view["marks"][0]["text"]
 
 
@@ -342,7 +322,7 @@ def test_a_part_is_drawn_and_the_figures_stay_those_of_the_run(csp, tmp_path, ca
     whole = plotted(capsys, csp, "--output", tmp_path / "a.html")
     part = plotted(capsys, csp, "--from", 1.0, "--to", 1.5, "--output", tmp_path / "b.html")
     assert part["axes"]["x"]["following_error"] == whole["axes"]["x"]["following_error"]
-    (view,) = Page(tmp_path / "b.html").data
+    (view,) = views(tmp_path / "b.html")
     time = unpacked(view["time"], "<f8")
     assert (time[0], time[-1], len(time)) == pytest.approx((1.0, 1.5, 501))
 

@@ -17,41 +17,29 @@ from tools.benchmarks.compensation import OTHERS, run_machines
 from tools.benchmarks.compensation import load as load_grid
 
 LEVEL, STIFFNESS, HZ = 0.05, 40.0, 2.0
-FRICTION = {
-    "model": "lugre",
-    "parameters": {"sigma0": 2000.0, "sigma1": 1.0, "coulomb": 0.08, "static": 0.1, "stribeck_velocity": 0.2,
-                   "damping_velocity": 0.2, "sigma2": 2e-3},
-}  # fmt: skip
-BELIEVED = {"model": "lugre", "parameters": {**FRICTION["parameters"], "coulomb": 0.12, "static": 0.14}}
-MACHINE = {
-    "version": 1,
-    "period_s": 1e-3,
-    "bus": {"interface": "udp_multicast", "channel": "239.74.163.2", "port": 43999, "hop_limit": 0},
-    "axes": {
-        "x": {
-            "driver": "canopen",
-            "node": 1,
-            "mode": "csp",
-            "limits": {"torque": 0.4, "velocity": 30.0},
-            "model": {"axis": "rotary", "friction": BELIEVED, "mechanics": {"inertia": 2e-4, "torque_lag_s": 3e-4}},
-            "compensation": {"fade_s": 0.2},
-            "trajectory": {"kind": "sine", "amplitude": 0.3, "frequency": HZ},
-            "simulation": {
-                "mechanics": {
-                    "inertia": 1e-4,
-                    "load": {
-                        "inertia": 1e-4,
-                        "stiffness": STIFFNESS,
-                        "damping": 5e-3,
-                        "friction": {"model": "coulomb", "parameters": {"coulomb": LEVEL}},
-                    },
-                },
-                "friction": FRICTION,
-                "loops": {"position_gain": 80.0, "velocity_gain": 0.1},
-            },
-        }
+BRISTLES = {"sigma0": 2000.0, "sigma1": 1.0, "sigma2": 2e-3, "stribeck_velocity": 0.2, "damping_velocity": 0.2}
+
+
+def lugre(coulomb):
+    """LuGre friction with this level, and a static one of 0.02 more."""
+    return {"model": "lugre", "parameters": BRISTLES | {"coulomb": coulomb, "static": round(coulomb + 0.02, 12)}}
+
+
+LOAD = {"inertia": 1e-4, "stiffness": STIFFNESS, "damping": 5e-3}
+LOAD_FRICTION = {"model": "coulomb", "parameters": {"coulomb": LEVEL}}
+AXIS = {
+    **{"driver": "canopen", "node": 1, "mode": "csp", "limits": {"torque": 0.4, "velocity": 30.0}},
+    "model": {"axis": "rotary", "friction": lugre(0.12), "mechanics": {"inertia": 2e-4, "torque_lag_s": 3e-4}},
+    "compensation": {"fade_s": 0.2},
+    "trajectory": {"kind": "sine", "amplitude": 0.3, "frequency": HZ},
+    "simulation": {
+        "mechanics": {"inertia": 1e-4, "load": LOAD | {"friction": LOAD_FRICTION}},
+        "friction": lugre(0.08),
+        "loops": {"position_gain": 80.0, "velocity_gain": 0.1},
     },
 }
+BUS = {"interface": "udp_multicast", "channel": "239.74.163.2", "port": 43999, "hop_limit": 0}
+MACHINE = {"version": 1, "period_s": 1e-3, "bus": BUS, "axes": {"x": AXIS}}
 
 
 @pytest.fixture(scope="module")
@@ -77,13 +65,11 @@ def benched(machine, tmp_path_factory):
     """Results of two motions: with the true friction, the model of the file, and one that was found before."""
     folder = tmp_path_factory.mktemp("identified")
     (folder / "small").mkdir()
-    parameters = {**FRICTION["parameters"], "coulomb": 0.13, "static": 0.15}
-    content = {**MACHINE["axes"]["x"]["model"], "version": 1, "friction": {**FRICTION, "parameters": parameters}}
+    content = AXIS["model"] | {"version": 1, "friction": lugre(0.13)}
     (folder / "small/x.yaml").write_text(yaml.safe_dump(content))
     grid = load_grid(OTHERS)
-    grid = grid.model_copy(
-        update={"conditions": {name: grid.conditions[name] for name in ("exact", "two_cycles", "encoder_14")}}
-    )
+    conditions = {name: grid.conditions[name] for name in ("exact", "two_cycles", "encoder_14")}
+    grid = grid.model_copy(update={"conditions": conditions})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("tools.benchmarks.compensation.machines.simulated_motions", some_motions)
         return run_machines([machine], grid, folder)
@@ -109,21 +95,14 @@ def course(motor, load, gain_factor=1.0):
 # figures
 
 
-def test_the_constant_part_of_an_error_does_not_count():
+def test_figures_leave_out_the_constant_part_of_an_error_and_what_diverges_reduces_nothing():
     errors = course([1.0, 3.0, 1.0, 3.0], [-5.0, -5.0, -4.0, -4.0]).errors
-    assert errors("motor") == (1.0, 1.0)
-    assert errors("load") == (0.5, 0.5)
-
-
-def test_what_a_simulation_that_diverges_leaves_is_infinite_and_reduces_nothing():
+    assert (errors("motor"), errors("load")) == ((1.0, 1.0), (0.5, 0.5))
     result = MotionResult(course([1.0, -1.0], [1.0, -1.0]), course([np.inf, 0.0], [np.nan, 0.0]))
     assert result.compensated.errors("load") == (math.inf, math.inf)
     assert result.reduction("load").rms == 0.0
-
-
-def test_scored_is_the_end_of_a_rehearsal():
     trace = {name: np.arange(10.0) for name in ("error", "gain_factor", "demand", "load_error")}
-    found = scored(trace, 0.5, 2.0)
+    found = scored(trace, 0.5, 2.0)  # the end of a rehearsal
     assert (found.motor.tolist(), found.time_s.tolist()) == ([6.0, 7.0, 8.0, 9.0], [0.0, 0.5, 1.0, 1.5])
 
 
@@ -152,8 +131,7 @@ def test_the_load_stays_behind_its_encoder_by_friction_over_stiffness(machine):
 def test_a_rehearsal_shifts_the_motor_as_the_daemon_does(machine):
     axis, motion = only_axis(machine)
     behind = {"inertia": 1e-4, "stiffness": STIFFNESS, "friction": LEVEL}
-    parameters = {**FRICTION["parameters"], "coulomb": 0.08 + LEVEL, "static": 0.1 + LEVEL}  # of motor and load
-    content = axis.config.model.model_dump() | {"friction": {**FRICTION, "parameters": parameters}}
+    content = axis.config.model.model_dump() | {"friction": lugre(0.08 + LEVEL)}  # of motor and load
     content["mechanics"]["load"] = behind
     model = type(axis.config.model).model_validate(content)
 
@@ -180,19 +158,16 @@ def test_the_study_compares_motor_and_load(studied):
         assert motion["load"]["compensated"]["rms"] > motion["motor"]["compensated"]["rms"]
 
 
-def test_the_report_has_a_picture_of_each_motion_and_names_what_no_torque_reaches(studied):
+def test_the_report_has_a_picture_of_each_motion_and_a_former_one_is_replaced(studied, machine, capsys):
     folder, facts = studied
     text = (folder / "report.html").read_text()
     assert text.count("<img ") == len(facts["x"])
     assert "What compensation does on small.yaml" in text
     assert "deviates from the encoder" in text
-
-
-def test_a_former_study_is_replaced_and_the_table_has_motor_and_load(studied, machine, capsys):
-    assert main(["study", str(machine), "--output", str(studied[0])]) == 0
+    assert main(["study", str(machine), "--output", str(folder)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert sum(line.startswith("x ") for line in lines) == 2 * len(studied[1]["x"])
-    assert lines[-1] == f"report: {studied[0] / 'report.html'}"
+    assert sum(line.startswith("x ") for line in lines) == 2 * len(facts["x"]), "motor and load"
+    assert lines[-1] == f"report: {folder / 'report.html'}"
 
 
 @pytest.mark.parametrize(
@@ -210,11 +185,6 @@ def test_a_machine_that_cannot_be_studied_is_refused(change, said, tmp_path, cap
     assert main(["study", str(path), "--output", str(tmp_path / "out")]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_models_of_the_experiments_go_without_a_machine(machine, capsys):
-    assert main(["study", str(machine), "--models", "lugre"]) == 2
-    assert "--models, --friction, --servo and --motion go without MACHINE" in capsys.readouterr().err
 
 
 # the benchmark

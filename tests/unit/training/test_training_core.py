@@ -123,16 +123,11 @@ def test_a_state_goes_towards_its_aim_as_its_equation_says(distance, way, knee):
     assert network.travelled(distance, 0.0, 1.0 / knee)[0] == 0.0
 
 
-@pytest.mark.parametrize(
-    ("name", "is_free"),
-    # a gated network is trained in free run alone
-    [
-        (name, is_free)
-        for name, each in STRUCTURES.items()
-        for is_free in (True, False)
-        if is_free or each.kind != "gated"
-    ],
-)
+FREE = [(name, True) for name in STRUCTURES]
+FED_BACK = [(name, False) for name in STRUCTURES if "gated" not in name]  # those are trained in free run alone
+
+
+@pytest.mark.parametrize(("name", "is_free"), FREE + FED_BACK)
 def test_the_jacobian_is_exact(name, is_free):
     """Against central differences of fourth order; the period differs from the one of the scales."""
     structure = STRUCTURES[name]
@@ -327,57 +322,45 @@ def test_cholesky_solves_and_says_when_it_cannot():
 
 
 def osborne(at):
+    """Model and slopes of two exponentials beside a constant."""
     t = np.arange(33) * 10.0
-    model = at[0] + at[1] * np.exp(-at[3] * t) + at[2] * np.exp(-at[4] * t)
-    slopes = np.column_stack(
-        [
-            np.ones(33),
-            np.exp(-at[3] * t),
-            np.exp(-at[4] * t),
-            -at[1] * t * np.exp(-at[3] * t),
-            -at[2] * t * np.exp(-at[4] * t),
-        ]
-    )
-    return model, slopes
+    one, other = np.exp(-at[3] * t), np.exp(-at[4] * t)
+    slopes = np.column_stack([np.ones(33), one, other, -at[1] * t * one, -at[2] * t * other])
+    return at[0] + at[1] * one + at[2] * other, slopes
 
 
-def test_the_search_finds_the_minimum_of_scipy():
-    """Osborne's first problem: two exponentials, scales of 1 and of 0.01 in one vector."""
-    truth, start = np.array([0.3754, 1.9358, -1.4647, 0.01287, 0.02212]), np.array([0.5, 1.5, -1.0, 0.01, 0.02])
-    data = osborne(truth)[0] + 1e-3 * np.random.default_rng(0).standard_normal(33)
+TRUTH, START = np.array([0.3754, 1.9358, -1.4647, 0.01287, 0.02212]), np.array([0.5, 1.5, -1.0, 0.01, 0.02])
+
+
+def searched(data, units=1.0, **options):
+    """The search for the numbers of Osborne's first problem, in other units."""
     last = []
 
     def cost(at):
-        last[:] = [osborne(at)[0] - data, osborne(at)[1]]
+        model, slopes = osborne(at * units)
+        last[:] = [model - data, slopes * units]
         return float(last[0] @ last[0])
 
-    solution = levenberg.minimise_unbounded(
-        cost, lambda: (last[1].T @ last[1], last[1].T @ last[0]), start, iterations=200, tolerance=1e-14
-    )
-    reference = least_squares(
-        lambda at: osborne(at)[0] - data, start, jac=lambda at: osborne(at)[1], method="lm", xtol=1e-14, ftol=1e-14
-    )
+    def linear():
+        return last[1].T @ last[1], last[1].T @ last[0]
+
+    return levenberg.minimise_unbounded(cost, linear, START / units, **options)
+
+
+def test_the_search_finds_the_minimum_of_scipy():
+    """Scales of 1 and of 0.01 in one vector."""
+    data = osborne(TRUTH)[0] + 1e-3 * np.random.default_rng(0).standard_normal(33)
+    solution = searched(data, iterations=200, tolerance=1e-14)
+    given = {"jac": lambda at: osborne(at)[1], "method": "lm", "xtol": 1e-14, "ftol": 1e-14}
+    reference = least_squares(lambda at: osborne(at)[0] - data, START, **given)
     assert solution.is_converged
     assert solution.cost == pytest.approx(2.0 * reference.cost, rel=1e-10)
     np.testing.assert_allclose(solution.at, reference.x, rtol=1e-4)
 
 
 def test_the_search_is_not_changed_by_the_units_of_its_numbers():
-    start, units = np.array([0.5, 1.5, -1.0, 0.01, 0.02]), np.array([1e4, 1e-3, 1.0, 1e2, 1e-5])
-    data = osborne(np.array([0.3754, 1.9358, -1.4647, 0.01287, 0.02212]))[0]
-    costs = []
-    for unit in (np.ones(5), units):
-        last = []
-
-        def cost(at, unit=unit, last=last):
-            model, slopes = osborne(at * unit)
-            last[:] = [model - data, slopes * unit]
-            return float(last[0] @ last[0])
-
-        def linear(last=last):
-            return last[1].T @ last[1], last[1].T @ last[0]
-
-        costs.append(levenberg.minimise_unbounded(cost, linear, start / unit, iterations=6).cost)
+    data, units = osborne(TRUTH)[0], np.array([1e4, 1e-3, 1.0, 1e2, 1e-5])
+    costs = [searched(data, each, iterations=6).cost for each in (1.0, units)]
     assert costs[1] == pytest.approx(costs[0], rel=1e-6)
 
 
@@ -385,27 +368,28 @@ def test_the_search_is_not_changed_by_the_units_of_its_numbers():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("make", "complaint"),
     [
-        ({"kind": "gatd"}, "did you mean 'gated'"),
-        ({"hidden": (3, 3, 3)}, "one or two layers"),
-        ({"kind": "static"}, "no states"),
-        ({"lags": 1}, "only a narx"),
-        ({"orders": (math.nan,)}, "orders"),
+        (lambda: Samples(DT, np.zeros(3), np.array([0.0, math.nan, 0.0])), "sample 1 is nan"),
+        (lambda: Samples(DT, np.zeros(3), np.zeros(2)), "shape"),
+        (lambda: join([samples(10), samples(10, dt=2 * DT)]), "sampling period"),
+        (lambda: excitation(1.0, DT, 100, slowest=2.0), "slowest < top_speed"),
+        (lambda: excitation(math.inf, DT, 100), "finite"),
+        *(
+            (lambda arguments=arguments: NetworkStructure(**arguments), complaint)
+            for arguments, complaint in (
+                ({"kind": "gatd"}, "did you mean 'gated'"),
+                ({"hidden": (3, 3, 3)}, "layers"),
+                ({"kind": "static"}, "no states"),
+                ({"lags": 1}, "only a narx"),
+                ({"orders": (math.nan,)}, "orders"),
+            )
+        ),
     ],
 )
-def test_a_wrong_structure_is_refused(arguments, complaint):
+def test_what_is_wrong_is_refused(make, complaint):
     with pytest.raises(UsageError, match=complaint):
-        NetworkStructure(**arguments)
-
-
-def test_wrong_samples_are_refused():
-    with pytest.raises(UsageError, match="torque of sample 1 is nan"):
-        Samples(DT, np.zeros(3), np.array([0.0, math.nan, 0.0]))
-    with pytest.raises(UsageError, match="shape"):
-        Samples(DT, np.zeros(3), np.zeros(2))
-    with pytest.raises(UsageError, match="same sampling period"):
-        join([samples(10), samples(10, dt=2 * DT)])
+        make()
 
 
 # --- excitation
@@ -427,10 +411,3 @@ def test_an_excitation_has_every_decade_and_rests():
         assert np.mean((speed > low) & (speed <= 10.0 * low)) > 0.05
     assert np.mean(speed == 0.0) > 0.02
     assert np.max(speed) > 0.9
-
-
-def test_a_wrong_range_is_refused():
-    with pytest.raises(UsageError, match="slowest < top_speed"):
-        excitation(1.0, DT, 100, slowest=2.0)
-    with pytest.raises(UsageError, match="finite"):
-        excitation(math.inf, DT, 100)

@@ -3,19 +3,14 @@
 import numpy as np
 import pytest
 
-import friction_hil as fh
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.training import task_of_recordings
 from friction_hil.training.excitation import excitation
+from tests.unit.training.test_training import plant
 
 DT, ROWS, COUNT, INERTIA = 1e-3, 12_000, 2.0 * np.pi / 2**20, 2e-4
 KNOWN = {"model": "coulomb", "parameters": {"coulomb": 0.1}}
-
-
-def plant():
-    levels = {"coulomb": 0.11, "static": 0.17, "stribeck_velocity": 0.12, "damping_velocity": 0.12}
-    return fh.models.create("lugre", sigma0=900.0, sigma1=0.6, sigma2=4e-3, **levels)
 
 
 def recorded(seed=0, count=COUNT, **columns):

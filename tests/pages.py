@@ -1,0 +1,33 @@
+"""HTML pages as tests read them."""
+
+from html.parser import HTMLParser
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, and the text; refuses tags that do not match."""
+
+    VOID = ("meta", "img", "br", "input", "link")
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open, self.tags, self.text = [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append((self.open[-1:], data))
+
+    @property
+    def sources(self) -> list[str]:
+        """What is fetched from elsewhere, or linked."""
+        names = ("src", "href", "srcset", "data", "action")
+        return [value for _, given in self.tags for name, value in given.items() if name in names]
