@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_hil.config import from_dict
 from friction_hil.config.trajectories import peak_speed
 from friction_hil.daemon.assembly import make_path
 from friction_hil.motion.sequence import STROKE_ACCELERATION, STROKE_SPEED, Part, sequence_path, strokes_path
 from friction_hil.motion.trajectory import circle_path, extent, sine_path, triangle_path
-from tests.servo_drives import PERIOD_S, axis_dict
+from tests.servo_drives import PERIOD_S, axis_dict, configuration
 
 
 def sampled(path, duration_s, step=1e-3):
@@ -75,19 +74,12 @@ def test_between_its_ramps_a_motion_is_as_it_is() -> None:
 
 
 def test_a_configured_sequence_is_the_path_of_its_motions() -> None:
+    sine, strokes = {"amplitude": 0.5, "frequency": 0.5}, {"stroke": 0.3, "frequency": 0.25}
     motions = [
-        {"name": "wide", "motion": {"kind": "sine", "amplitude": 0.5, "frequency": 0.5}, "periods": 2, "ramp_s": 0.5},
-        {
-            "name": "rests",
-            "motion": {"kind": "strokes", "stroke": 0.3, "frequency": 0.25},
-            "ramp_s": 0.0,
-            "rest_s": 1.0,
-        },
+        {"name": "wide", "motion": {"kind": "sine", **sine}, "periods": 2, "ramp_s": 0.5},
+        {"name": "rests", "motion": {"kind": "strokes", **strokes}, "ramp_s": 0.0, "rest_s": 1.0},
     ]
-    given_axis = axis_dict(trajectory={"kind": "sequence", "motions": motions})
-    bus = {"interface": "virtual", "channel": "test"}
-    data = {"version": 1, "period_s": PERIOD_S, "bus": bus, "axes": {"x": {**given_axis, "node": 1}}}
-    axis = from_dict(data, "test").axes["x"]
+    axis = configuration(x=axis_dict(trajectory={"kind": "sequence", "motions": motions})).axes["x"]
     path = make_path(axis, 1e-6, PERIOD_S)
     assert axis.trajectory.duration_s == pytest.approx((4.0 + 0.5 + 0.5) + (4.0 + 1.0))
     low, high, speed = extent(path, axis.trajectory.duration_s, 10_000)

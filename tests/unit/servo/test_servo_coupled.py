@@ -15,6 +15,7 @@ from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.coupled_servos import CoupledServos
 from friction_hil.servo.mechanisms import Mechanism
 from friction_hil.servo.servo import Servo
+from tests.unit.servo.test_servo_machine import coulomb
 
 OFF, CSP, CST = 0, 8, 10
 HZ = 80_000
@@ -37,10 +38,6 @@ ARM = {
 }
 LUGRE = {"model": "lugre", "parameters": dict(describe("lugre").example)}
 ROTORS = 0.08, 0.03
-
-
-def coulomb(level=0.0, static=None, viscous=0.0):
-    return {"model": "coulomb", "parameters": {"coulomb": level, "static": static or level, "viscous": viscous}}
 
 
 def servo(inertia, friction, axis, hz=HZ, *, brake=False, **parts):
@@ -96,11 +93,8 @@ def test_a_gantry_yaws_at_the_frequency_of_guides_and_inertia():
     both = couple(GANTRY, -start, start, inertias=(j1, j2))
     push(both, 0.0, 0.0)
     # in translation and yaw, about the middle
-    mass, moment, inertia = (
-        30.0 + 10.0 + j1 + j2,
-        10.0 * 0.3 + 0.5 * span * (j2 - j1),
-        4.0 + 10.0 * 0.09 + 0.25 * span**2 * (j1 + j2),
-    )
+    mass, moment = 30.0 + 10.0 + j1 + j2, 10.0 * 0.3 + 0.5 * span * (j2 - j1)
+    inertia = 4.0 + 10.0 * 0.09 + 0.25 * span**2 * (j1 + j2)
     omega = math.sqrt(GANTRY["yaw_stiffness"] / (inertia - moment**2 / mass))
     centre = moment / mass
     for k in range(1, 200):
@@ -137,23 +131,14 @@ def test_a_gantry_of_two_separate_masses_is_two_single_servos(friction):
     """The mass in the ends of the beam and no stiffness: nothing is left to couple."""
     # dyadic, so that the off-diagonal inertia is exactly zero
     gantry = {"kind": "gantry", "axes": ["a", "b"], "span": 2.0, "beam": {"mass": 2.0**-11, "inertia": 2.0**-11}}
-    plain = {"integration_hz": HZ, "friction": friction}
-    share = 2.0**-12
-    both = CoupledServos(
-        TypeAdapter(Mechanism).validate_python(gantry),
-        [
-            ServoConfig.model_validate({**plain, "mechanics": {"axis": "linear", "inertia": inertia}})
-            for inertia in (2e-4, 3e-4)
-        ],
-    )
-    single = [
-        Servo(
-            ServoConfig.model_validate(
-                {**plain, "mechanics": {"axis": "linear", "inertia": each + share, "spring": {"stiffness": 1e-12}}}
-            )
-        )
-        for each in (2e-4, 3e-4)
-    ]
+
+    def one_of(inertia, **parts):
+        mechanics = {"axis": "linear", "inertia": inertia, **parts}
+        return ServoConfig.model_validate({"integration_hz": HZ, "friction": friction, "mechanics": mechanics})
+
+    inertias, share = (2e-4, 3e-4), 2.0**-12
+    both = CoupledServos(TypeAdapter(Mechanism).validate_python(gantry), [one_of(each) for each in inertias])
+    single = [Servo(one_of(each + share, spring={"stiffness": 1e-12})) for each in inertias]
     for k in range(800):
         for axes in (both.servos, single):
             for sign, one in zip((1.0, -0.7), axes, strict=True):
@@ -229,24 +214,6 @@ def test_a_double_pendulum_keeps_its_energy_to_rounding():
     assert np.abs(velocities(both)).max() > 1.0
 
 
-def test_an_arm_with_a_massless_forearm_is_a_pendulum():
-    arm = {**ARM, "payload": 0.0, "links": [ARM["links"][0], {"length": 0.3, "mass": 1e-12, "center": 0.0}]}
-    both = couple(arm, 0.8, 0.3)
-    first = ARM["links"][0]
-    mechanics = {
-        "inertia": ROTORS[0] + first["inertia"] + first["mass"] * first["center"] ** 2,
-        "gravity": {"sine": first["mass"] * 9.81 * first["center"]},
-    }
-    alone = Servo(servo(1.0, coulomb(), "rotary", mechanics=mechanics), 0.8)
-    push(both, 0.4, 0.0)
-    alone.command(CST, 0.4)
-    for _ in range(50):
-        both.advance(HZ // 50)
-        alone.advance(HZ // 50)
-        assert both.servos[0].true_position == pytest.approx(alone.true_position, abs=1e-7)
-        assert both.servos[1].true_position == pytest.approx(0.3, abs=1e-9)
-
-
 def test_a_force_at_the_tool_is_balanced_by_the_transposed_jacobian():
     """In a horizontal plane nothing moves while the motors take the force; then it does work."""
     q1, q2, x, y = 0.7, -1.1, 12.0, -5.0
@@ -299,41 +266,27 @@ def test_an_arm_under_gravity_is_held_by_its_brakes_and_falls_without_power():
 
 # --- energy
 
-LINKS = st.tuples(st.floats(0.1, 1.0), st.floats(0.1, 10.0), st.floats(-0.3, 1.0), st.floats(0.0, 0.5)).map(
-    lambda x: {"length": x[0], "mass": x[1], "center": x[2], "inertia": x[3]}
+LINKS = st.fixed_dictionaries(
+    {"length": st.floats(0.1, 1.0), "mass": st.floats(0.1, 10.0)}
+    | {"center": st.floats(-0.3, 1.0), "inertia": st.floats(0.0, 0.5)}
 )
-ARMS = st.builds(
-    lambda links, payload, gravity, x: {
-        "kind": "two_link_arm",
-        "axes": ["a", "b"],
-        "links": list(links),
-        "payload": payload,
-        "gravity": gravity,
-        "tool_force": [] if x is None else [{"time_s": 0.01, "x": x, "y": -0.5 * x}],
-    },
-    st.tuples(LINKS, LINKS),
-    st.floats(0.0, 5.0),
-    st.sampled_from([0.0, 9.81]),
-    st.none() | st.floats(-20.0, 20.0),
+ARMS = st.fixed_dictionaries(
+    {
+        **{"kind": st.just("two_link_arm"), "axes": st.just(["a", "b"]), "links": st.tuples(LINKS, LINKS).map(list)},
+        "payload": st.floats(0.0, 5.0),
+        "gravity": st.sampled_from([0.0, 9.81]),
+        "tool_force": st.just([]) | st.floats(-20.0, 20.0).map(lambda x: [{"time_s": 0.01, "x": x, "y": -0.5 * x}]),
+    }
 )
-GANTRIES = st.builds(
-    lambda span, mass, inertia, payload, position, stiffness, damping: {
-        "kind": "gantry",
-        "axes": ["a", "b"],
-        "span": span,
-        "beam": {"mass": mass, "inertia": inertia},
-        "payload": {"mass": payload, "position": position * span},
-        "yaw_stiffness": stiffness,
-        "yaw_damping": damping,
-    },
-    st.floats(0.3, 3.0),
-    st.floats(1.0, 100.0),
-    st.floats(0.0, 50.0),
-    st.floats(0.0, 50.0),
-    st.floats(-0.6, 0.6),
-    st.just(0.0) | st.floats(1e2, 1e7),
-    st.floats(0.0, 1e3),
-)
+GANTRIES = st.fixed_dictionaries(
+    {
+        **{"kind": st.just("gantry"), "axes": st.just(["a", "b"]), "span": st.floats(0.3, 3.0)},
+        "beam": st.fixed_dictionaries({"mass": st.floats(1.0, 100.0), "inertia": st.floats(0.0, 50.0)}),
+        "payload": st.fixed_dictionaries({"mass": st.floats(0.0, 50.0), "position": st.floats(-0.6, 0.6)}),
+        "yaw_stiffness": st.just(0.0) | st.floats(1e2, 1e7),
+        "yaw_damping": st.floats(0.0, 1e3),
+    }
+).map(lambda one: one | {"payload": {**one["payload"], "position": one["payload"]["position"] * one["span"]}})
 
 
 @settings(max_examples=60, deadline=None)

@@ -22,24 +22,16 @@ FREE = {"model": "coulomb", "parameters": {"coulomb": 0.0}}
 LUGRE = {"model": "lugre", "parameters": dict(describe("lugre").example)}
 
 
-def coulomb(level, static=None, viscous=0.0):
+def coulomb(level=0.0, static=None, viscous=0.0):
     return {"model": "coulomb", "parameters": {"coulomb": level, "static": static or level, "viscous": viscous}}
 
 
-def machine(position=0.0, *, friction=FREE, loops=None, encoder=None, gear=None, hz=HZ, peak=100.0, **mechanics):
+def machine(position=0.0, *, friction=FREE, hz=HZ, peak=100.0, loops=None, encoder=None, gear=None, **mechanics):
     """A servo whose torque acts at once, with the given mechanics."""
-    config = ServoConfig.model_validate(
-        {
-            "mechanics": {"inertia": 1e-4, **mechanics},
-            "friction": friction,
-            "motor": {"torque_lag_s": 0.0, "peak_torque": peak},
-            "loops": loops or {},
-            "encoder": encoder or {},
-            "gear": gear or {},
-            "integration_hz": hz,
-        }
-    )
-    return Servo(config, position)
+    parts = {"mechanics": {"inertia": 1e-4, **mechanics}, "friction": friction, "integration_hz": hz}
+    parts |= {"loops": loops or {}, "encoder": encoder or {}, "gear": gear or {}}
+    parts["motor"] = {"torque_lag_s": 0.0, "peak_torque": peak}
+    return Servo(ServoConfig.model_validate(parts), position)
 
 
 def pushed(one, torque):
@@ -182,7 +174,7 @@ STATIC = st.tuples(st.floats(0.0, 0.2), st.floats(0.0, 0.1), st.floats(0.0, 5e-3
 )
 
 
-SLIDING = {"friction": coulomb(0.0, 0.0, 0.0), "load_friction": None, "inertia": 1e-3, "ratio": 1.0, "backlash": 0.0}
+SLIDING = {"friction": coulomb(), "load_friction": None, "inertia": 1e-3, "ratio": 1.0, "backlash": 0.0}
 
 
 @example(**SLIDING, resonance_hz=20.0, damping=0.0, hysteresis=0.09375, torques=[0.001953125])
@@ -202,16 +194,10 @@ def test_no_machine_creates_energy(
     friction, load_friction, inertia, ratio, resonance_hz, damping, backlash, hysteresis, torques
 ):
     """Random masses, couplings and pushes: friction and coupling only ever take energy, and the account closes."""
-    load_inertia = ratio * inertia
-    reduced = inertia * load_inertia / (inertia + load_inertia)
+    reduced = inertia * ratio / (1.0 + ratio)
     stiffness = reduced * (2.0 * math.pi * resonance_hz) ** 2
-    load = {
-        "inertia": load_inertia,
-        "stiffness": stiffness,
-        "damping": 2.0 * damping * math.sqrt(stiffness * reduced),
-        "backlash": backlash,
-        "friction": load_friction,
-    }
+    coupling = {"stiffness": stiffness, "damping": 2.0 * damping * math.sqrt(stiffness * reduced), "backlash": backlash}
+    load = {"inertia": ratio * inertia, **coupling, "friction": load_friction}
     gear = {} if hysteresis is None else {"hysteresis": {"torque": hysteresis, "stiffness": 10.0 * stiffness}}
     one = machine(friction=friction, inertia=inertia, load=load, gear=gear)
     before, scale = one.energy, 1e-12
@@ -242,7 +228,7 @@ def test_friction_with_bristles_gives_back_no_more_than_they_hold(name, load_nam
     """Heat falls by at most the energy of the deflection at break-away; everything else is lost for good."""
     models = {each: {"model": each, "parameters": dict(describe(each).example)} for each in (name, load_name)}
     load = {"inertia": ratio * 1e-4, "stiffness": 50.0, "damping": 5e-3, "backlash": backlash}
-    one = machine(hz=160_000, friction=models[name], load={**load, "friction": models[load_name]})
+    one = machine(hz=160_000, friction=models[name], load=load | {"friction": models[load_name]})
     most, held = np.zeros(2), []
     for model in (one.config.friction_model, one.config.load_friction_model):
         level = max(model.parameters["coulomb"], model.parameters.get("static", 0.0))
@@ -277,37 +263,29 @@ def test_an_impact_conserves_momentum_and_energy_exactly_without_damping():
     assert one.energy.coupling_heat == pytest.approx(0.0, abs=1e-9 * start)
 
 
+def swinging(angle, order, swing, spring, hz=HZ, pieces=40):
+    """The largest relative change of the energy of an arm whose inertia swings, over half a second."""
+    springs = {"spring": {"stiffness": spring}} if spring > 0.01 else {}
+    varying = [{"order": order, "sine": swing}]
+    one = machine(angle, gravity={"sine": 0.2}, inertia_variation=varying, inertia=1e-4, hz=hz, **springs)
+    start = one.energy.stored
+    assert start > 1e-3
+    stored = record(one, 0.5, "energy", pieces=pieces)[:, 0]
+    return max(abs(each.stored / start - 1.0) for each in stored)
+
+
 @pytest.mark.parametrize(("angle", "order", "swing"), [(2.5, 8.0, 5.235382e-5), (2.0, 5.0, 7.9e-5), (2.8, 8.0, 8e-5)])
 def test_half_the_step_leaves_a_quarter_of_the_error_of_a_swinging_arm_at_most(angle, order, swing):
     """The method is of second order, also where the inertia swings by 80 %: at a turn in the midst of its change."""
-    errors = []
-    for hz in (40_000, 80_000):
-        parts = {"gravity": {"sine": 0.2}, "spring": {"stiffness": 0.5}}
-        one = machine(angle, inertia_variation=[{"order": order, "sine": swing}], inertia=1e-4, hz=hz, **parts)
-        start = one.energy.stored
-        worst = 0.0
-        for _ in range(20):
-            one.advance(hz // 40)
-            worst = max(worst, abs(one.energy.stored / start - 1.0))
-        errors.append(worst)
+    errors = [swinging(angle, order, swing, 0.5, hz, pieces=20) for hz in (40_000, 80_000)]
     assert errors[1] < 0.25 * errors[0]
     assert errors[1] < 2e-4
 
 
-@example(2.5, 8.0, 5.235382e-5, 0.5)
-@example(2.0, 5.0, 7.9e-5, 0.5)
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0.2, 2.8), st.floats(1.0, 8.0), st.floats(0.0, 8e-5), st.floats(0.0, 0.5))
 def test_a_swinging_arm_of_varying_inertia_keeps_its_energy(angle, order, swing, spring):
-    parts = {"spring": {"stiffness": spring}} if spring > 0.01 else {}
-    one = machine(
-        angle, gravity={"sine": 0.2}, inertia_variation=[{"order": order, "sine": swing}], inertia=1e-4, **parts
-    )
-    start = one.energy.stored
-    assert start > 1e-3
-    for _ in range(40):
-        one.advance(997)
-        assert one.energy.stored == pytest.approx(start, rel=2e-4)
+    assert swinging(angle, order, swing, spring) < 2e-4
 
 
 # --- limit cycles
@@ -410,19 +388,18 @@ def test_an_external_torque_is_read_from_a_file(tmp_path: Path):
     path = tmp_path / "force.txt"
     path.write_text("# time, torque\n0.00, 0.0\n0.02 -0.04\n\n0.04,0\n")
     assert read_table(path) == [(0.0, 0.0), (0.02, -0.04), (0.04, 0.0)]
-    config = ServoConfig.model_validate(
-        {"mechanics": {"inertia": 1e-4, "external": {"file": str(path)}}, "friction": FREE}
-    )
+    mechanics = {"inertia": 1e-4, "external": {"file": str(path)}}
+    config = ServoConfig.model_validate({"mechanics": mechanics, "friction": FREE})
     one = simulated_servo(config)
     one.advance(4 * HZ // 100)
     assert one.true_velocity == pytest.approx(0.04 * 0.02 / 1e-4, rel=1e-3)
     with pytest.raises(UsageError, match=r"content of .*force.txt is missing"):
         Servo(config)
     for content, words in (
-        ("0 0\n1 nan\n", r":2: time in s and torque"),
-        ("0 0\n0 1\n", r":2: the time 0 s is not after"),
-        ("0 0 0\n", r":1: time in s and torque"),
-        ("# nothing\n", "no rows"),
+        ("0 0\n1 nan\n", ":2: "),
+        ("0 0\n0 1\n", ":2: .*0 s"),
+        ("0 0 0\n", ":1: "),
+        ("# \n", "no rows"),
     ):
         path.write_text(content)
         with pytest.raises(UsageError, match=words):
@@ -438,22 +415,17 @@ def test_gear_losses_are_those_of_the_efficiencies(has_load):
     weight, forward, backward = 0.1, 0.6, 0.4
     load = {"load": {"inertia": 1e-4, "stiffness": 100.0, "damping": 0.02}} if has_load else {}
 
-    def settled(torque, speed, efficiency=backward):
-        one = machine(
-            friction=coulomb(0.0),
-            gear={"forward_efficiency": forward, "backward_efficiency": efficiency},
-            load_torque=weight,
-            **load,
-        )
-        pushed(one, torque)
+    def settled(torque, efficiency=backward):
+        gear = {"forward_efficiency": forward, "backward_efficiency": efficiency}
+        one = pushed(machine(friction=coulomb(0.0), gear=gear, load_torque=weight, **load), torque)
         one.advance(HZ // 2)
         return one.true_velocity
 
-    assert settled(weight / forward * 1.02, 1.0) > 1.0
-    assert settled(weight / forward * 0.98, 1.0) == pytest.approx(0.0, abs=1e-6)
-    assert settled(weight * backward * 0.98, 1.0) < -1.0
-    assert settled(weight * backward * 1.02, 1.0) == pytest.approx(0.0, abs=1e-6)
-    assert settled(0.0, 1.0, efficiency=-0.1) == pytest.approx(0.0, abs=1e-6)
+    assert settled(weight / forward * 1.02) > 1.0
+    assert settled(weight * backward * 0.98) < -1.0
+    for torque in (weight / forward * 0.98, weight * backward * 1.02):
+        assert settled(torque) == pytest.approx(0.0, abs=1e-6), torque
+    assert settled(0.0, efficiency=-0.1) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_transmission_error_moves_the_load_by_its_harmonics():
@@ -537,14 +509,8 @@ def test_the_encoder_is_where_the_configuration_puts_it(at, is_load):
         ({"mechanics": {"load": {"inertia": 1e-4}}}, "mechanics.load.stiffness"),
         ({"mechanics": {"load": {"inertia": 1e-4, "stiffness": math.nan}}}, "finite number"),
         ({"mechanics": {"load": {"inertia": 1e-7, "stiffness": 1e4}}}, "too slow for this friction and inertia"),
-        (
-            {"gear": {"forward_efficiency": 0.5}, "friction": {"modifiers": {"load": {"motoring": 0.1}}}},
-            "the same losses",
-        ),
-        (
-            {"mechanics": {"external": {"steps": [{"time_s": 1, "torque": 0}, {"time_s": 1, "torque": 1}]}}},
-            "times of steps must rise",
-        ),
+        ({"gear": {"forward_efficiency": 0.5}, "friction": {"modifiers": {"load": {"motoring": 0.1}}}}, "same losses"),
+        ({"mechanics": {"external": {"steps": [{"time_s": 1, "torque": 0}] * 2}}}, "times of steps must rise"),
     ],
 )
 def test_a_machine_that_cannot_be_is_refused(parts, words):

@@ -23,17 +23,9 @@ NODES = {
 
 
 def servo(position=0.0, *, friction=FREE, mechanics=None, lag=0.0, motor=None, **parts):
-    return Servo(
-        ServoConfig.model_validate(
-            {
-                "mechanics": {"inertia": J, **(mechanics or {})},
-                "friction": friction,
-                "motor": {"torque_lag_s": lag, "peak_torque": 10.0, "rated_torque": 0.5, **(motor or {})},
-                **parts,
-            }
-        ),
-        position,
-    )
+    motor = {"torque_lag_s": lag, "peak_torque": 10.0, "rated_torque": 0.5, **(motor or {})}
+    parts |= {"mechanics": {"inertia": J, **(mechanics or {})}, "friction": friction, "motor": motor}
+    return Servo(ServoConfig.model_validate(parts), position)
 
 
 def pushed(one, torque, seconds=0.0):
@@ -164,16 +156,16 @@ def amplitude(one, hz):
 
 
 def test_notch_and_low_pass_of_the_torque_have_their_corners():
-    notch = {"loops": {"notch": {"frequency_hz": 400.0, "width_hz": 80.0}}}
-    assert amplitude(servo(friction=HELD, **notch), 400.0) < 1e-3
-    upper = 40.0 + math.hypot(400.0, 40.0)
-    assert amplitude(servo(friction=HELD, **notch), upper) == pytest.approx(math.sqrt(0.5), rel=0.02)
-    assert amplitude(servo(friction=HELD, **notch), 40.0) == pytest.approx(1.0, abs=0.01)
-    deep = {"loops": {"notch": {"frequency_hz": 400.0, "width_hz": 80.0, "depth": 0.25}}}
-    assert amplitude(servo(friction=HELD, **deep), 400.0) == pytest.approx(0.25, rel=1e-3)
-    low = {"loops": {"torque_filter_hz": 100.0}}
-    assert amplitude(servo(friction=HELD, **low), 100.0) == pytest.approx(math.sqrt(0.5), rel=0.03)
-    assert amplitude(servo(friction=HELD, **low), 800.0) == pytest.approx(1.0 / math.hypot(1.0, 8.0), rel=0.1)
+    notch, half = {"frequency_hz": 400.0, "width_hz": 80.0}, math.sqrt(0.5)
+    for loops, hz, expected in (
+        ({"notch": notch}, 400.0, pytest.approx(0.0, abs=1e-3)),
+        ({"notch": notch}, 40.0 + math.hypot(400.0, 40.0), pytest.approx(half, rel=0.02)),
+        ({"notch": notch}, 40.0, pytest.approx(1.0, abs=0.01)),
+        ({"notch": notch | {"depth": 0.25}}, 400.0, pytest.approx(0.25, rel=1e-3)),
+        ({"torque_filter_hz": 100.0}, 100.0, pytest.approx(half, rel=0.03)),
+        ({"torque_filter_hz": 100.0}, 800.0, pytest.approx(1.0 / math.hypot(1.0, 8.0), rel=0.1)),
+    ):
+        assert amplitude(servo(friction=HELD, loops=loops), hz) == expected, (loops, hz)
 
 
 def test_the_torque_acts_after_the_dead_time_and_is_away_at_once_without_power():
@@ -193,11 +185,8 @@ def test_the_torque_acts_after_the_dead_time_and_is_away_at_once_without_power()
 
 def test_without_anti_windup_the_axis_overshoots_after_a_long_limit():
     def overshoot(has_anti_windup):
-        one = servo(
-            motor={"peak_torque": 0.02},
-            loops={"has_anti_windup": has_anti_windup, "velocity_gain": 0.02, "integral_hz": 10.0},
-            mechanics={"spring": {"stiffness": 1e-9}},
-        )
+        loops = {"has_anti_windup": has_anti_windup, "velocity_gain": 0.02, "integral_hz": 10.0}
+        one = servo(motor={"peak_torque": 0.02}, loops=loops, mechanics={"spring": {"stiffness": 1e-9}})
         highest = 0.0
         for _ in range(2000):
             one.command(CSV, 40.0)
@@ -234,11 +223,8 @@ def test_temperatures_follow_the_exact_solution_of_the_nodes():
 
 
 def test_one_node_warms_with_its_time_constant():
-    thermal = {
-        "winding": {"capacity": 1.0, "resistance": 0.01, "loss": 12.0},
-        "motor": {"capacity": 100.0, "resistance": 2.0},
-        "resistance_coefficient": 0.0,
-    }
+    winding, motor = {"capacity": 1.0, "resistance": 0.01, "loss": 12.0}, {"capacity": 100.0, "resistance": 2.0}
+    thermal = {"winding": winding, "motor": motor, "resistance_coefficient": 0.0}
     one = servo(friction=HELD, thermal=thermal, time_lapse=10.0)
     one.command(CST, 0.5)
     one.advance(round(2.02 * HZ * 10))  # 202 s: the time constant of both nodes together
@@ -248,11 +234,8 @@ def test_one_node_warms_with_its_time_constant():
 
 def test_friction_heats_the_gear_and_falls_with_its_temperature():
     """A motor driven at constant speed: all of its mechanical work arrives as heat, and the torque falls."""
-    friction = {
-        "model": "coulomb",
-        "parameters": {"coulomb": 0.2},
-        "modifiers": {"temperature": {"reference": 25.0, "coefficient": -0.01}},
-    }
+    cooling = {"temperature": {"reference": 25.0, "coefficient": -0.01}}
+    friction = {"model": "coulomb", "parameters": {"coulomb": 0.2}, "modifiers": cooling}
     thermal = {**NODES, "gear": {"capacity": 50.0, "resistance": 1e6}, "winding": {**NODES["winding"], "loss": 0.0}}
     one = servo(friction=friction, thermal=thermal, time_lapse=20.0)
     torques = []
