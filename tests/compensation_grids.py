@@ -7,15 +7,8 @@ from tools.benchmarks.compensation import Grid, load
 
 LUGRE: dict[str, Any] = {
     "model": "lugre",
-    "parameters": {
-        "sigma0": 2000.0,
-        "sigma1": 1.0,
-        "sigma2": 2e-3,
-        "coulomb": 0.08,
-        "static": 0.12,
-        "stribeck_velocity": 0.2,
-        "damping_velocity": 0.2,
-    },
+    "parameters": {"sigma0": 2000.0, "sigma1": 1.0, "sigma2": 2e-3, "coulomb": 0.08, "static": 0.12}
+    | {"stribeck_velocity": 0.2, "damping_velocity": 0.2},
 }
 TINY = """\
 plants:

@@ -4,13 +4,13 @@ from html.parser import HTMLParser
 
 
 class Page(HTMLParser):
-    """Tags with their attributes, and the text; refuses tags that do not match."""
+    """Tags with their attributes, the text, and scripts by their types; refuses tags that do not match."""
 
     VOID = ("meta", "img", "br", "input", "link")
 
     def __init__(self, text: str) -> None:
         super().__init__()
-        self.open, self.tags, self.text = [], [], []
+        self.open, self.tags, self.text, self.scripts = [], [], [], []
         self.feed(text)
         self.close()
         assert self.open == []
@@ -24,7 +24,9 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        self.text.append((self.open[-1:], data))
+        self.text.append(data)
+        if self.open[-1:] == ["script"]:
+            self.scripts.append((self.tags[-1][1].get("type", ""), data))
 
     @property
     def sources(self) -> list[str]:

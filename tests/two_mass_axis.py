@@ -82,40 +82,17 @@ def record(axis: Axis, demand: Array, torque: Array | None = None, rate_hz: floa
     random = np.random.default_rng(seed)
     is_rigid = math.isinf(axis.resonance_hz)
     inertia = axis.motor_inertia + (axis.load_inertia if is_rigid else 0.0)
-    mechanics = np.array(
-        [
-            inertia,
-            0.0 if is_rigid else axis.load_inertia,
-            0.0 if is_rigid else axis.stiffness,
-            0.0 if is_rigid else axis.damping,
-            0.5 * axis.backlash,
-            axis.load_torque,
-            *axis.cogging,
-        ]
-    )
+    load = (0.0, 0.0, 0.0) if is_rigid else (axis.load_inertia, axis.stiffness, axis.damping)
+    mechanics = np.array([inertia, *load, 0.5 * axis.backlash, axis.load_torque, *axis.cogging])
     drive = np.array([axis.position_gain, axis.velocity_gain, axis.integral_hz, math.tau / axis.counts])
-    added = np.zeros(len(demand)) if torque is None else torque
+    sides = axis.motor.numbers(inertia), axis.load.numbers(axis.load_inertia)
+    added, encoder = np.zeros(len(demand)) if torque is None else torque, np.array(axis.encoder_error)
     every = round(LOOP_HZ / rate_hz)
-    position, load, mean, truth = _run(
-        mechanics,
-        axis.motor.numbers(inertia),
-        axis.load.numbers(axis.load_inertia),
-        drive,
-        np.array(axis.encoder_error),
-        demand,
-        added,
-        every,
-        random.uniform(),
-    )
+    position, load, mean, truth = _run(mechanics, *sides, drive, encoder, demand, added, every, random.uniform())
     mean = mean + axis.torque_noise * random.standard_normal(len(mean))
-    time = np.arange(1, len(mean) + 1) / rate_hz
-    columns = {
-        "time_s": time,
-        "position": position,
-        "torque": mean,
-        "position_demand": demand[every - 1 :: every, 0][: len(mean)] + truth,
-        "load_position": load,
-    }
+    demanded = demand[every - 1 :: every, 0][: len(mean)] + truth
+    columns = {"time_s": np.arange(1, len(mean) + 1) / rate_hz, "position": position, "torque": mean}
+    columns |= {"position_demand": demanded, "load_position": load}
     return Recording("axis.csv", "x", columns)
 
 

@@ -61,9 +61,8 @@ class TwoMasses:
         pressed = abs(twist) - 0.5 * self.gap
         if pressed <= 0.0:
             return 0.0
-        return math.copysign(
-            max(self.stiffness * pressed + math.copysign(self.damping * rate, twist * rate), 0.0), twist
-        )
+        push = self.stiffness * pressed + math.copysign(self.damping * rate, twist * rate)
+        return math.copysign(max(push, 0.0), twist)
 
     def measured(self) -> float:
         """Position by the encoder at the motor."""
@@ -111,22 +110,9 @@ def follow(axis, one, motion, duration_s, *, enabled_from_s=0.0, **inputs):
         t = k * PERIOD_S
         now, ahead = motion(t), motion(t + lead_s)
         rows.append((t, now[0], axis.motor.position, axis.load.position, axis.load.velocity, acting))
-        feedforward, acting = (
-            acting,
-            one.step(
-                float(k),
-                axis.measured(),
-                axis.motor.velocity,
-                axis.torque,
-                now[0],
-                now[1],
-                ahead[1],
-                True,
-                t >= enabled_from_s,
-                ahead[2],
-                **inputs,
-            ),
-        )
+        feedforward, drive = acting, (axis.measured(), axis.motor.velocity, axis.torque)
+        demand = (now[0], now[1], ahead[1])
+        acting = one.step(float(k), *drive, *demand, True, t >= enabled_from_s, ahead[2], **inputs)
         offset, rate = one.offset_now
         later = motion(t + PERIOD_S)
         shifted = (now[0] + offset, now[1] + rate, now[2])

@@ -139,11 +139,10 @@ def test_corners_of_a_triangle_are_passed_within_the_limits_too():
 
 
 def test_what_is_missed_before_the_start_delays_nothing():
-    time = PathTime(0.5)
+    time, prompt = PathTime(0.5), PathTime(0.5)
     time.hold(0.5, 0.2, 0.5)
-    time.start(1.0)
-    prompt = PathTime(0.5)
-    prompt.start(1.0)
+    for one in (time, prompt):
+        one.start(1.0)
     assert [time.at(t) for t in (1.0, 1.2, 3.0)] == [prompt.at(t) for t in (1.0, 1.2, 3.0)]
     assert time.lag_s(2.0) == 0.0
 

@@ -116,12 +116,8 @@ def test_two_masses_respond_as_their_transfer_functions():
     for omega in (0.4 * anti, anti, math.sqrt(anti * resonance), resonance, 1.6 * resonance):
         omega = 2.0 * math.pi * HZ / (16.0 * round(2.0 * math.pi * HZ / omega / 16.0))  # whole steps in a period
         period = round(2.0 * math.pi * HZ / omega)
-        one = machine(
-            friction=coulomb(0.0, viscous=viscous),
-            loops={"rate_hz": HZ},
-            load={"inertia": j2, "stiffness": k, "damping": d},
-            external={"sine": {"amplitude": 0.0, "frequency_hz": 1.0}},
-        )
+        load, still = {"inertia": j2, "stiffness": k, "damping": d}, {"sine": {"amplitude": 0.0, "frequency_hz": 1.0}}
+        one = machine(friction=coulomb(0.0, viscous=viscous), loops={"rate_hz": HZ}, load=load, external=still)
         rows, count = [], round(0.6 * HZ / period) * period
         for i in range(count + 2 * period):
             pushed(one, 0.05 * math.sin(omega * (i + 0.5) / HZ))
@@ -150,13 +146,8 @@ def test_pendulum_on_an_elastic_shaft_moves_as_in_mujoco():
     )
     data = mujoco.MjData(model)
     data.qpos[0] = 0.9
-    one = machine(
-        0.9,
-        friction=coulomb(0.0, viscous=viscous),
-        inertia=j1,
-        load={"inertia": j2 + mass * arm**2, "stiffness": k, "damping": d},
-        gravity={"sine": mass * 9.81 * arm},
-    )
+    load, gravity = {"inertia": j2 + mass * arm**2, "stiffness": k, "damping": d}, {"sine": mass * 9.81 * arm}
+    one = machine(0.9, friction=coulomb(0.0, viscous=viscous), inertia=j1, load=load, gravity=gravity)
     pushed(one, 0.2)
     data.qfrc_applied[0] = 0.2
     for _ in range(100):
@@ -299,12 +290,9 @@ def test_stick_slip_is_the_cycle_of_the_phase_plane():
     The motor, held by a stiff velocity loop, is the end that pulls.
     """
     speed, k, j, level, static = 0.5, 2.0, 1e-3, 0.05, 0.12
-    one = machine(
-        inertia=1.0,
-        loops={"velocity_gain": 2000.0, "integral_hz": 50.0},
-        peak=1e6,
-        load={"inertia": j, "stiffness": k, "friction": coulomb(level, static)},
-    )
+    loops = {"velocity_gain": 2000.0, "integral_hz": 50.0}
+    load = {"inertia": j, "stiffness": k, "friction": coulomb(level, static)}
+    one = machine(inertia=1.0, loops=loops, peak=1e6, load=load)
     rows = []
     for i in range(3000):
         one.command(CSV, speed)
@@ -347,13 +335,10 @@ def test_backlash_in_the_position_loop_cycles_as_its_describing_function_says():
     """The encoder is at a light load with friction, which stays where the gap leaves it."""
     gain, lag, gap, inertia = 160.0, 0.05, 0.02, 1e-2
     predicted = backlash_cycle(gain, lag)
-    one = machine(
-        inertia=inertia,
-        loops={"rate_hz": HZ, "position_gain": gain, "velocity_gain": inertia / lag, "integral_hz": 0.0}
-        | {"velocity_filter_hz": 20_000.0, "inertia_feedforward": 0.0},
-        encoder={"at": "both", "counts": 1e9},
-        load={"inertia": 2e-6, "stiffness": 20.0, "damping": 5e-3, "backlash": gap, "friction": coulomb(0.002)},
-    )
+    loops = {"rate_hz": HZ, "position_gain": gain, "velocity_gain": inertia / lag, "integral_hz": 0.0}
+    loops |= {"velocity_filter_hz": 20_000.0, "inertia_feedforward": 0.0}
+    load = {"inertia": 2e-6, "stiffness": 20.0, "damping": 5e-3, "backlash": gap, "friction": coulomb(0.002)}
+    one = machine(inertia=inertia, loops=loops, encoder={"at": "both", "counts": 1e9}, load=load)
     one.command(CSP, 0.0)
     pushed(one, 0.5)
     one.advance(8000)
@@ -444,12 +429,9 @@ def test_gear_hysteresis_lags_the_twist_by_its_torque():
     """Wound up and let go on a held motor: friction inside the gear keeps a part of the twist."""
     load = {"inertia": 1e-4, "stiffness": 20.0, "damping": 0.2}
     one = machine(friction=coulomb(10.0), load_torque=0.2, load=load)
-    other = machine(
-        friction=coulomb(10.0),
-        load=load,
-        gear={"hysteresis": {"torque": 0.05, "stiffness": 200.0}},
-        external={"steps": [{"time_s": 0.1, "torque": 0.2}, {"time_s": 0.4, "torque": 0.0}]},
-    )
+    steps = [{"time_s": 0.1, "torque": 0.2}, {"time_s": 0.4, "torque": 0.0}]
+    gear = {"hysteresis": {"torque": 0.05, "stiffness": 200.0}}
+    other = machine(friction=coulomb(10.0), load=load, gear=gear, external={"steps": steps})
     one.advance(HZ)
     assert one.load_position == pytest.approx(-0.2 / 20.0, rel=1e-3)
     other.advance(2 * HZ // 5)
@@ -472,9 +454,8 @@ def test_the_load_sticks_up_to_its_own_break_away():
 
 
 def test_a_brake_holds_the_motor_and_the_load_hangs_on_the_coupling():
-    one = machine(
-        has_brake=True, load_torque=0.1, load={"inertia": 1e-4, "stiffness": 50.0, "damping": 0.02, "backlash": 4e-3}
-    )
+    load = {"inertia": 1e-4, "stiffness": 50.0, "damping": 0.02, "backlash": 4e-3}
+    one = machine(has_brake=True, load_torque=0.1, load=load)
     one.advance(HZ)
     assert one.true_position == 0.0
     assert one.load_position == pytest.approx(-0.1 / 50.0 - 2e-3, rel=1e-3)
