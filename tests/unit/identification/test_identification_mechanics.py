@@ -62,18 +62,9 @@ def known(mechanics: Mechanics) -> dict[str, float]:
 
 
 def truth(axis: Axis) -> dict[str, float]:
-    return {
-        "motor_inertia": axis.motor_inertia,
-        "load_inertia": axis.load_inertia,
-        "inertia": axis.motor_inertia + axis.load_inertia,
-        "stiffness": axis.stiffness,
-        "antiresonance_hz": axis.antiresonance_hz,
-        "resonance_hz": axis.resonance_hz,
-        "damping": axis.damping,
-        "backlash": axis.backlash,
-        "motor_friction": axis.motor.level,
-        "load_friction": axis.load.level,
-    }
+    same = ("motor_inertia", "load_inertia", "stiffness", "antiresonance_hz", "resonance_hz", "damping", "backlash")
+    friction = {"motor_friction": axis.motor.level, "load_friction": axis.load.level}
+    return {name: getattr(axis, name) for name in same} | friction | {"inertia": axis.motor_inertia + axis.load_inertia}
 
 
 def response_of(recording: Recording) -> FrequencyResponse | None:

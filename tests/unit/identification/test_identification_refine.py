@@ -35,20 +35,13 @@ PERIOD_S = 1e-3
 LUGRE = {"sigma0": 900.0, "sigma1": 0.6, "sigma2": 4e-3, "coulomb": 0.11, "static": 0.17}
 LUGRE |= {"stribeck_velocity": 0.12, "damping_velocity": 0.12}
 TRUTH = {**LUGRE, "inertia": 2e-4}
-PLANT = ServoConfig.model_validate(
-    {
-        "mechanics": {"inertia": TRUTH["inertia"], "load_torque": 0.0},
-        "friction": {"model": "lugre", "parameters": LUGRE},
-        "encoder": {"counts": 2**20},
-        "integration_hz": 400_000.0,
-    }
-)
+PARTS = {"mechanics": {"inertia": TRUTH["inertia"], "load_torque": 0.0}, "encoder": {"counts": 2**20}}
+PARTS |= {"friction": {"model": "lugre", "parameters": LUGRE}, "integration_hz": 400_000.0}
+PLANT = ServoConfig.model_validate(PARTS)
 SIDES = {"positive": {"coulomb": 0.13, "static": 0.21}, "negative": {"coulomb": 0.09, "static": 0.13}}
 RIPPLE = {"order": 42, "cosine": 0.005, "sine": 0.008}
-MODIFIED = PLANT.model_validate(
-    PLANT.model_dump()
-    | {"friction": {"model": "lugre", "parameters": LUGRE, "modifiers": {"direction": SIDES, "ripple": [RIPPLE]}}}
-)
+MODIFIERS = {"direction": SIDES, "ripple": [RIPPLE]}
+MODIFIED = ServoConfig.model_validate(PARTS | {"friction": PARTS["friction"] | {"modifiers": MODIFIERS}})
 CSP = 8
 DURATION_S = 30.0
 PARTS = 8  # samples of the drive's controller in a period
@@ -58,8 +51,7 @@ STEPS = 400 // PARTS
 @cache
 def moved(start: float, *, is_modified: bool) -> tuple[Array, Array, Array]:
     """The experiment on the simulated servo: counted position, mean torque and torque at each sample."""
-    plant = PLANT.model_copy(update={"friction": MODIFIED.friction}) if is_modified else PLANT
-    servo = Servo(plant, start)
+    servo = Servo(MODIFIED if is_modified else PLANT, start)
     servo.set_period(PERIOD_S)
     time = np.arange(round(DURATION_S / PERIOD_S), dtype=np.float64) * PERIOD_S
     position, mean, instant = np.empty_like(time), np.empty_like(time), np.empty_like(time)

@@ -16,6 +16,7 @@ from friction_hil.friction import describe
 from friction_hil.motion.trajectory import sine_path
 from friction_hil.rehearsal import AxisRun, Motion, Rehearsal, rehearse, simulated_machines
 from friction_hil.tuning.rehearsal_motions import simulated_motions
+from tests.servo_drives import axis_dict
 
 MACHINES = Path(__file__).parents[3] / "config/machines"
 FRICTION = {"model": "lugre", "parameters": dict(describe("lugre").example)}
@@ -29,32 +30,22 @@ COUNTS = 1e8  # per m
 MOST = {"error": 1e-6, "load_error": 1e-6, "compensation": 1e-4, "demand": 0.0, "gain_factor": 0.0}
 
 
-def axis_dict(node, mode, mechanics):
+def axis_of(node, mode, mechanics):
     controller = {"position_gain": 40.0, "velocity_gain": 0.04, "integral_hz": 3.0}
-    return {
-        "driver": "canopen",
-        "node": node,
-        "counts_per_unit": COUNTS,
-        "rated_torque": 1.0,
-        "mode": mode,
-        "limits": {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0},
-        "model": {"axis": "linear", "friction": FRICTION, "mechanics": {"inertia": mechanics["inertia"]}},
-        "compensation": {"fade_s": 0.1},
-        **({"controller": controller} if mode == "cst" else {}),
-        "trajectory": {"kind": "sine", "amplitude": 0.3, "frequency": 1.0},
-        "simulation": {
-            "mechanics": {"axis": "linear", **mechanics},
-            "friction": FRICTION,
-            "loops": {"position_gain": 60.0, "velocity_gain": 0.05},
-            "encoder": {"counts": COUNTS},
-        },
-    }
+    model = {"axis": "linear", "friction": FRICTION, "mechanics": {"inertia": mechanics["inertia"]}}
+    parts = {"friction": FRICTION, "loops": {"position_gain": 60.0, "velocity_gain": 0.05}}
+    parts |= {"mechanics": {"axis": "linear", **mechanics}, "encoder": {"counts": COUNTS}}
+    given = {"counts_per_unit": COUNTS, "rated_torque": 1.0, "mode": mode, "model": model, "simulation": parts}
+    given |= {"limits": {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0}}
+    trajectory = {"kind": "sine", "amplitude": 0.3, "frequency": 1.0}
+    given |= {"trajectory": trajectory, **({"controller": controller} if mode == "cst" else {})}
+    return axis_dict(node=node, **given)
 
 
 def machines(modes, mechanism, **parts):
     share = 0.0 if mechanism else SHARE
     axes = {
-        name: axis_dict(node, modes[name], {"inertia": inertia + share, **parts})
+        name: axis_of(node, modes[name], {"inertia": inertia + share, **parts})
         for node, (name, inertia) in enumerate(INERTIAS.items(), start=1)
     }
     bus = {"interface": "virtual", "channel": "coupled-rehearsal"}

@@ -287,13 +287,6 @@ def test_a_period_that_is_no_whole_number_of_steps_is_refused():
 # --- loops and safety of the drive
 
 
-def test_the_loops_follow_a_sine_closely():
-    one = servo()
-    t = 1e-3 * np.arange(1500)
-    rows = stream(one, CSP, 0.5 * np.sin(2.0 * np.pi * t))
-    assert np.abs(rows[500:, 0] - rows[500:, 2]).max() < 5e-3
-
-
 def test_quick_stop_comes_to_rest_at_its_deceleration_and_holds_against_a_load():
     one = servo(mechanics={"load_torque": 0.2})
     stream(one, CSP, 10.0 * 1e-3 * np.arange(400))

@@ -60,29 +60,25 @@ def residual(one, at_start=0.0):
 
 def test_a_default_servo_is_rigid_and_each_part_makes_it_a_machine():
     assert ServoConfig().is_rigid
-    for mechanics in (
-        {"load": {"inertia": 1e-4, "stiffness": 50.0}},
-        {"gravity": {"sine": 0.1}},
-        {"spring": {"stiffness": 0.1}},
+    mechanics = (
+        *({"load": {"inertia": 1e-4, "stiffness": 50.0}}, {"gravity": {"sine": 0.1}}, {"spring": {"stiffness": 0.1}}),
         {"inertia_variation": [{"order": 2, "cosine": 1e-5}]},
         {"external": {"sine": {"amplitude": 0.1, "frequency_hz": 5.0}}},
-    ):
-        assert not ServoConfig.model_validate({"mechanics": mechanics}).is_rigid
+    )
+    nodes = {
+        "winding": {"capacity": 20.0, "resistance": 0.8, "loss": 12.0},
+        "motor": {"capacity": 150, "resistance": 2.0},
+    }
+    others = (
+        *({"encoder": {"noise": 1e-5}}, {"encoder": {"latency_s": 1e-3}}, {"torque_feedback": {"offset": 0.1}}),
+        *({"motor": {"no_load_speed": 100.0}}, {"motor": {"cogging": [{"order": 6, "sine": 0.01}]}}),
+        *({"loops": {"dead_time_s": 1.25e-4}}, {"loops": {"has_anti_windup": False}}),
+        *({"thermal": nodes}, {"wear": [{"time_s": 0.0, "factor": 1.5}]}),
+    )
+    for parts in (*({"mechanics": each} for each in mechanics), *others):
+        assert not ServoConfig.model_validate(parts).is_rigid, parts
     with pytest.raises(UsageError, match="keeps no account"):
         _ = Servo(ServoConfig()).energy
-
-
-@pytest.mark.parametrize("friction", [LUGRE, coulomb(0.08, 0.12, 2e-3)])
-def test_a_machine_with_a_part_of_no_effect_moves_as_the_rigid_servo(friction):
-    rigid = Servo(ServoConfig.model_validate({"friction": friction}))
-    other = Servo(ServoConfig.model_validate({"friction": friction, "mechanics": {"spring": {"stiffness": 1e-12}}}))
-    for k in range(1500):
-        for one in (rigid, other):
-            one.command(CSP, 0.3 * math.sin(2e-3 * math.pi * k))
-            one.advance(80)
-        # half a step apart: semi-implicit Euler moves with the velocity at the end of the step
-        assert other.true_position == pytest.approx(rigid.true_position, abs=1.5e-5)
-        assert other.load_position == other.true_position
 
 
 # --- integration

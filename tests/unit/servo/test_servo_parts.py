@@ -34,24 +34,6 @@ def pushed(one, torque, seconds=0.0):
     return one
 
 
-@pytest.mark.parametrize(
-    "parts",
-    [
-        {"encoder": {"noise": 1e-5}},
-        {"encoder": {"latency_s": 1e-3}},
-        {"torque_feedback": {"offset": 0.1}},
-        {"motor": {"no_load_speed": 100.0}},
-        {"motor": {"cogging": [{"order": 6, "sine": 0.01}]}},
-        {"loops": {"dead_time_s": 1.25e-4}},
-        {"loops": {"has_anti_windup": False}},
-        {"thermal": NODES},
-        {"wear": [{"time_s": 0.0, "factor": 1.5}]},
-    ],
-)
-def test_each_part_takes_the_kernel_that_has_it(parts):
-    assert not ServoConfig.model_validate(parts).is_rigid
-
-
 # --- sensors
 
 
@@ -220,16 +202,6 @@ def test_temperatures_follow_the_exact_solution_of_the_nodes():
         expected = (expm(system * warmed_s) @ [0.0, 0.0, 0.0, 1.0])[:3]
         found = np.array(one.temperatures)[:3] - 25.0
         np.testing.assert_allclose(found, expected, rtol=2e-3)
-
-
-def test_one_node_warms_with_its_time_constant():
-    winding, motor = {"capacity": 1.0, "resistance": 0.01, "loss": 12.0}, {"capacity": 100.0, "resistance": 2.0}
-    thermal = {"winding": winding, "motor": motor, "resistance_coefficient": 0.0}
-    one = servo(friction=HELD, thermal=thermal, time_lapse=10.0)
-    one.command(CST, 0.5)
-    one.advance(round(2.02 * HZ * 10))  # 202 s: the time constant of both nodes together
-    final = 12.0 * 2.0
-    assert one.temperatures.motor - 25.0 == pytest.approx(final * (1.0 - math.exp(-1.0)), rel=5e-3)
 
 
 def test_friction_heats_the_gear_and_falls_with_its_temperature():

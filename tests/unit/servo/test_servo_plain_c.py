@@ -1,4 +1,4 @@
-"""The rigid servo against one in plain C (``plain_servo.c``), an independent form of its equations."""
+"""The rigid servo against a machine of no other parts, and against one in plain C (``plain_servo.c``)."""
 
 import ctypes
 import math
@@ -11,9 +11,10 @@ import pytest
 from friction_hil.friction import describe
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
+from tests.unit.servo.test_servo_machine import coulomb
 from tools.benchmarks.c_library import load
 
-CST = 10
+CSP, CST = 8, 10
 LUGRE = {"model": "lugre", "parameters": dict(describe("lugre").example)}
 
 
@@ -55,3 +56,16 @@ def test_the_rigid_servo_moves_as_the_c_loop():
         assert ours.true_position == pytest.approx(plain.state[0], rel=1e-6, abs=1e-9)
         assert ours.true_velocity == pytest.approx(plain.state[1], rel=1e-6, abs=1e-9)
         assert ours.velocity == pytest.approx(plain.state[5], rel=1e-6, abs=1e-2)
+
+
+@pytest.mark.parametrize("friction", [LUGRE, coulomb(0.08, 0.12, 2e-3)])
+def test_a_machine_with_a_part_of_no_effect_moves_as_the_rigid_servo(friction):
+    rigid = Servo(ServoConfig.model_validate({"friction": friction}))
+    other = Servo(ServoConfig.model_validate({"friction": friction, "mechanics": {"spring": {"stiffness": 1e-12}}}))
+    for k in range(1500):
+        for one in (rigid, other):
+            one.command(CSP, 0.3 * math.sin(2e-3 * math.pi * k))
+            one.advance(80)
+        # half a step apart: semi-implicit Euler moves with the velocity at the end of the step
+        assert other.true_position == pytest.approx(rigid.true_position, abs=1.5e-5)
+        assert other.load_position == other.true_position

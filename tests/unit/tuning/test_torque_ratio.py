@@ -91,23 +91,16 @@ def test_what_the_runs_cannot_tell_is_said(runs):
         assert reason in found.text
 
 
+LUGRE = {"sigma0": 200.0, "sigma1": 0.2, "sigma2": 0.01, "coulomb": 0.1, "static": 0.13}
+LUGRE |= {"stribeck_velocity": 0.1, "damping_velocity": 0.1}
+MODIFIERS = {"load": {"motoring": 0.2, "driven": 0.1}, "ripple": [{"order": 3.0, "cosine": 0.01}]}
+LOAD = {"inertia": 1e-3, "stiffness": 50.0, "damping": 0.01, "friction": 0.03}
+GRAVITY = {"constant": 0.0, "sine": 0.3, "cosine": 0.1}
 MODEL = {
-    "version": 1,
-    "axis": "rotary",
-    "friction": {
-        "model": "lugre",
-        "parameters": {"sigma0": 200.0, "sigma1": 0.2, "sigma2": 0.01, "coulomb": 0.1, "static": 0.13},
-        "modifiers": {"load": {"motoring": 0.2, "driven": 0.1}, "ripple": [{"order": 3.0, "cosine": 0.01}]},
-    },
-    "mechanics": {
-        "inertia": 2e-3,
-        "offset": 0.02,
-        "gravity": {"constant": 0.0, "sine": 0.3, "cosine": 0.1},
-        "load": {"inertia": 1e-3, "stiffness": 50.0, "damping": 0.01, "friction": 0.03},
-    },
-    "fit": {"standard_errors": {"coulomb": 1e-3}, "flags": []},
+    **{"version": 1, "axis": "rotary", "fit": {"standard_errors": {"coulomb": 1e-3}, "flags": []}},
+    "friction": {"model": "lugre", "parameters": LUGRE, "modifiers": MODIFIERS},
+    "mechanics": {"inertia": 2e-3, "offset": 0.02, "gravity": GRAVITY, "load": LOAD},
 }
-MODEL["friction"]["parameters"] |= {"stribeck_velocity": 0.1, "damping_velocity": 0.1}
 
 
 def test_a_scaled_model_explains_the_recording_as_before() -> None:

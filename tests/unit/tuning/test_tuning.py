@@ -135,14 +135,7 @@ def test_an_axis_that_is_moved_by_hand_is_not_said_to_be_held():
     run, duration = experiment_run(configuration, "x")
     bounds = experiment_of("x", configuration.axes["x"])
     text = experiment_text(run, "x", bounds, duration)
-    wanted = (
-        "0.8 rad",
-        "5 rad/s (stopped above 7.5 rad/s)",
-        "for 21 s",
-        "without compensation",
-        "y free",
-        "0.00064 rad",
-    )
+    wanted = ("0.8 rad", "5 rad/s (stopped above 7.5 rad/s)", "for 21 s", "without compensation", "y free", "0.00064")
     assert [each for each in wanted if each not in text] == []
     text = experiment_text(run, "x", bounds, 66.0, (15.0, 15.0, 30.0))
     assert [each for each in ("at most 66 s", "in parts of 15, 15, 30 s") if each not in text] == []
@@ -152,14 +145,8 @@ def test_an_axis_is_shaken_alone_within_the_bounds_of_its_experiment_and_that_is
     configuration = machine(x=axis(), y=axis(**BY_HAND))
     run, duration = shaken_run(configuration, "x")
     text = shaken_text(run, "x", experiment_of("x", configuration.axes["x"]), duration)
-    wanted = (
-        "0.8 rad",
-        "5 rad/s (stopped above 7.5 rad/s)",
-        "for 18 s",
-        "without",
-        "44 rad/s^2 from 2 to 250 Hz",
-        "y free",
-    )
+    wanted = ("0.8 rad", "5 rad/s (stopped above 7.5 rad/s)", "for 18 s", "without compensation", "y free")
+    wanted = (*wanted, "shaken by up to 44 rad/s^2 from 2 to 250 Hz")
     assert [each for each in wanted if each not in text] == []
     assert [each.trajectory.kind for each in run.axes.values()] == ["multisine", "none"]
     assert not any(each.compensation.enabled for each in run.axes.values())
