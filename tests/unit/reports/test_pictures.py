@@ -1,4 +1,4 @@
-"""All pictures have one style; numbers in them have no sign of zero; hysteresis loops can be recognised as loops."""
+"""All pictures have one style, hysteresis loops can be recognised as loops, and no peak of a long signal is lost."""
 
 import dataclasses
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from friction_hil import models
 from friction_hil.analysis.circularity import analyse
@@ -15,6 +16,7 @@ from friction_hil.models.files import model_from_argument
 from friction_hil.replay.comparison import replay
 from friction_hil.reports import figures, model_picture, replay_picture
 from friction_hil.reports.circularity_picture import draw_error
+from friction_hil.reports.decimation import bucket_size, decimated, decimated_time
 from friction_hil.reports.identification_pictures import draw_loops, draw_time, turning_points
 from friction_hil.reports.numbers import comparison_rows, digits, readable
 from friction_hil.reports.page import picture
@@ -163,3 +165,37 @@ def test_fits_that_do_not_compare_are_in_groups_of_their_own():
     assert rest == tuple(others)
     assert "Fitted once more" in first
     assert "do not compare" in second
+
+
+VALUES = arrays(np.float64, st.integers(1, 300), elements=st.floats(-1e9, 1e9) | st.just(np.nan))
+
+
+@given(VALUES, st.integers(2, 50))
+def test_each_bucket_keeps_its_extremes_in_their_order(values, size):
+    kept = decimated(values, size)
+    assert len(kept) == 2 * -(-len(values) // size) == len(decimated_time(np.arange(len(values), dtype=float), size))
+    for k, pair in enumerate(kept.reshape(-1, 2)):
+        bucket = values[k * size : (k + 1) * size]
+        known = bucket[~np.isnan(bucket)]
+        if not known.size:
+            assert np.isnan(pair).all()
+            continue
+        assert sorted(pair) == [known.min(), known.max()]
+        first, second = (int(np.flatnonzero(bucket == each)[0]) for each in (known.min(), known.max()))
+        assert pair[0] == (known.min() if first <= second else known.max())
+
+
+@given(st.integers(1, 10**7), st.integers(2, 10**5))
+def test_no_more_points_than_asked_for_are_left(rows, most):
+    size = bucket_size(rows, most)
+    assert size == 1 if rows <= most else 2 * -(-rows // size) <= most + 2
+
+
+@given(st.integers(2, 500), st.integers(2, 40))
+def test_times_do_not_decrease_and_stay_within_their_bucket(rows, size):
+    time = np.cumsum(np.linspace(0.5, 2.0, rows))
+    kept = decimated_time(time, size)
+    assert np.all(np.diff(kept) >= 0.0)
+    assert kept[0] == time[0]
+    starts = np.repeat(time[::size], 2)
+    assert np.all(kept >= starts)
