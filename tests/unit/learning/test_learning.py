@@ -122,12 +122,27 @@ def test_what_does_not_help_is_taken_back(tried):
     assert (tried.learner.figures.kept, tried.learner.figures.taken_back) == (0, 1)
 
 
-@pytest.mark.parametrize(("error", "ticks", "after_s"), [(3e-3, 8, (0.0, 1.0)), (1.4e-3, 12, (1.0, 1.5))])
-def test_what_harms_is_taken_back_within_a_second_and_less_harm_within_a_longer_time(tried, error, ticks, after_s):
+@pytest.mark.parametrize(
+    ("given", "ticks", "after_s", "taken_back"),
+    [
+        pytest.param({"error": 3e-3}, 8, (0.0, 1.0), 1, id="a large error"),
+        pytest.param({"error": 1.4e-3}, 12, (1.0, 1.5), 1, id="less than half a second may have"),
+        pytest.param(
+            {"error": 1e-4, "change": lambda rows: rows["gain_factor"][100:].fill(0.8)},
+            1,
+            (0.0, 0.25),
+            1,
+            id="a limit cycle",
+        ),
+        pytest.param({"error": 3e-4, "amplitude": 0.02}, WINDOW_TICKS, (0.0, 0.5), 0, id="another motion"),
+    ],
+)
+def test_what_harms_is_taken_back_in_time(tried, given, ticks, after_s, taken_back):
     at = tried.ticks
-    tried.take(ticks, until=Step.BACK, error=error)
+    tried.take(ticks, until=Step.BACK, **given)
     assert tried.proposals[-1][1].step is Step.BACK
     assert after_s[0] < (tried.ticks - at) * TICK_S <= after_s[1]
+    assert (tried.learner.figures.kept, tried.learner.figures.taken_back) == (0, taken_back)
 
 
 @pytest.mark.parametrize(("true", "is_kept"), [(LUGRE, True), (WRONG, False)])
@@ -147,9 +162,8 @@ def test_what_helps_is_kept_and_where_friction_falls_the_gain_leaves_room_until_
     tried.take(WINDOW_TICKS + 6, error=3e-4)
     figures = tried.learner.figures
     assert (figures.kept, figures.taken_back) == (1, 0)
-    assert (figures.first_error, figures.error) == pytest.approx(
-        (1e-3 / math.sqrt(2.0), 3e-4 / math.sqrt(2.0)), rel=0.05
-    )
+    errors = np.array([1e-3, 3e-4]) / math.sqrt(2.0)
+    assert [figures.first_error, figures.error] == pytest.approx(errors, rel=0.05)
     gain = tried.proposals[-1][1].gain
     tried.take(2 * WINDOW_TICKS, until=Step.PARAMETERS, error=3e-4, true=levels(0.93))
     tried.take(8, until=Step.PARAMETERS, error=2e-4, true=levels(0.93))
@@ -165,19 +179,6 @@ def test_the_next_trial_waits_unless_the_error_grows_meanwhile(first, error, win
     at = first.ticks
     first.take(4 * WINDOW_TICKS, until=Step.PARAMETERS, error=error)
     assert windows <= (first.ticks - at) / WINDOW_TICKS < windows + 1
-
-
-def test_a_limit_cycle_is_harm(tried):
-    tried.take(1, change=lambda rows: rows["gain_factor"][100:].fill(0.8), error=1e-4)
-    assert tried.proposals[-1][1].step is Step.BACK
-
-
-def test_another_motion_ends_a_trial_at_once(tried):
-    at = tried.ticks
-    tried.take(WINDOW_TICKS, until=Step.BACK, error=3e-4, amplitude=0.02)
-    assert tried.proposals[-1][1].step is Step.BACK
-    assert (tried.ticks - at) * TICK_S <= 0.5
-    assert (tried.learner.figures.kept, tried.learner.figures.taken_back) == (0, 0)
 
 
 def test_another_motion_has_the_model_file_and_one_that_comes_back_what_was_kept_for_it(tried):

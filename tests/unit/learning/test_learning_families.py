@@ -2,6 +2,7 @@
 
 import json
 from copy import deepcopy
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import friction_hil as fh
 from friction_hil.daemon import learning_words
 from friction_hil.daemon.learning_board import first_report
 from friction_hil.learning.conversion import ALTERNATIVES, converted
+from friction_hil.learning.figures import LayerFigures
 from friction_hil.learning.proposal import Step, described
 from friction_hil.learning.proven import Proven, recall, store
 from tests.compensators import LUGRE, MODELS
@@ -141,21 +143,28 @@ def test_a_stored_family_that_does_not_exist_is_named_and_not_used(tmp_path, con
     assert "cannot be read" in why
 
 
+INSTEAD = "; family gms in place of lugre"
+GMS = {"text": "gms", "tried": 1}
+BETTER = {"error_before": 2e-5, "error_after": 1e-5}
+RIPPLE = "ripple of order 7"
+
+
 @pytest.mark.parametrize(
-    ("family", "words"),
+    ("family", "layer", "words"),
     [
-        ({}, ""),
-        ({"state": "on trial", "in_use": "gms", "text": "gms", "tried": 1}, "; family gms: on trial"),
-        ({"state": "no gain", "text": "gms", "tried": 1}, "; family gms: no gain, off"),
-        (
-            {"state": "kept", "in_use": "gms", "text": "gms", "tried": 1, "error_before": 2e-5, "error_after": 1e-5},
-            "; family gms in place of lugre, error 20.0 µrad -> 10.0 µrad",
-        ),
-        ({"state": "kept", "text": "gms", "tried": 1}, "; family gms: not proven for this motion, off"),
-        ({"in_use": "gms"}, "; family gms in place of lugre"),
+        ({}, (), ""),
+        ({"state": "on trial", "in_use": "gms", **GMS}, (), "; family gms: on trial"),
+        ({"state": "no gain", **GMS}, (), "; family gms: no gain, off"),
+        ({"state": "kept", "in_use": "gms", **GMS, **BETTER}, (), f"{INSTEAD}, error 20.0 µrad -> 10.0 µrad"),
+        ({"state": "kept", **GMS}, (), "; family gms: not proven for this motion, off"),
+        ({"in_use": "gms"}, (), INSTEAD),
+        ({}, ("no gain", 0.4, 2, 5e-3, None, RIPPLE), "; residual layer: no gain, off"),
+        ({}, ("on", 0.4, 1, 5.1e-3, 1.9e-3, RIPPLE), f"; residual layer: {RIPPLE}, error 5.10 mrad -> 1.90 mrad, on"),
     ],
 )
-def test_the_family_is_named_where_it_changed(family, words):
+def test_the_last_line_of_a_run_names_the_family_where_it_changed_and_the_layer(family, layer, words):
     report = first_report("on", "rad", 0.9)
+    assert report["residual_layer"] == asdict(LayerFigures()), "before anything was learned"
     report["family"] |= {"of_file": "lugre", "in_use": "lugre", **family}
+    report["residual_layer"] = asdict(LayerFigures(*layer))
     assert learning_words.result(report) == f"re-identified 0 times{words}"

@@ -2,7 +2,6 @@
 
 import math
 from copy import deepcopy
-from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -10,11 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import friction_hil as fh
-from friction_hil.daemon import learning_words
-from friction_hil.daemon.learning_board import first_report
 from friction_hil.learning import estimate
 from friction_hil.learning.estimate import Mechanics
-from friction_hil.learning.figures import LayerFigures
 from friction_hil.learning.layer import Layer, between, columns, pairs
 from friction_hil.learning.motions import WINDOW_TICKS
 from friction_hil.learning.proposal import Step
@@ -213,21 +209,3 @@ def test_an_axis_without_a_residual_never_gets_a_layer():
     driven = Driven().take(6 * WINDOW_TICKS, error=1e-3, amplitude=1.0, seed=1)
     assert Step.LAYER not in [each.step for _, each in driven.proposals]
     assert driven.learner.figures.layer.state == "noise only"
-
-
-@pytest.mark.parametrize(
-    ("figures", "words"),
-    [
-        (LayerFigures(), ""),
-        (LayerFigures("no gain", 0.4, 2, 5e-3, None, "ripple of order 7"), "; residual layer: no gain, off"),
-        (
-            LayerFigures("on", 0.4, 1, 5.1e-3, 1.9e-3, "ripple of order 7"),
-            "; residual layer: ripple of order 7, error 5.10 mrad -> 1.90 mrad, on",
-        ),
-    ],
-)
-def test_the_last_line_of_a_run_names_the_layer(figures, words):
-    report = first_report("on", "rad", 0.9)
-    assert report["residual_layer"] == asdict(LayerFigures()), "before anything was learned"
-    report |= {"residual_layer": asdict(figures)}
-    assert learning_words.result(report) == f"re-identified 0 times{words}"
