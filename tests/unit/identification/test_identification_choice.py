@@ -122,6 +122,34 @@ def test_the_gain_is_antisymmetric_and_zero_for_the_same(result):
     assert log_likelihood_gain(one, other) == pytest.approx((-gain, error), rel=1e-3)
 
 
+def test_a_choice_does_not_call_parameters_determined_that_it_flags(result):
+    simple, larger = plain(result, "coulomb"), plain(result, "stribeck")
+    error = simple.held_out
+    simple = dataclasses.replace(simple, across_speeds=error, validation=None, flags=())
+    better = dataclasses.replace(error, rmse=0.999 * error.rmse)
+    larger = dataclasses.replace(larger, across_speeds=better, validation=None)
+    assert simple.count < larger.count
+    chosen, reason = choose([simple, larger])
+    assert chosen is simple
+    assert "parameters the data determine" in reason
+    flagged = dataclasses.replace(simple, flags=("not excited: offset = 1e-5, its standard error 300 % of it: move",))
+    chosen, reason = choose([flagged, larger])
+    assert chosen is flagged
+    assert "the data determine" not in reason
+    assert "all exceed their standard errors" in reason
+
+
+def test_fits_that_do_not_compare_are_in_groups_of_their_own(result):
+    assert [heading for heading, _ in result.groups] == [""]
+    one = plain(result, "dahl")
+    others = [each for each in result.fits if each is not one]
+    mixed = dataclasses.replace(result, fits=(dataclasses.replace(one, is_refined=True), *others))
+    (first, refined), (second, rest) = mixed.groups
+    assert ([each.label for each in refined], rest) == (["dahl"], tuple(others))
+    assert "Fitted once more" in first
+    assert "do not compare" in second
+
+
 def test_a_parameter_at_a_bound_counts_against_a_fit(result: Identification) -> None:
     """Equal errors and parameters: the one with the bound loses, though it has fewer free parameters."""
     bounded, sound = plain(result, "stribeck"), plain(result, "dahl")

@@ -162,7 +162,6 @@ def test_subtracting_the_shift_leaves_viscous_friction_and_inertia_at_zero_or_ab
 
 @pytest.mark.deep
 def test_directions_and_ripple_are_found_at_the_resolution_of_the_encoder() -> None:
-    """From an eighth of a revolution."""
     best = found(recorded(1, is_modified=True), has_modifiers=True, replicas=4).best
     assert best.is_refined
     assert set(best.structure.modifiers) >= {"direction", "ripple"}

@@ -122,11 +122,15 @@ def test_the_loops_of_a_drive_are_found_from_its_torque(bits) -> None:
     assert found.velocity_feedforward == 1.0
 
 
-def test_a_drive_without_feedforward_is_recognised() -> None:
-    servo = ServoConfig(loops=Loops(position_gain=90.0, velocity_gain=0.12, integral_hz=6.0, velocity_feedforward=0.0))
-    found = identify_loops(excited("csp", servo), "csp", 2.0 * math.pi / 2**20)
+def test_a_drive_without_feedforward_is_recognised_and_a_torque_that_follows_no_loop_is_refused():
+    loops = Loops(position_gain=90.0, velocity_gain=0.12, integral_hz=6.0, velocity_feedforward=0.0)
+    recording, resolution = excited("csp", ServoConfig(loops=loops)), 2.0 * math.pi / 2**20
+    found = identify_loops(recording, "csp", resolution)
     assert found.velocity_feedforward == pytest.approx(0.0, abs=0.1)
     assert found.velocity_gain == pytest.approx(0.12, rel=0.12)
+    recording.columns["torque"] = np.random.default_rng(1).normal(size=len(recording))
+    with pytest.raises(RecordingError, match="gains explains"):
+        identify_loops(recording, "csp", resolution)
 
 
 def test_the_velocity_loop_is_found_in_csv() -> None:
@@ -135,14 +139,6 @@ def test_the_velocity_loop_is_found_in_csv() -> None:
     assert (found.position_gain, found.explained > 0.98) == (0.0, True)
     assert found.velocity_gain == pytest.approx(true.velocity_gain, rel=0.12)
     assert found.integral_hz == pytest.approx(true.integral_hz, rel=0.2)
-
-
-def test_a_torque_that_follows_no_loop_is_refused() -> None:
-    recording = excited("csp", ServoConfig())
-    noise = np.random.default_rng(1).normal(size=len(recording))
-    strange = replace(recording, columns={**recording.columns, "torque": noise})
-    with pytest.raises(RecordingError, match="cascade of gains explains"):
-        identify_loops(strange, "csp", 6e-6)
 
 
 MACHINES = Path(__file__).parents[3] / "config/machines"

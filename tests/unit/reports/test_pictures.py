@@ -1,7 +1,5 @@
 """All pictures have one style, hysteresis loops can be recognised as loops, and no peak of a long signal is lost."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -10,7 +8,6 @@ from hypothesis.extra.numpy import arrays
 
 from friction_hil import models
 from friction_hil.analysis.circularity import analyse
-from friction_hil.identification.choice import choose
 from friction_hil.identification.fits import Curves
 from friction_hil.models.files import model_from_argument
 from friction_hil.replay.comparison import replay
@@ -22,7 +19,7 @@ from friction_hil.reports.numbers import comparison_rows, digits, readable
 from friction_hil.reports.page import picture
 from friction_hil.reports.run.picture import draw_run
 from friction_hil.reports.run.view import make_view
-from tests.unit.identification.test_identification import found, plain, recorded
+from tests.unit.identification.test_identification import recorded
 from tests.unit.reports.test_circularity import make_circle
 
 pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
@@ -135,36 +132,6 @@ def test_each_loop_has_rows_enough_a_scale_of_its_own_and_its_travel_in_words():
         assert len([each for each in axes.get_xticks() if low <= each <= high]) <= 6
     still = draw_loops(curves(0.0), "N m", "rad")
     assert [text.get_text() for text in still.texts] == ["no motion back and forth"]
-
-
-def test_a_choice_does_not_call_parameters_determined_that_it_flags():
-    result = found(recorded("coulomb", noise=0.02), families=("coulomb", "stribeck"))
-    simple, larger = plain(result, "coulomb"), plain(result, "stribeck")
-    better = dataclasses.replace(simple.held_out, rmse=0.999 * simple.held_out.rmse)
-    larger = dataclasses.replace(larger, across_speeds=better, validation=None)
-    simple = dataclasses.replace(simple, across_speeds=simple.held_out, validation=None, flags=())
-    assert simple.count < larger.count
-    chosen, reason = choose([simple, larger])
-    assert chosen is simple
-    assert "whose parameters the data determine" in reason
-    flagged = dataclasses.replace(simple, flags=("not excited: offset = 1e-5, its standard error 300 % of it: move",))
-    chosen, reason = choose([flagged, larger])
-    assert chosen is flagged
-    assert "the data determine" not in reason
-    assert "nonlinear parameters all exceed their standard errors" in reason
-
-
-def test_fits_that_do_not_compare_are_in_groups_of_their_own():
-    result = found(recorded("coulomb"), families=("coulomb", "dahl"))
-    assert [heading for heading, _ in result.groups] == [""]
-    one = plain(result, "dahl")
-    others = [each for each in result.fits if each is not one]
-    mixed = dataclasses.replace(result, fits=(dataclasses.replace(one, is_refined=True), *others))
-    (first, refined), (second, rest) = mixed.groups
-    assert [each.label for each in refined] == ["dahl"]
-    assert rest == tuple(others)
-    assert "Fitted once more" in first
-    assert "do not compare" in second
 
 
 VALUES = arrays(np.float64, st.integers(1, 300), elements=st.floats(-1e9, 1e9) | st.just(np.nan))

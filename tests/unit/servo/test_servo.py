@@ -421,7 +421,6 @@ def test_a_servo_that_cannot_be_is_refused(parts, words):
 
 
 def test_the_least_integration_rate_is_stable():
-    """At the slowest rate that is accepted a stiff, light axis comes to rest."""
     with pytest.raises(ValidationError) as caught:
         ServoConfig.model_validate({"mechanics": {"inertia": 1e-5}, "integration_hz": 8000.0})
     rate = float(str(caught.value).split("at least ")[1].split()[0])

@@ -217,7 +217,6 @@ def distance(torque, truth, weight):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_reversals_are_not_low_passed_away(seed):
-    """The plant itself, along the velocity of the task_of, against its friction without noise."""
     velocity, friction, recording = recorded(seed)
     task = task_of(recording)
     found, low = task.samples, task_of(recording, lowpass_hz=100.0).samples

@@ -327,7 +327,6 @@ def test_json_has_the_own_motion_as_before_and_each_motion() -> None:
 
 
 def test_a_fit_in_two_steps_has_a_name_of_its_own() -> None:
-    """Both may be tried, and one of them is kept: the user has to see which."""
     tuning = tuning_of(("lugre", model_with((2.0, 2.0))), ("lugre", model_with((1.0, 2.0))))
     axis = tuning.axes["spindle"]
     free, again = axis.candidates
