@@ -1,7 +1,6 @@
 """Lines of text on the driver's side: requests, replies, and what must never be taken for a reply."""
 
 import math
-from collections.abc import Mapping
 
 import pytest
 from friction_hil_drivers.ascii import DESCRIPTIONS
@@ -11,7 +10,7 @@ from friction_hil_drivers.ascii.driver import AsciiLine
 from friction_hil_drivers.ascii.messages import sealer
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.serial_line.description import ready
-from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, Plan, ReplyError
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, ReplyError
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -68,26 +67,26 @@ BUS = AsciiDescription.model_validate(
 )
 
 
-def on_line(description: AsciiDescription, axis: str = "0") -> tuple[AsciiLine, Image]:
+def on_line(description, axis="0"):
     """A line with one axis, x."""
     options = AsciiOptions.model_validate({"line": {"port": "/dev/ttyS0"}, "description": "any", "axis": axis})
     image = Image()
     return AsciiLine({"x": description}, {"x": options}, {"x": image}), image
 
 
-def plan_of(description: AsciiDescription, mode: str | None, axis: str = "0") -> tuple[Plan, Image]:
+def plan_of(description, mode, axis="0"):
     line, image = on_line(description, axis)
-    commands = description.modes[mode].commands if mode else ()  # type: ignore[index]
+    commands = description.modes[mode].commands if mode else ()
     slow = tuple(name for name in SLOW if name in description.signals)
     image.values.update(position_command=-2.0, velocity_command=3.25, torque_command=-0.125)
     return line.plan({"x": CycleSignals(FAST, slow, commands)}), image
 
 
-def requests(exchanges: tuple[Exchange, ...]) -> list[bytes]:
+def requests(exchanges):
     return [exchange.encode() for exchange in exchanges]
 
 
-def xored(text: bytes) -> bytes:
+def xored(text):
     """Line with the checksum of the ODrive, computed here once more."""
     value = 0
     for byte in text:
@@ -98,7 +97,7 @@ def xored(text: bytes) -> bytes:
 # Cycles
 
 
-def test_an_odrive_is_asked_for_its_feedback_and_commanded_as_its_manual_says() -> None:
+def test_an_odrive_is_asked_for_its_feedback_and_commanded_as_its_manual_says():
     plan, _ = plan_of(ODRIVE, "cst")
     assert requests(plan.poll) == [b"f 0*118\n"]
     assert [line.split(b"*")[0] for line in requests(plan.background)] == [
@@ -112,7 +111,7 @@ def test_an_odrive_is_asked_for_its_feedback_and_commanded_as_its_manual_says() 
     assert plan.push[0].reply_size == 0
 
 
-def test_a_copley_drive_is_asked_one_by_one_and_acknowledges() -> None:
+def test_a_copley_drive_is_asked_one_by_one_and_acknowledges():
     plan, image = plan_of(COPLEY, "cst", "")
     image.values["torque_command"] = -150.4
     assert requests(plan.poll) == [b"g r0x32\r", b"g r0x18\r"]
@@ -121,7 +120,7 @@ def test_a_copley_drive_is_asked_one_by_one_and_acknowledges() -> None:
     assert plan.push[0].take(bytearray(b"ok\r"))
 
 
-def test_what_comes_along_is_not_asked_for_again() -> None:
+def test_what_comes_along_is_not_asked_for_again():
     heard, _ = plan_of(BUS, None)
     assert [exchange.reads for exchange in heard.poll] == [("position", "velocity", "torque")]
     assert [exchange.reads for exchange in heard.background] == [("status",)]
@@ -131,7 +130,7 @@ def test_what_comes_along_is_not_asked_for_again() -> None:
     assert [exchange.reads for exchange in torque.push] == [("torque",)]
 
 
-def test_a_command_that_is_answered_with_feedback_rides_in_the_poll() -> None:
+def test_a_command_that_is_answered_with_feedback_rides_in_the_poll():
     plan, _ = plan_of(BUS, "csp")
     assert [(exchange.writes, exchange.reads) for exchange in plan.poll] == [
         (("position_command", "torque_command"), ("position", "velocity"))
@@ -140,13 +139,13 @@ def test_a_command_that_is_answered_with_feedback_rides_in_the_poll() -> None:
     assert requests(plan.poll) == [b"#0GFFFE,0\r"]
 
 
-def test_commands_go_out_in_several_messages_where_no_single_one_has_them() -> None:
+def test_commands_go_out_in_several_messages_where_no_single_one_has_them():
     plan, _ = plan_of(BUS, "csv")
     assert sorted(requests(plan.push)) == [b"#0T0\r", b"#0V3.250000\r"]
 
 
 @pytest.mark.parametrize("description", [*READY.values(), BUS], ids=lambda description: description.name)
-def test_every_mode_and_every_step_has_its_messages(description: AsciiDescription) -> None:
+def test_every_mode_and_every_step_has_its_messages(description):
     line, image = on_line(description)
     image.values.update(dict.fromkeys(description.signals, 0.0))
     for mode in description.modes:
@@ -161,7 +160,7 @@ def test_every_mode_and_every_step_has_its_messages(description: AsciiDescriptio
             assert name in line.read("x", (name,)).reads
 
 
-def test_what_no_message_has_is_refused_with_its_name() -> None:
+def test_what_no_message_has_is_refused_with_its_name():
     line, _ = on_line(BUS)
     with pytest.raises(UsageError, match=r"x: .*error"):
         line.read("x", ("error",))
@@ -173,7 +172,7 @@ def test_what_no_message_has_is_refused_with_its_name() -> None:
         line.plan({"x": CycleSignals(("position",), (), ("position_command",))})
 
 
-def test_a_fixed_number_chooses_its_message() -> None:
+def test_a_fixed_number_chooses_its_message():
     line, image = on_line(BUS)
     exchange = line.write("x", ("control",))
     image.values["control"] = 1.0
@@ -190,11 +189,9 @@ def test_a_fixed_number_chooses_its_message() -> None:
     value=st.one_of(st.floats(), st.integers(-10, 10).map(float)),
     description=st.sampled_from([ODRIVE, BUS]),
 )
-def test_a_request_is_never_longer_than_it_says_and_never_holds_what_is_no_number(
-    mode: str, value: float, description: AsciiDescription
-) -> None:
+def test_a_request_is_never_longer_than_it_says_and_never_holds_what_is_no_number(mode, value, description):
     plan, image = plan_of(description, mode)
-    image.values.update(dict.fromkeys(description.modes[mode].commands, value))  # type: ignore[index]
+    image.values.update(dict.fromkeys(description.modes[mode].commands, value))
     for exchange in (*plan.push, *(exchange for exchange in plan.poll if exchange.writes)):
         if math.isfinite(value):
             assert len(exchange.encode()) <= exchange.request_size
@@ -206,13 +203,13 @@ def test_a_request_is_never_longer_than_it_says_and_never_holds_what_is_no_numbe
 # Replies
 
 
-def feedback_of(description: AsciiDescription, axis: str = "0") -> tuple[Exchange, Image]:
+def feedback_of(description, axis="0"):
     plan, image = plan_of(description, None, axis)
     plan.poll[0].encode()
     return plan.poll[0], image
 
 
-def taken(exchange: Exchange, data: bytes) -> bool:
+def taken(exchange, data):
     """Take what comes in one piece; whether it was a whole reply. Nothing may be left but what follows a reply."""
     received = bytearray(data)
     is_complete = exchange.take(received)
@@ -220,7 +217,7 @@ def taken(exchange: Exchange, data: bytes) -> bool:
     return is_complete
 
 
-def test_a_reply_fills_the_image() -> None:
+def test_a_reply_fills_the_image():
     exchange, image = feedback_of(ODRIVE)
     reply = xored(b"1.250000 -0.500000")
     assert taken(exchange, reply)
@@ -229,7 +226,7 @@ def test_a_reply_fills_the_image() -> None:
     assert len(reply) <= exchange.reply_size
 
 
-def test_an_enumeration_with_a_stray_letter_is_read_as_the_drive_means_it() -> None:
+def test_an_enumeration_with_a_stray_letter_is_read_as_the_drive_means_it():
     line, image = on_line(ODRIVE)
     status = line.read("x", ("status",))
     status.encode()
@@ -242,7 +239,7 @@ positions = st.floats(-99999.0, 99999.0)
 
 
 @given(positions, st.floats(-9999.0, 9999.0), st.data())
-def test_a_reply_may_come_in_any_pieces(position: float, velocity: float, data: st.DataObject) -> None:
+def test_a_reply_may_come_in_any_pieces(position, velocity, data):
     exchange, image = feedback_of(ODRIVE)
     rest = b"\r\n" * data.draw(st.booleans()) + xored(b"%f %f" % (position, velocity))
     received = bytearray()
@@ -258,14 +255,14 @@ def test_a_reply_may_come_in_any_pieces(position: float, velocity: float, data: 
 
 
 @given(st.lists(st.tuples(st.sampled_from([b"", b"\r\n", b"\0"]), st.sampled_from([1.0, 2.0])), max_size=6))
-def test_stray_characters_before_a_reply_do_not_make_it_the_one_before(replies: list[tuple[bytes, float]]) -> None:
+def test_stray_characters_before_a_reply_do_not_make_it_the_one_before(replies):
     exchange, image = feedback_of(ODRIVE)
     for stray, position in replies:
         assert taken(exchange, stray + xored(b"%.1f 2.0" % position))
         assert image.values["position"] == position
 
 
-def test_what_follows_a_reply_is_left_alone() -> None:
+def test_what_follows_a_reply_is_left_alone():
     exchange, _ = feedback_of(ODRIVE)
     received = bytearray(xored(b"1.0 2.0") + b"invalid mo")
     assert exchange.take(received)
@@ -289,7 +286,7 @@ def test_what_follows_a_reply_is_left_alone() -> None:
         (b"1" * 300 + b" 2.0\r\n", "no line ends within 256 characters"),
     ],
 )
-def test_what_is_no_reply_is_refused_whole(line: bytes, words: str) -> None:
+def test_what_is_no_reply_is_refused_whole(line, words):
     exchange, image = feedback_of(ODRIVE)
     with pytest.raises(ReplyError) as caught:
         taken(exchange, line)
@@ -302,7 +299,7 @@ def test_what_is_no_reply_is_refused_whole(line: bytes, words: str) -> None:
 @pytest.mark.parametrize(
     "text", [b"invalid command format", b"invalid motor 3", b"invalid property", b"unknown command"]
 )
-def test_the_error_of_a_set_point_is_never_taken_for_the_reply_that_follows(text: bytes) -> None:
+def test_the_error_of_a_set_point_is_never_taken_for_the_reply_that_follows(text):
     exchange, image = feedback_of(ODRIVE)
     with pytest.raises(ReplyError, match="earlier request") as caught:
         exchange.take(bytearray(xored(text) + xored(b"1.0 2.0")))
@@ -311,7 +308,7 @@ def test_the_error_of_a_set_point_is_never_taken_for_the_reply_that_follows(text
     assert not image.fresh
 
 
-def test_an_error_of_a_drive_that_answers_everything_is_the_reply() -> None:
+def test_an_error_of_a_drive_that_answers_everything_is_the_reply():
     plan, image = plan_of(COPLEY, "cst", "")
     for exchange, code, words in ((plan.poll[0], b"e 9\r", "unknown parameter"), (plan.push[0], b"e -77\r", "see the")):
         exchange.encode()
@@ -321,7 +318,7 @@ def test_an_error_of_a_drive_that_answers_everything_is_the_reply() -> None:
     assert not image.fresh
 
 
-def test_an_acknowledgement_is_not_a_value_nor_a_value_an_acknowledgement() -> None:
+def test_an_acknowledgement_is_not_a_value_nor_a_value_an_acknowledgement():
     plan, _ = plan_of(COPLEY, "cst", "")
     for exchange, line in ((plan.poll[0], b"ok\r"), (plan.push[0], b"v 1\r")):
         exchange.encode()
@@ -329,14 +326,14 @@ def test_an_acknowledgement_is_not_a_value_nor_a_value_an_acknowledgement() -> N
             exchange.take(bytearray(line))
 
 
-def test_another_axis_answering_is_not_understood() -> None:
+def test_another_axis_answering_is_not_understood():
     exchange, image = feedback_of(BUS, "2")
     with pytest.raises(ReplyError, match="#3A0001"):
         exchange.take(bytearray(b"#2A\r#3A0001,1.0,5\r\n"))
     assert not image.fresh
 
 
-def test_an_echo_comes_before_the_reply() -> None:
+def test_an_echo_comes_before_the_reply():
     exchange, image = feedback_of(BUS)
     assert exchange.encode() == b"#0A\r"
     whole = b"\n#0A\r\r\n#0AFFFF,-1.5,-3\r\n"
@@ -348,7 +345,7 @@ def test_an_echo_comes_before_the_reply() -> None:
     assert len(whole) <= exchange.reply_size + 3  # with the stray line ends
 
 
-def test_an_echo_in_pieces_is_dropped_once() -> None:
+def test_an_echo_in_pieces_is_dropped_once():
     exchange, _ = feedback_of(BUS)
     received = bytearray()
     answers = []
@@ -359,14 +356,14 @@ def test_an_echo_in_pieces_is_dropped_once() -> None:
 
 
 @pytest.mark.parametrize("line", [b"#0A0001,1.0,2\r\n", b"#0M\r#0A0001,1.0,2\r\n", b"x#0A\r#0A0001,1.0,2\r\n"])
-def test_without_its_echo_a_reply_is_none(line: bytes) -> None:
+def test_without_its_echo_a_reply_is_none(line):
     exchange, image = feedback_of(BUS)
     with pytest.raises(ReplyError, match="the echo"):
         exchange.take(bytearray(line))
     assert not image.fresh
 
 
-def test_an_echo_alone_answers_what_has_no_reply() -> None:
+def test_an_echo_alone_answers_what_has_no_reply():
     odrive = ODRIVE.model_copy(update={"echo": True})
     plan, _ = plan_of(odrive, "cst")
     request = plan.push[0].encode()
@@ -375,7 +372,7 @@ def test_an_echo_alone_answers_what_has_no_reply() -> None:
     assert taken(plan.push[0], request)
 
 
-def test_a_reply_of_another_width_than_described_is_refused() -> None:
+def test_a_reply_of_another_width_than_described_is_refused():
     exchange, image = feedback_of(BUS)
     with pytest.raises(ReplyError, match="than position"):
         exchange.take(bytearray(b"#0A\r#0A10000,1.0,2\r\n"))
@@ -385,7 +382,7 @@ def test_a_reply_of_another_width_than_described_is_refused() -> None:
 # Anything at all on the line
 
 
-def understood(data: bytes) -> Mapping[str, float] | None:
+def understood(data):
     """Return the numbers of the first line that is not empty, read by the manual of the ODrive alone."""
     lines = [line.strip(b"\r\n\0") for line in data.split(b"\r\n")[:-1]]
     first = next((line for line in lines if line), b"")
@@ -405,7 +402,7 @@ pieces = st.one_of(st.binary(max_size=40), numbers_and_noise, whole_lines, st.ju
 
 
 @given(st.lists(pieces, max_size=6).map(b"".join))
-def test_random_bytes_never_crash_and_never_tell_what_was_not_said(data: bytes) -> None:
+def test_random_bytes_never_crash_and_never_tell_what_was_not_said(data):
     exchange, image = feedback_of(ODRIVE)
     received = bytearray(data)
     try:
@@ -419,7 +416,7 @@ def test_random_bytes_never_crash_and_never_tell_what_was_not_said(data: bytes) 
 
 
 @given(st.sampled_from(["cst", "csv", "csp"]), st.lists(st.binary(max_size=80), max_size=8))
-def test_random_bytes_never_change_a_command(mode: str, chunks: list[bytes]) -> None:
+def test_random_bytes_never_change_a_command(mode, chunks):
     for description in (COPLEY, BUS, ODRIVE):
         if mode not in description.modes:
             continue
@@ -438,7 +435,7 @@ def test_random_bytes_never_change_a_command(mode: str, chunks: list[bytes]) -> 
         assert {name: image.values[name] for name in before} == before
 
 
-def test_requests_may_go_out_together_whose_replies_differ_in_their_words() -> None:
+def test_requests_may_go_out_together_whose_replies_differ_in_their_words():
     plan, _ = plan_of(ODRIVE, "cst")
     (feedback,), (first, second, *_) = plan.poll, plan.background
     assert first.may_follow(feedback)
@@ -449,9 +446,7 @@ def test_requests_may_go_out_together_whose_replies_differ_in_their_words() -> N
 
 
 @given(st.floats(-9e4, 9e4), st.floats(-9e3, 9e3), st.floats(-900.0, 900.0))
-def test_no_reply_to_one_of_requests_that_go_out_together_is_taken_for_one_to_another(
-    p: float, v: float, t: float
-) -> None:
+def test_no_reply_to_one_of_requests_that_go_out_together_is_taken_for_one_to_another(p, v, t):
     assert ODRIVE.checksum is not None
     seal = sealer(Checker(ODRIVE.checksum), b"")
     plan, _ = plan_of(ODRIVE, "cst")
@@ -464,13 +459,13 @@ def test_no_reply_to_one_of_requests_that_go_out_together_is_taken_for_one_to_an
 
 
 @pytest.mark.parametrize("is_rs485", [False, True])
-def test_on_a_line_with_one_pair_of_wires_nothing_is_sent_ahead(is_rs485: bool) -> None:
+def test_on_a_line_with_one_pair_of_wires_nothing_is_sent_ahead(is_rs485):
     line = {"port": "/dev/ttyS0", "is_rs485": is_rs485}
     options = AsciiOptions.model_validate({"line": line, "description": "odrive"})
     assert AsciiLine({"x": ODRIVE}, {"x": options}, {"x": Image()}).ahead_chars == (0 if is_rs485 else 64)
 
 
-def test_an_error_line_is_a_refusal_of_a_set_point_without_a_reply_and_nothing_else_is() -> None:
+def test_an_error_line_is_a_refusal_of_a_set_point_without_a_reply_and_nothing_else_is():
     assert ODRIVE.checksum is not None
     seal = sealer(Checker(ODRIVE.checksum), b"\r\n")
     plan, _ = plan_of(ODRIVE, "cst")

@@ -38,17 +38,14 @@ SMALL = {
         "on": {"request": "on {axis}", "sets": {"control": 1}},
         "off": {"request": "off {axis}", "sets": {"control": 0}},
     },
-    "states": [
-        {"state": "operation_enabled", "value": 1},
-        {"state": "ready_to_switch_on", "value": 0},
-    ],
+    "states": [{"state": "operation_enabled", "value": 1}, {"state": "ready_to_switch_on", "value": 0}],
     "modes": {"cst": {"commands": ["torque_command"]}},
     "enable": [{"write": {"control": 1}, "until": "operation_enabled"}],
     "disable": [{"write": {"control": 0}, "until": "ready_to_switch_on"}],
 }
 
 
-def changed(path: str, value: object) -> dict[str, object]:
+def changed(path, value):
     """SMALL with one value replaced."""
     *parents, last = path.split("/")
     copy = dict(SMALL)
@@ -60,7 +57,7 @@ def changed(path: str, value: object) -> dict[str, object]:
     return copy
 
 
-def test_the_example_of_the_readme_is_a_whole_description(tmp_path: Path) -> None:
+def test_the_example_of_the_readme_is_a_whole_description(tmp_path):
     text = (Path(__file__).parents[3] / "drivers/serial_drives.md").read_text()
     (example,) = re.findall(r"^```yaml\n(version: 1\nprotocol: ascii\n.*?)^```", text, re.DOTALL | re.MULTILINE)
     path = tmp_path / "example.yaml"
@@ -70,7 +67,7 @@ def test_the_example_of_the_readme_is_a_whole_description(tmp_path: Path) -> Non
     assert set(description.modes) == {"cst"}
 
 
-def test_the_small_description_is_right() -> None:
+def test_the_small_description_is_right():
     description = AsciiDescription.model_validate(SMALL)
     assert set(description.units()) == {"position", "status", "control", "torque_command"}
     assert description.units()["position"].counter_bits is None
@@ -112,14 +109,14 @@ def test_the_small_description_is_right() -> None:
         ("request_end", "\t", "request_end"),
     ],
 )
-def test_a_mistake_is_refused_with_what_would_be_right(path: str, value: object, words: str) -> None:
+def test_a_mistake_is_refused_with_what_would_be_right(path, value, words):
     with pytest.raises(ValidationError) as caught:
         AsciiDescription.model_validate(changed(path, value))
     assert words in str(caught.value)
 
 
 @pytest.mark.parametrize("key", ["overvoltage", "1.5", "012", "1_0", "true", "''", "1" * 401])
-def test_an_error_without_a_number_is_told_with_its_line_and_what_would_be_right(tmp_path: Path, key: str) -> None:
+def test_an_error_without_a_number_is_told_with_its_line_and_what_would_be_right(tmp_path, key):
     path = tmp_path / "drive.yaml"
     text = yaml.safe_dump(SMALL) + "errors:\n  1: undervoltage\n"
     path.write_text(text + f"  {key}: too hot\n")
@@ -130,7 +127,7 @@ def test_an_error_without_a_number_is_told_with_its_line_and_what_would_be_right
     assert problem.message.startswith("is no whole number")
 
 
-def test_errors_are_numbered_as_manuals_do(tmp_path: Path) -> None:
+def test_errors_are_numbered_as_manuals_do(tmp_path):
     path = tmp_path / "drive.yaml"
     path.write_text(yaml.safe_dump(SMALL) + "errors: {1: one, 0x3210: overvoltage, -2: too cold}\n")
     assert read_section(path, AsciiDescription).errors == {1: "one", 0x3210: "overvoltage", -2: "too cold"}
@@ -140,32 +137,32 @@ def test_errors_are_numbered_as_manuals_do(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(ready(DESCRIPTIONS)))
-def test_a_ready_description_loads_and_says_where_it_comes_from(name: str) -> None:
+def test_a_ready_description_loads_and_says_where_it_comes_from(name):
     description = read_section(ready(DESCRIPTIONS)[name], AsciiDescription)
     assert description.protocol == "ascii"
     assert all(source.strip() for source in description.sources)
     assert set(description.inferred) <= set(description.signals)
 
 
-def test_the_ready_ones_are_there() -> None:
+def test_the_ready_ones_are_there():
     assert {"odrive", "odrive_pro", "copley_ascii"} <= set(ready(DESCRIPTIONS))
 
 
 # Options
 
 
-def options(**given: object) -> AsciiOptions:
+def options(**given):
     return AsciiOptions.model_validate({"line": {"port": "/dev/ttyUSB0"}, "description": "odrive"} | given)
 
 
-def test_an_axis_is_a_number_or_a_text() -> None:
+def test_an_axis_is_a_number_or_a_text():
     assert options(axis=1).axis == "1"
     assert options(axis=".b").address == "axis .b"
     assert options().address == "the only drive"
 
 
 @pytest.mark.parametrize("axis", ["a b", "{0}", "0\n", "x" * 17, True, 1.5])
-def test_what_cannot_stand_in_a_line_names_no_axis(axis: object) -> None:
+def test_what_cannot_stand_in_a_line_names_no_axis(axis):
     with pytest.raises(ValidationError):
         options(axis=axis)
 
@@ -193,22 +190,22 @@ CATALOGUE = {
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_a_checksum_has_its_published_check_value(name: str) -> None:
+def test_a_checksum_has_its_published_check_value(name):
     settings, expected = CATALOGUE[name]
     assert checksum_function(Checksum.model_validate(settings))(b"123456789") == expected
 
 
 @given(st.binary(max_size=64))
-def test_crc_16_is_that_of_the_standard_library(data: bytes) -> None:
+def test_crc_16_is_that_of_the_standard_library(data):
     xmodem = Checksum(kind="crc16", polynomial=0x1021)
     assert checksum_function(xmodem)(data) == binascii.crc_hqx(data, 0)
 
 
-def seal(checker: Checker, line: bytes) -> bytes:
+def seal(checker, line):
     return sealer(checker, b"")(line)
 
 
-def test_lines_of_the_manuals_have_the_checksums_that_stand_there() -> None:
+def test_lines_of_the_manuals_have_the_checksums_that_stand_there():
     odrive = Checker(Checksum(kind="xor", form="decimal", prefix="*"))
     assert seal(odrive, b"r vbus_voltage ") == b"r vbus_voltage *93"
     assert seal(odrive, b"f 0") == b"f 0*118"  # 66h ^ 20h ^ 30h
@@ -227,7 +224,7 @@ texts = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=40)
 
 
 @given(checks, texts)
-def test_a_checksum_comes_off_again(checker: Checker, line: bytes) -> None:
+def test_a_checksum_comes_off_again(checker, line):
     sealed = seal(checker, line)
     assert checker.remove(sealed) == line
     assert checker.remove(line + sealed[len(line) :].lower()) == line  # some drives write hexadecimal so
@@ -235,7 +232,7 @@ def test_a_checksum_comes_off_again(checker: Checker, line: bytes) -> None:
 
 
 @given(checks, texts.filter(lambda line: len(line) > 2), st.data())
-def test_one_flipped_bit_is_found(checker: Checker, line: bytes, data: st.DataObject) -> None:
+def test_one_flipped_bit_is_found(checker, line, data):
     sealed = bytearray(seal(checker, line))
     place = data.draw(st.integers(2, len(line) - 1))
     sealed[place] ^= 1 << data.draw(st.integers(0, 7))
@@ -246,11 +243,11 @@ def test_one_flipped_bit_is_found(checker: Checker, line: bytes, data: st.DataOb
 # Numbers in lines
 
 
-def line_format(kind: str, name: str = "number", **signal: object) -> LineFormat:
+def line_format(kind, name="number", **signal):
     return LineFormat(f"v {{{name}:{kind}}} end", {name: AsciiSignal.model_validate(signal)}, "0")
 
 
-def there_and_back(form: LineFormat, value: float) -> float:
+def there_and_back(form, value):
     (name,) = form.names
     line = form.write({name: value})
     assert len(line) <= form.size
@@ -261,7 +258,7 @@ def there_and_back(form: LineFormat, value: float) -> float:
 
 @example(digits=12, whole=12, fraction=-1.0)
 @given(digits=st.integers(0, 12), whole=st.integers(1, 12), fraction=st.floats(-1.0, 1.0))
-def test_a_float_comes_back_to_its_digits_over_the_whole_range(digits: int, whole: int, fraction: float) -> None:
+def test_a_float_comes_back_to_its_digits_over_the_whole_range(digits, whole, fraction):
     form = line_format("float", digits=digits, whole_digits=whole)
     value = fraction * (10.0**whole - 10.0**-digits)
     assert b"e" not in form.write({"number": value})[2:-4].lower()
@@ -270,7 +267,7 @@ def test_a_float_comes_back_to_its_digits_over_the_whole_range(digits: int, whol
 
 
 @given(st.floats(min_value=1e6, allow_infinity=False), st.sampled_from([-1.0, 1.0]))
-def test_a_float_beyond_its_digits_saturates(value: float, sign: float) -> None:
+def test_a_float_beyond_its_digits_saturates(value, sign):
     assert there_and_back(line_format("float", digits=3), sign * value) == sign * 999999.999
 
 
@@ -278,7 +275,7 @@ widths = st.sampled_from([8, 16, 32, 64])
 
 
 @given(kind=st.sampled_from(["int", "hex"]), bits=widths, is_signed=st.booleans(), data=st.data())
-def test_an_integer_comes_back_over_the_whole_range(kind: str, bits: int, is_signed: bool, data: st.DataObject) -> None:
+def test_an_integer_comes_back_over_the_whole_range(kind, bits, is_signed, data):
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if is_signed else (0, (1 << bits) - 1)
     value = float(data.draw(st.sampled_from([low, high, 0]) | st.integers(low, high)))
     form = line_format(kind, bits=bits, is_signed=is_signed)
@@ -288,7 +285,7 @@ def test_an_integer_comes_back_over_the_whole_range(kind: str, bits: int, is_sig
 
 
 @given(bits=widths, is_signed=st.booleans(), data=st.data())
-def test_hexadecimal_digits_may_be_small_letters(bits: int, is_signed: bool, data: st.DataObject) -> None:
+def test_hexadecimal_digits_may_be_small_letters(bits, is_signed, data):
     form = line_format("hex", bits=bits, is_signed=is_signed)
     line = form.write({"number": data.draw(st.integers(-(1 << bits - 1), (1 << bits) - 1))})
     assert form.read(line) is not None
@@ -296,14 +293,14 @@ def test_hexadecimal_digits_may_be_small_letters(bits: int, is_signed: bool, dat
 
 
 @given(bits=widths, is_signed=st.booleans(), value=st.floats(-1e30, 1e30))
-def test_an_integer_beyond_its_width_saturates(bits: int, is_signed: bool, value: float) -> None:
+def test_an_integer_beyond_its_width_saturates(bits, is_signed, value):
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if is_signed else (0, (1 << bits) - 1)
     number = there_and_back(line_format("int", bits=bits, is_signed=is_signed), value)
     assert number == float(min(max(round(value), low), high))
 
 
 @given(kind=st.sampled_from(["int", "hex"]), bits=widths, value=st.floats(-1e12, 1e12))
-def test_a_position_wraps_where_its_counter_does(kind: str, bits: int, value: float) -> None:
+def test_a_position_wraps_where_its_counter_does(kind, bits, value):
     number = there_and_back(line_format(kind, "position_command", bits=bits, unit="count"), value)
     assert (int(number) - round(value)) % (1 << bits) == 0
     assert -(1 << bits - 1) <= number < 1 << bits - 1
@@ -319,12 +316,12 @@ def test_a_position_wraps_where_its_counter_does(kind: str, bits: int, value: fl
         line_format("int", "position_command", bits=32),
     ],
 )
-def test_what_is_not_finite_is_not_written(form: LineFormat, value: float) -> None:
+def test_what_is_not_finite_is_not_written(form, value):
     with pytest.raises(ValueError, match="cannot be sent"):
         form.write({form.names[0]: value})
 
 
-def test_a_value_that_nobody_gave_is_not_written() -> None:
+def test_a_value_that_nobody_gave_is_not_written():
     with pytest.raises(ValueError, match="value of number"):
         line_format("float").write({})
 
@@ -352,7 +349,7 @@ def test_a_value_that_nobody_gave_is_not_written() -> None:
         ("hex", b"v 0xff end", None),
     ],
 )
-def test_what_is_a_number_and_what_is_none(kind: str, text: bytes, number: float | None) -> None:
+def test_what_is_a_number_and_what_is_none(kind, text, number):
     form = line_format(kind, **({} if kind == "float" else {"bits": 16}))
     assert form.read(text) == (None if number is None else [number])
 
@@ -361,13 +358,13 @@ def test_what_is_a_number_and_what_is_none(kind: str, text: bytes, number: float
     ("kind", "text"),
     [("float", b"v 1e999 end"), ("int", b"v 32768 end"), ("int", b"v -32769 end"), ("hex", b"v 10000 end")],
 )
-def test_a_number_too_large_for_its_signal_is_refused(kind: str, text: bytes) -> None:
+def test_a_number_too_large_for_its_signal_is_refused(kind, text):
     form = line_format(kind, **({} if kind == "float" else {"bits": 16}))
     with pytest.raises(ValueError, match="number"):
         form.read(text)
 
 
-def test_a_drive_without_a_name_is_asked_without_a_blank() -> None:
+def test_a_drive_without_a_name_is_asked_without_a_blank():
     signals = {"position": AsciiSignal(bits=32)}
     assert LineFormat("{axis} g r0x32", signals, "").write({}) == b"g r0x32"
     assert LineFormat("{axis} g r0x32", signals, "2").write({}) == b"2 g r0x32"

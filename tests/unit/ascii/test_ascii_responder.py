@@ -10,7 +10,7 @@ from friction_hil_drivers.ascii.driver import AsciiLine
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.ascii.simulated import AsciiResponder
 from friction_hil_drivers.serial_line.description import ready
-from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image
 from friction_hil_drivers.serial_line.sequences import Sequencer, state_of
 from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
 from friction_hil_drivers.serial_line.units import AxisUnits
@@ -48,24 +48,22 @@ COUNTER = AsciiDescription.model_validate(
 )
 
 
-def options(axis: str) -> AsciiOptions:
+def options(axis):
     return AsciiOptions.model_validate({"line": {"port": "/dev/ttyS0"}, "description": "any", "axis": axis})
 
 
-def simulated(description: AsciiDescription, mode: Mode = Mode.CST) -> SimulatedDrive:
+def simulated(description, mode=Mode.CST):
     units = AxisUnits(torque_constant=0.1)
     return SimulatedDrive("x", description, Servo(SERVO), mode, units, STEPS_PER_MS)
 
 
-def on_line(
-    description: AsciiDescription, *axes: str, mode: Mode = Mode.CST
-) -> tuple[AsciiResponder, dict[str, SimulatedDrive]]:
+def on_line(description, *axes, mode=Mode.CST):
     drives = {axis: simulated(description, mode) for axis in axes}
     descriptions = dict.fromkeys(axes, description)
     return AsciiResponder(drives, descriptions, {axis: options(axis) for axis in axes}), drives
 
 
-def answers(responder: AsciiResponder, data: bytes) -> list[bytes]:
+def answers(responder, data):
     """All replies to what comes in one piece."""
     received, replies = bytearray(data), []
     while (reply := responder.take(received)) is not None:
@@ -76,7 +74,7 @@ def answers(responder: AsciiResponder, data: bytes) -> list[bytes]:
 # The ODrive, as its manual and the sources of its firmware say
 
 
-def test_feedback_is_two_numbers_with_six_digits_in_turns() -> None:
+def test_feedback_is_two_numbers_with_six_digits_in_turns():
     responder, drives = on_line(PLAIN_ODRIVE, "0")
     (reply,) = answers(responder, b"f 0\n")
     turns = drives["0"].servo.position / (2.0 * math.pi)
@@ -84,7 +82,7 @@ def test_feedback_is_two_numbers_with_six_digits_in_turns() -> None:
     assert drives["0"].samples == 1
 
 
-def test_set_points_and_settings_get_no_reply() -> None:
+def test_set_points_and_settings_get_no_reply():
     responder, drives = on_line(PLAIN_ODRIVE, "0")
     lines = b"c 0 0.25\nw axis0.controller.config.control_mode 1\nu 0\nsc\n"
     assert answers(responder, lines) == [b""] * 4
@@ -93,7 +91,7 @@ def test_set_points_and_settings_get_no_reply() -> None:
     assert drives["0"].samples == 0
 
 
-def test_numbers_are_read_as_by_sscanf() -> None:
+def test_numbers_are_read_as_by_sscanf():
     responder, drives = on_line(PLAIN_ODRIVE, "0")
     assert answers(responder, b"c  0   -2.5e-1 \n\r\nr axis0.current_state\n") == [b"", b"1\r\n"]
     assert drives["0"].read("torque_command") == -0.25
@@ -102,13 +100,13 @@ def test_numbers_are_read_as_by_sscanf() -> None:
 @pytest.mark.parametrize(
     "line", [b"x", b"r axis0.nonsense", b"w axis0.requested_state", b"c 0", b"f", b"\xff\xfe", b"f 0 1"]
 )
-def test_what_it_does_not_know_it_says(line: bytes) -> None:
+def test_what_it_does_not_know_it_says(line):
     responder, drives = on_line(PLAIN_ODRIVE, "0")
     assert answers(responder, line + b"\n") == [b"unknown command\r\n"]
     assert drives["0"].samples == 0
 
 
-def test_two_axes_have_what_is_meant_for_them_and_a_third_is_silent() -> None:
+def test_two_axes_have_what_is_meant_for_them_and_a_third_is_silent():
     responder, drives = on_line(PLAIN_ODRIVE, "0", "1")
     assert answers(responder, b"c 0 0.1\nc 1 0.2\nc 2 0.3\nf 2\n") == [b""] * 4
     assert [drive.read("torque_command") for drive in drives.values()] == [0.1, 0.2]
@@ -119,21 +117,21 @@ def test_two_axes_have_what_is_meant_for_them_and_a_third_is_silent() -> None:
     assert [drive.read("clear_errors") for drive in drives.values()] == [1.0, 1.0]
 
 
-def test_a_checksum_is_asked_for_and_given() -> None:
+def test_a_checksum_is_asked_for_and_given():
     responder, drives = on_line(ODRIVE, "0")
     assert answers(responder, b"r axis0.current_state*14\n") == [b"1*49\r\n"]  # 31h is 49
     assert answers(responder, b"r axis0.current_state*15\nr axis0.current_state\nc 0 0.5*1\n") == [b""] * 3
     assert drives["0"].read("torque_command") == 0.0
 
 
-def test_a_value_that_a_drive_would_not_take_changes_nothing() -> None:
+def test_a_value_that_a_drive_would_not_take_changes_nothing():
     responder, drives = on_line(PLAIN_ODRIVE, "0")
     assert answers(responder, b"w axis0.requested_state 99\n") == [b"unknown command\r\n"]
     assert drives["0"].read("requested_state") == 0.0
     assert drives["0"].state is DriveState.READY_TO_SWITCH_ON
 
 
-def test_an_overlong_line_is_dropped_with_all_that_belongs_to_it() -> None:
+def test_an_overlong_line_is_dropped_with_all_that_belongs_to_it():
     responder, drives = on_line(PLAIN_ODRIVE, "0")
     received = bytearray(b"c 0 0." + b"1" * 300)
     assert responder.take(received) is None
@@ -149,7 +147,7 @@ def test_an_overlong_line_is_dropped_with_all_that_belongs_to_it() -> None:
 # Copley
 
 
-def test_a_copley_drive_acknowledges_and_tells_integers() -> None:
+def test_a_copley_drive_acknowledges_and_tells_integers():
     responder, drives = on_line(COPLEY, "")
     assert answers(responder, b"s r0x02 -150\rg r0xa0\rg r0xa4\r") == [b"ok\r", b"v 4096\r", b"v 0\r"]
     assert drives[""].read("torque_command") == -150.0
@@ -160,7 +158,7 @@ def test_a_copley_drive_acknowledges_and_tells_integers() -> None:
     assert drives[""].state is DriveState.OPERATION_ENABLED
 
 
-def test_an_echo_comes_before_each_reply() -> None:
+def test_an_echo_comes_before_each_reply():
     responder, _ = on_line(COPLEY.model_copy(update={"echo": True}), "")
     assert answers(responder, b"s r0x24 1\rg r0xa0\r") == [b"s r0x24 1\rok\r", b"g r0xa0\rv 0\r"]
 
@@ -168,7 +166,7 @@ def test_an_echo_comes_before_each_reply() -> None:
 # Positions that are counters
 
 
-def test_a_counter_wraps_on_the_line_and_not_in_the_drive() -> None:
+def test_a_counter_wraps_on_the_line_and_not_in_the_drive():
     responder, drives = on_line(COUNTER, "0", mode=Mode.CSP)
     drive = drives["0"]
     for number, expected in ((0x7FF0, 32752.0), (0x8010, 32784.0 - 65536.0)):
@@ -189,14 +187,14 @@ def test_a_counter_wraps_on_the_line_and_not_in_the_drive() -> None:
 class Talk:
     """Exchanges with a simulated drive, without a line between."""
 
-    def __init__(self, description: AsciiDescription, mode: Mode) -> None:
+    def __init__(self, description, mode):
         self.description = description
         axis = "" if description is COPLEY else "0"
         self.drive = simulated(description, mode)
         self.image = Image()
         self.responder = AsciiResponder({"x": self.drive}, {"x": description}, {"x": options(axis)})
         self.line = AsciiLine({"x": description}, {"x": options(axis)}, {"x": self.image})
-        part: Any = description.modes[mode.name.lower()]  # type: ignore[index]
+        part: Any = description.modes[mode.name.lower()]
         slow = ("torque", "status", "error")
         self.plan = self.line.plan({"x": CycleSignals(("position", "velocity"), slow, part.commands)})
         self.commands = part.commands
@@ -205,7 +203,7 @@ class Talk:
         for step in (*description.prepare, *part.prepare):
             self.write(step.write)
 
-    def say(self, exchange: Exchange) -> None:
+    def say(self, exchange):
         request = exchange.encode()
         assert len(request) <= exchange.request_size
         received = bytearray(request)
@@ -217,11 +215,11 @@ class Talk:
         if reply:
             assert exchange.take(bytearray(reply))
 
-    def write(self, values: Any) -> None:
+    def write(self, values):
         self.image.values.update(values)
         self.say(self.line.write("x", tuple(values)))
 
-    def cycle(self, request: Request, time_s: float) -> DriveState:
+    def cycle(self, request, time_s):
         for exchange in (*self.plan.poll, *self.plan.background):
             self.say(exchange)
         state = state_of(self.description, self.image.values)
@@ -232,7 +230,7 @@ class Talk:
             self.say(exchange)
         return state
 
-    def until(self, request: Request, wanted: DriveState, cycles: int = 20) -> None:
+    def until(self, request, wanted, cycles=20):
         states = [self.cycle(request, 1e-3 * k) for k in range(cycles)]
         assert states[-1] is wanted, states
 
@@ -241,7 +239,7 @@ EVERY_MODE = [(name, mode) for name, description in READY.items() for mode in so
 
 
 @pytest.mark.parametrize(("name", "mode"), EVERY_MODE)
-def test_a_drive_is_led_up_down_and_out_of_a_fault(name: str, mode: str) -> None:
+def test_a_drive_is_led_up_down_and_out_of_a_fault(name, mode):
     talk = Talk(READY[name], Mode[mode.upper()])
     off = DriveState.READY_TO_SWITCH_ON
     for _ in range(2):
@@ -266,7 +264,7 @@ DRIVES = {name: simulated(READY[name]) for name in ("odrive", "copley_ascii")}
 
 
 @given(st.sampled_from(sorted(DRIVES)), st.lists(noise, max_size=8))
-def test_random_bytes_neither_crash_a_drive_nor_stop_it_from_answering(name: str, chunks: list[bytes]) -> None:
+def test_random_bytes_neither_crash_a_drive_nor_stop_it_from_answering(name, chunks):
     axis = "0" if name == "odrive" else ""
     responder = AsciiResponder({"x": DRIVES[name]}, {"x": READY[name]}, {"x": options(axis)})
     received = bytearray()

@@ -1,7 +1,5 @@
 """Values of a YAML file are set in its text: the others, comments and line ends stay as they are."""
 
-from pathlib import Path
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,7 +23,7 @@ axes:
 """
 
 
-def test_a_value_changes_and_its_comment_stays_in_its_column() -> None:
+def test_a_value_changes_and_its_comment_stays_in_its_column():
     new = with_value(with_value(BLOCK, STEPS, 1.0), ("axes", "x", "model"), "out/x.yaml")
 
     lines = BLOCK.splitlines()
@@ -52,7 +50,7 @@ def test_a_value_changes_and_its_comment_stays_in_its_column() -> None:
     ],
 )
 @given(gain=st.floats(0.0, 1.5))
-def test_exactly_one_value_is_another(text: str, gain: float) -> None:
+def test_exactly_one_value_is_another(text, gain):
     wanted = parse(text, "").value
     axis = wanted["axes"]["x"] = wanted["axes"]["x"] or {}
     axis["compensation"] = {**axis.get("compensation", {}), "gain": gain}
@@ -72,12 +70,12 @@ def test_exactly_one_value_is_another(text: str, gain: float) -> None:
         "axes: {x: {compensation: &shared {gain: 0.5}}, y: {compensation: *shared}}\n",
     ],
 )
-def test_what_would_change_more_is_refused(text: str) -> None:
+def test_what_would_change_more_is_refused(text):
     with pytest.raises(FrictionHilError, match=r"axes\.x\.compensation\.gain: "):
         with_value(text, STEPS, 1.0)
 
 
-def test_a_file_keeps_its_mark_its_link_and_its_permissions(tmp_path: Path) -> None:
+def test_a_file_keeps_its_mark_its_link_and_its_permissions(tmp_path):
     file, link = tmp_path / "m.yaml", tmp_path / "link.yaml"
     file.write_bytes(b"\xef\xbb\xbfaxes: {x: {compensation: {gain: 0.5}}}\n")
     file.chmod(0o640)

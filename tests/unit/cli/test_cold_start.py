@@ -17,7 +17,7 @@ EXAMPLE = Path(__file__).parents[3] / "config/demo.yaml"
 PROGRAM = "import sys; from friction_hil.cli import main; assert main(sys.argv[1:]) == 0; "
 
 
-def run(folder: Path, *words: object, then: str = "") -> None:
+def run(folder, *words, then=""):
     words = (sys.executable, "-c", PROGRAM + then, *map(str, words))
     environment = {"XDG_CACHE_HOME": str(folder / "cache"), "HOME": str(folder), "PATH": "/usr/bin:/bin"}
     done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=240)

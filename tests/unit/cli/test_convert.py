@@ -2,7 +2,6 @@
 
 import json
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ CSV = "time_s,position,torque\n0.0,0.1,1.5\n0.001,0.30000000000000004,-2.0\n"
 
 
 @pytest.fixture
-def two_axes(tmp_path: Path) -> Path:
+def two_axes(tmp_path):
     """A recording of the daemon's kind: axes x and y, a gap, an event, states."""
     path = tmp_path / "run.mcap"
     cycles = np.array([0.0, 1.0, 5.0])
@@ -29,19 +28,19 @@ def two_axes(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def table(tmp_path: Path) -> Path:
+def table(tmp_path):
     path = tmp_path / "bench.csv"
     path.write_text(CSV)
     return path
 
 
-def test_csv_to_mcap_and_back_keeps_every_byte(table: Path, tmp_path: Path) -> None:
+def test_csv_to_mcap_and_back_keeps_every_byte(table, tmp_path):
     assert main(["convert", str(table), str(tmp_path / "b.mcap")]) == 0
     assert main(["convert", str(tmp_path / "b.mcap"), str(tmp_path / "c.csv")]) == 0
     assert (tmp_path / "c.csv").read_text() == CSV
 
 
-def test_each_axis_gets_a_csv_of_its_own(two_axes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_axis_gets_a_csv_of_its_own(two_axes, tmp_path, capsys):
     assert main(["convert", str(two_axes), str(tmp_path / "out.csv")]) == 0
     output = capsys.readouterr()
     assert output.out == f"{tmp_path}/out_x.csv: 3 rows of 3 columns\n{tmp_path}/out_y.csv: 3 rows of 3 columns\n"
@@ -50,9 +49,7 @@ def test_each_axis_gets_a_csv_of_its_own(two_axes: Path, tmp_path: Path, capsys:
     np.testing.assert_array_equal(y["position"], -np.array([0, 1, 5]) / 3)
 
 
-def test_where_one_of_the_files_exists_none_is_written(
-    two_axes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_where_one_of_the_files_exists_none_is_written(two_axes, tmp_path, capsys):
     (tmp_path / "out_y.csv").write_text("mine")
     assert main(["convert", str(two_axes), str(tmp_path / "out.csv")]) == 1
     assert "out_y.csv exists already; --force replaces it" in capsys.readouterr().err
@@ -60,21 +57,19 @@ def test_where_one_of_the_files_exists_none_is_written(
     assert (tmp_path / "out_y.csv").read_text() == "mine"
 
 
-def test_one_axis_is_written_under_the_name_given(two_axes: Path, tmp_path: Path) -> None:
+def test_one_axis_is_written_under_the_name_given(two_axes, tmp_path):
     assert main(["convert", str(two_axes), str(tmp_path / "out.csv"), "--axis", "y"]) == 0
     assert fh.recordings.read(tmp_path / "out.csv")["position"][1] == -1 / 3
 
 
-def test_columns_are_renamed_and_scaled_on_the_way(table: Path, tmp_path: Path) -> None:
+def test_columns_are_renamed_and_scaled_on_the_way(table, tmp_path):
     out = tmp_path / "out.csv"
     words = ["--column", "current=torque", "--scale", "current=2", "--column", "angle=position"]
     assert main(["convert", str(table), str(out), *words]) == 0
     assert out.read_text().splitlines()[:2] == ["current,angle,time_s", "3.0,0.1,0.0"]
 
 
-def test_existing_files_are_replaced_only_by_force(
-    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_existing_files_are_replaced_only_by_force(table, tmp_path, capsys):
     out = tmp_path / "out.mcap"
     out.write_bytes(b"precious")
     assert main(["convert", str(table), str(out)]) == 1
@@ -99,15 +94,7 @@ def test_existing_files_are_replaced_only_by_force(
         (["run.mcap", "x.csv", "--axis", "z"], 2, "no axis 'z'; there are: x, y"),
     ],
 )
-def test_mistakes_are_reported_in_a_sentence(
-    words: list[str],
-    status: int,
-    message: str,
-    two_axes: Path,
-    table: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_mistakes_are_reported_in_a_sentence(words, status, message, two_axes, table, monkeypatch, capsys):
     monkeypatch.chdir(two_axes.parent)
     assert main(["convert", *words]) == status
     error = capsys.readouterr().err
@@ -115,7 +102,7 @@ def test_mistakes_are_reported_in_a_sentence(
     assert "Traceback" not in error
 
 
-def test_info_tells_what_is_in_a_recording(two_axes: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_tells_what_is_in_a_recording(two_axes, capsys):
     assert main(["convert", str(two_axes), "--info"]) == 0
     output = capsys.readouterr()
     assert "x: 3 rows, 0.005 s at 400 Hz" in output.out
@@ -125,7 +112,7 @@ def test_info_tells_what_is_in_a_recording(two_axes: Path, capsys: pytest.Captur
     assert "3 cycles are missing" in output.err
 
 
-def test_info_as_json(two_axes: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_as_json(two_axes, capsys):
     assert main(["convert", str(two_axes), "--info", "--axis", "y", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     facts = content["axes"]["y"]
@@ -138,9 +125,7 @@ def test_info_as_json(two_axes: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert facts["problems"] == ["3 cycles are missing in 1 gap, the first after cycle 1"]
 
 
-def test_a_recording_that_was_cut_off_is_converted_as_far_as_it_goes(
-    two_axes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_that_was_cut_off_is_converted_as_far_as_it_goes(two_axes, tmp_path, capsys):
     data = two_axes.read_bytes()
     two_axes.write_bytes(data[: data.rindex(b"fingerprint") - 200])
     assert main(["convert", str(two_axes), str(tmp_path / "out.csv"), "--axis", "x"]) == 0
@@ -155,16 +140,14 @@ def test_a_recording_that_was_cut_off_is_converted_as_far_as_it_goes(
 
 @pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".mcap", ".mat", ".h5", ".parquet", ".mf4"])
 @pytest.mark.parametrize("force", [False, True])
-def test_a_conversion_that_fails_leaves_what_was_there(
-    table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, force: bool
-) -> None:
+def test_a_conversion_that_fails_leaves_what_was_there(table, tmp_path, monkeypatch, suffix, force):
     """The disk is full, for example: the file appears, or is replaced, only if it is complete."""
     out = tmp_path / "out" / f"x{suffix}"
     out.parent.mkdir()
     if force:
         out.write_bytes(b"precious")
 
-    def fail(*_: object, **__: object) -> None:
+    def fail(*_, **__):
         raise OSError(28, "No space left on device")
 
     for name in ("link", "replace"):  # one of them gives the complete file its name
@@ -174,22 +157,20 @@ def test_a_conversion_that_fails_leaves_what_was_there(
     assert not force or out.read_bytes() == b"precious"
 
 
-def test_rows_that_cannot_be_written_leave_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_that_cannot_be_written_leave_no_file(tmp_path, capsys):
     (tmp_path / "x.csv").write_text("time_s,torque\n0,1\n1,inf\n")
     assert main(["convert", str(tmp_path / "x.csv"), str(tmp_path / "x.json")]) == 1
     assert "torque is infinite in row 1" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["x.csv"]
 
 
-def test_one_axis_that_cannot_be_written_leaves_no_other(
-    two_axes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_axis_that_cannot_be_written_leaves_no_other(two_axes, tmp_path, monkeypatch):
     link, calls = os.link, []
 
-    def full(*_: Path) -> None:
+    def full(*_):
         raise OSError(28, "No space left on device")
 
-    def fail_at_the_second(*words: Path) -> None:
+    def fail_at_the_second(*words):
         calls.append(words)
         if len(calls) == 2:
             full()
@@ -202,7 +183,7 @@ def test_one_axis_that_cannot_be_written_leaves_no_other(
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_a_link_stays_and_what_it_names_is_replaced(table: Path, tmp_path: Path) -> None:
+def test_a_link_stays_and_what_it_names_is_replaced(table, tmp_path):
     (tmp_path / "kept.csv").write_text("old")
     (tmp_path / "kept.csv").chmod(0o640)
     (tmp_path / "link.csv").symlink_to("kept.csv")
@@ -212,10 +193,10 @@ def test_a_link_stays_and_what_it_names_is_replaced(table: Path, tmp_path: Path)
     assert (tmp_path / "kept.csv").stat().st_mode & 0o777 == 0o640
 
 
-def test_a_file_that_appears_meanwhile_is_kept(table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_appears_meanwhile_is_kept(table, tmp_path, monkeypatch):
     out = tmp_path / "x.csv"
 
-    def write(path: Path, *_: object, **__: object) -> None:
+    def write(path, *_, **__):
         with source.new_file(path, overwrite=False) as part:
             part.write_text("mine")
             path.write_text("theirs")
@@ -226,9 +207,7 @@ def test_a_file_that_appears_meanwhile_is_kept(table: Path, tmp_path: Path, monk
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bench.csv", "x.csv"]
 
 
-def test_values_that_would_overflow_are_reported_and_not_used(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_values_that_would_overflow_are_reported_and_not_used(tmp_path, capfd):
     rows = "".join(f"{i * 1e-3},{i * 0.1},{(-1) ** i * (1e308 if i == 7 else 1.0)},1e308\n" for i in range(900))
     (tmp_path / "x.csv").write_text(f"time_s,position,torque,velocity\n{rows}")
     assert main(["convert", str(tmp_path / "x.csv"), "--info"]) == 0
@@ -244,7 +223,7 @@ def test_values_that_would_overflow_are_reported_and_not_used(
 
 
 @pytest.mark.parametrize("command", ["replay", "identify"])
-def test_a_time_that_stands_still_has_no_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
+def test_a_time_that_stands_still_has_no_rate(tmp_path, capsys, command):
     path = tmp_path / "x.csv"
     path.write_text("time_s,position,velocity,torque\n" + "3,1,2,3\n" * 50)
     assert main(["convert", str(path), "--info"]) == 0

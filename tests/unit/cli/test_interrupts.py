@@ -60,7 +60,7 @@ sys.exit(exit_status(command, [], "test"))
 
 
 @pytest.mark.parametrize("code", [COMPILE, FINALISER, CALLBACK], ids=["compiling", "finaliser", "callback"])
-def test_an_interrupt_where_exceptions_are_lost_comes_a_little_later(code: str) -> None:
+def test_an_interrupt_where_exceptions_are_lost_comes_a_little_later(code):
     done = subprocess.run(
         [sys.executable, "-c", code + COMMAND], capture_output=True, text=True, check=False, timeout=60
     )
@@ -68,7 +68,7 @@ def test_an_interrupt_where_exceptions_are_lost_comes_a_little_later(code: str) 
 
 
 @pytest.mark.parametrize("failing", ["return", "raise FrictionHilError('a fault')"])
-def test_an_interrupt_after_the_work_leaves_the_result_as_it_is(failing: str) -> None:
+def test_an_interrupt_after_the_work_leaves_the_result_as_it_is(failing):
     code = f"""
 import atexit, signal
 from friction_hil.errors import FrictionHilError

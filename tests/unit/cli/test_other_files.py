@@ -109,10 +109,7 @@ def test_xml_with_entities_is_refused(declared):
 
 
 @pytest.mark.deep
-@pytest.mark.parametrize(
-    ("line", "count"),
-    [("k{}: 1", 20_000), ("a: 1", 20_000), ("- 1", 5_000)],
-)
+@pytest.mark.parametrize(("line", "count"), [("k{}: 1", 20_000), ("a: 1", 20_000), ("- 1", 5_000)])
 def test_of_very_many_mistakes_the_first_are_printed_and_the_others_counted(tmp_path, capsys, line, count):
     path = tmp_path / "machine.yaml"
     lines = [line.format(k) for k in range(count)]

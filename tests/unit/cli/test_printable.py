@@ -22,7 +22,7 @@ SHOWN = r"\u001b]0;owned\u0007\u001b[2J\u000d\u009b31m\u202e[/red]:boom:"
 
 
 @given(st.text(st.characters(codec=None)))
-def test_no_control_character_stays(text: str) -> None:
+def test_no_control_character_stays(text):
     shown = printable(text)
     assert not [each for each in shown if each not in "\n\t" and (ord(each) < 32 or 127 <= ord(each) < 160)]
     assert not set(shown) & set("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u2028\u2029")
@@ -32,13 +32,13 @@ def test_no_control_character_stays(text: str) -> None:
     assert json.loads(printable(json.dumps([text], ensure_ascii=False))) == [text]
 
 
-def test_words_stay_as_they_are() -> None:
+def test_words_stay_as_they_are():
     text = "Geschwindigkeit [µm/s] → 速度 №1\tx\n"
     assert printable(text) == text
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """A recording whose columns, axis and file have such names."""
     monkeypatch.chdir(tmp_path)
     names = {"time_s": np.arange(20) * 1e-3, "position": np.arange(20.0), "torque": np.ones(20), EVIL: np.ones(20)}
@@ -61,7 +61,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         [EVIL],
     ],
 )
-def test_no_command_prints_them(folder: Path, words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_command_prints_them(folder, words, capsys):
     main(words)
     printed = capsys.readouterr()
     for text in printed:
@@ -70,7 +70,7 @@ def test_no_command_prints_them(folder: Path, words: list[str], capsys: pytest.C
     assert "Traceback" not in printed.err
 
 
-def on_a_terminal(*command: str, **environment: str) -> bytes:
+def on_a_terminal(*command, **environment):
     """Return what a command writes to a pseudo-terminal."""
     ours, theirs = pty.openpty()
     with subprocess.Popen(command, stdout=theirs, stderr=theirs, stdin=theirs, env=os.environ | environment):
@@ -85,7 +85,7 @@ def on_a_terminal(*command: str, **environment: str) -> bytes:
     return data
 
 
-def test_a_terminal_gets_them_as_text(folder: Path) -> None:
+def test_a_terminal_gets_them_as_text(folder):
     """On a real terminal, where colours are sent, but nothing of the names."""
     data = on_a_terminal(sys.executable, "-m", "friction_hil", "convert", "x.npz", "--info", COLUMNS="200")
     assert SHOWN.encode() in data
@@ -94,7 +94,7 @@ def test_a_terminal_gets_them_as_text(folder: Path) -> None:
     assert b"\x1b[1m" in data  # the heading is bold
 
 
-def test_a_bar_and_what_is_printed_beside_it_reach_a_terminal() -> None:
+def test_a_bar_and_what_is_printed_beside_it_reach_a_terminal():
     """The control sequences of a bar are not text; a message beside it keeps neither its own nor those of names."""
     program = """
 import sys
@@ -118,7 +118,7 @@ with progress_bar() as bar:
     assert "\x9b" not in text
 
 
-def test_no_word_of_an_error_is_cut_at_the_edge_of_a_terminal(folder: Path) -> None:
+def test_no_word_of_an_error_is_cut_at_the_edge_of_a_terminal(folder):
     for words in (
         ["rnu"],
         ["run", "--duration", "5"],
@@ -133,20 +133,18 @@ def test_no_word_of_an_error_is_cut_at_the_edge_of_a_terminal(folder: Path) -> N
 
 
 @pytest.mark.parametrize("words", [["replay", "."], ["identify", "."], ["convert", ".", "x.csv"], ["plot", "."]])
-def test_a_folder_in_the_place_of_a_recording_is_named(
-    folder: Path, words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_in_the_place_of_a_recording_is_named(folder, words, capsys):
     assert main(words) == 2
     assert ".: no recording (.mcap) is in this folder" in capsys.readouterr().err
 
 
-def test_headings_of_the_models_are_bold_on_a_terminal() -> None:
+def test_headings_of_the_models_are_bold_on_a_terminal():
     data = on_a_terminal(sys.executable, "-m", "friction_hil", "models", COLUMNS="80", TERM="xterm")
     assert rb"\u001b" not in data
     assert b"\x1b[1mmodel" in data
 
 
-def test_a_file_name_that_is_not_utf_8(tmp_path: Path, capsysbinary: pytest.CaptureFixture[bytes]) -> None:
+def test_a_file_name_that_is_not_utf_8(tmp_path, capsysbinary):
     name = os.fsdecode(bytes(tmp_path) + b"/\xff.csv")
     Path(name).write_text("time_s,torque\n0,1\n1,2\n")
     assert main(["convert", name, "--info"]) == 0
@@ -154,9 +152,9 @@ def test_a_file_name_that_is_not_utf_8(tmp_path: Path, capsysbinary: pytest.Capt
 
 
 @pytest.mark.parametrize("is_terminal", [True, False])
-def test_styles_of_our_own_are_kept_on_a_terminal(is_terminal: bool) -> None:
+def test_styles_of_our_own_are_kept_on_a_terminal(is_terminal):
     class Stream(io.StringIO):
-        def isatty(self) -> bool:
+        def isatty(self):
             return is_terminal
 
     stream = Stream()
@@ -165,7 +163,7 @@ def test_styles_of_our_own_are_kept_on_a_terminal(is_terminal: bool) -> None:
     assert stream.getvalue() == rf"{label} \u001b[31mred\u001b[0m"
 
 
-def test_the_streams_are_put_back() -> None:
+def test_the_streams_are_put_back():
     before = sys.stdout, sys.stderr
     main(["models", "none"])
     assert (sys.stdout, sys.stderr) == before

@@ -4,11 +4,11 @@ from friction_hil.cli.work.train import Tries
 from friction_hil.training import Progress
 
 
-def progress(stage: str, start: int, error: float) -> Progress:
+def progress(stage, start, error):
     return Progress(stage, start, 2, 1, 10, 0.5, error, 1e-2)
 
 
-def test_each_try_is_one_line_with_its_lowest_error_and_the_best_so_far() -> None:
+def test_each_try_is_one_line_with_its_lowest_error_and_the_best_so_far():
     tries = Tries()
     steps = [
         progress("series-parallel", 0, 0.9),

@@ -266,11 +266,7 @@ def test_all_mistakes_are_reported_at_once(path):
             "axes.x.limits.following_error",
             "needs a set-point",
         ),
-        (
-            {"axes__x__shadows": [good()["axes"]["x"]["shadows"][0]] * 2},
-            "axes.x.shadows[1]",
-            "'plain' already",
-        ),
+        ({"axes__x__shadows": [good()["axes"]["x"]["shadows"][0]] * 2}, "axes.x.shadows[1]", "'plain' already"),
         (
             {"axes__x__model__friction__modifiers": {"weather": {}}},
             "axes.x.model.friction.modifiers.weather",

@@ -47,13 +47,7 @@ def test_what_is_right_is_loaded_as_it_stands(tmp_path):
     ("right", "wrong", "line", "field", "words"),
     [
         ("[0.4, 0.6]", "[0.4, 0.7]", 7, "parameters.weight", "sum to 1.1, not to 1"),
-        (
-            "[0.4, 0.6]",
-            "[1.0]",
-            7,
-            "parameters.weight",
-            "has 1 elements (fraction of the level that",
-        ),
+        ("[0.4, 0.6]", "[1.0]", 7, "parameters.weight", "has 1 elements (fraction of the level that"),
         ("[100.0, 50.0]", "[100.0, -50.0]", 6, "parameters.stiffness", "stiffness[1] = -50 is not allowed"),
         ("    attraction: 1.0\n", "", 5, "parameters.attraction", "gms needs attraction"),
         ("coulomb: 1.1", "coulom: 1.1", 14, "modifiers.direction.positive.coulom", "did you mean 'coulomb'"),

@@ -12,7 +12,7 @@ from friction_hil_drivers.dynamixel.driver import DynamixelLine
 from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import HEADER, Packets
 from friction_hil_drivers.dynamixel.table import Item
-from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, ReplyError
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, ReplyError
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -44,7 +44,7 @@ ALL = CycleSignals(("position", "velocity"), ("torque", "status", "error"), ("to
 BYTES = st.sampled_from([0x00, 0x01, 0x55, 0xFD, 0xFE, 0xFF])  # those of which headers and stuffing are made
 
 
-def described(**keys: object) -> DynamixelDescription:
+def described(**keys):
     """A servo with few demands."""
     given_keys: dict[str, object] = {
         "version": 1,
@@ -60,7 +60,7 @@ def described(**keys: object) -> DynamixelDescription:
     return DynamixelDescription.model_validate(given_keys | keys)
 
 
-def on_line(*ids: int, **keys: object) -> tuple[DynamixelLine, dict[str, Image]]:
+def on_line(*ids, **keys):
     """A line with servos; an axis is called by its ID."""
     line = {"port": "/dev/ttyUSB0"}
     options = {
@@ -70,7 +70,7 @@ def on_line(*ids: int, **keys: object) -> tuple[DynamixelLine, dict[str, Image]]
     return DynamixelLine(dict.fromkeys(options, described(**keys)), options, images), images
 
 
-def with_crc(packet: bytes) -> bytes:
+def with_crc(packet):
     """Append a CRC by this test's own arithmetic: polynomial 8005h, bit by bit."""
     crc = 0
     for byte in packet:
@@ -80,7 +80,7 @@ def with_crc(packet: bytes) -> bytes:
     return packet + crc.to_bytes(2, "little")
 
 
-def status(servo: int, data: bytes = b"", error: int = 0) -> bytes:
+def status(servo, data=b"", error=0):
     """Status packet by this test's own arithmetic: stuffed byte by byte."""
     stuffed = bytearray((0x55,))
     for byte in bytes((error,)) + data:
@@ -90,26 +90,26 @@ def status(servo: int, data: bytes = b"", error: int = 0) -> bytes:
     return with_crc(HEADER + bytes((servo,)) + (len(stuffed) + 2).to_bytes(2, "little") + stuffed)
 
 
-def feedback(torque: int, velocity: int, position: int) -> bytes:
+def feedback(torque, velocity, position):
     parts = ((torque, 2), (velocity, 4), (position, 4))
     return b"".join(number.to_bytes(size, "little", signed=True) for number, size in parts)
 
 
-def poll(line: DynamixelLine, images: dict[str, Image], wanted: CycleSignals = ALL) -> Exchange:
+def poll(line, images, wanted=ALL):
     """The one exchange before the computation, its request made."""
     (exchange,) = line.plan(dict.fromkeys(images, wanted)).poll
     exchange.encode()
     return exchange
 
 
-def unhex(text: str) -> bytes:
+def unhex(text):
     return bytes.fromhex(text)
 
 
 # Known packets
 
 
-def test_packets_are_those_of_the_manual() -> None:
+def test_packets_are_those_of_the_manual():
     packets = Packets()
     assert packets.pack(1, 0x01) == unhex(PING)
     line, images = on_line(1, 2)
@@ -123,7 +123,7 @@ def test_packets_are_those_of_the_manual() -> None:
     assert [exchange.encode() for exchange in plan.push] == [unhex(SYNC_WRITE)]
 
 
-def test_replies_of_the_manual_are_understood() -> None:
+def test_replies_of_the_manual_are_understood():
     line, images = on_line(1, 2)
     exchange = poll(line, images, CycleSignals(("position",), (), ()))
     received = bytearray(unhex(READ_STATUS + READ_STATUS_2))
@@ -136,7 +136,7 @@ def test_replies_of_the_manual_are_understood() -> None:
     assert write.take(bytearray(unhex(WRITE_STATUS)))
 
 
-def test_fast_read_of_the_manual() -> None:
+def test_fast_read_of_the_manual():
     line, images = on_line(3, 7, 4, fast_sync_read=True)
     (exchange,) = line.plan(dict.fromkeys(images, CycleSignals(("position",), (), ()))).poll
     assert exchange.encode() == unhex(FAST_READ)
@@ -152,17 +152,17 @@ class _Paper:
     is_using = False
     written = b""
 
-    def clearPort(self) -> None: ...  # noqa: N802
+    def clearPort(self): ...  # noqa: N802
 
-    def setPacketTimeout(self, length: int) -> None: ...  # noqa: N802
+    def setPacketTimeout(self, length): ...  # noqa: N802
 
-    def writePort(self, packet: list[int]) -> int:  # noqa: N802
+    def writePort(self, packet):  # noqa: N802
         self.written = bytes(packet)
         return len(packet)
 
 
 @given(current=st.integers(-1193, 1193), other=st.integers(-1193, 1193), servo=st.integers(2, 252))
-def test_requests_are_those_that_the_vendors_sdk_makes(current: int, other: int, servo: int) -> None:
+def test_requests_are_those_that_the_vendors_sdk_makes(current, other, servo):
     line, images = on_line(1, servo)
     images["1"].values["torque_command"], images[f"{servo}"].values["torque_command"] = current, other
     plan = line.plan(dict.fromkeys(images, ALL))
@@ -184,7 +184,7 @@ def test_requests_are_those_that_the_vendors_sdk_makes(current: int, other: int,
 
 
 @given(st.data(), st.sampled_from([1, 2, 4]), st.booleans(), st.sampled_from(["torque", "position"]))
-def test_every_number_comes_back(data: st.DataObject, size: int, is_signed: bool, name: str) -> None:
+def test_every_number_comes_back(data, size, is_signed, name):
     low = -(1 << 8 * size - 1) if is_signed else 0
     number = data.draw(st.integers(low, low + (1 << 8 * size) - 1))
     place = Item(name, 0, size, is_signed)
@@ -194,7 +194,7 @@ def test_every_number_comes_back(data: st.DataObject, size: int, is_signed: bool
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
-def test_commands_stay_within_the_servos_limit_and_positions_wrap(number: float) -> None:
+def test_commands_stay_within_the_servos_limit_and_positions_wrap(number):
     command = Item("torque_command", 0, 2, True, limit=1193)
     assert command.number(command.pack(number)) == round(min(max(number, -1193.0), 1193.0))
     position = Item("position_command", 0, 4, True)
@@ -204,7 +204,7 @@ def test_commands_stay_within_the_servos_limit_and_positions_wrap(number: float)
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_never_sent(number: float) -> None:
+def test_what_is_not_finite_is_never_sent(number):
     line, images = on_line(1, 2)
     images["1"].values["torque_command"], images["2"].values["torque_command"] = 0.0, number
     (push,) = line.plan(dict.fromkeys(images, ALL)).push
@@ -214,7 +214,7 @@ def test_what_is_not_finite_is_never_sent(number: float) -> None:
 
 @given(st.lists(BYTES, max_size=30).map(bytes), st.integers(0, 252))
 @example(unhex("00 FF FF FD 00 FF FD FD"), 1)  # dynamixel-sdk 4.1.0 takes a byte out of this that was not stuffed
-def test_stuffing_comes_and_goes(data: bytes, servo: int) -> None:
+def test_stuffing_comes_and_goes(data, servo):
     packets = Packets()
     packed = packets.pack(servo, 0x55, b"\x00" + data)
     assert packed == status(servo, data)
@@ -229,7 +229,7 @@ def test_stuffing_comes_and_goes(data: bytes, servo: int) -> None:
 # The plan
 
 
-def test_a_cycle_of_servos_on_a_line() -> None:
+def test_a_cycle_of_servos_on_a_line():
     line, images = on_line(1, 2, 3)
     plan = line.plan(dict.fromkeys(images, ALL))
     assert [(e.label, e.reads) for e in plan.poll] == [
@@ -240,10 +240,10 @@ def test_a_cycle_of_servos_on_a_line() -> None:
     assert line.plan(dict.fromkeys(images, CycleSignals(ALL.fast, ALL.slow, ()))).push == ()
 
 
-def test_servos_of_different_tables_are_asked_apart() -> None:
+def test_servos_of_different_tables_are_asked_apart():
     line, images = on_line(1, 2)
     far = {**SIGNALS, "position": {"address": 611, "size": 4, "unit": "turn"}}
-    options = {f"{n}": DynamixelOptions(line={"port": "x"}, description="x", id=n) for n in (1, 2)}  # type: ignore[arg-type]
+    options = {f"{n}": DynamixelOptions(line={"port": "x"}, description="x", id=n) for n in (1, 2)}
     line = DynamixelLine({"1": described(), "2": described(signals=far)}, options, images)
     plan = line.plan(dict.fromkeys(images, ALL))
     assert [e.label for e in plan.poll] == [
@@ -254,13 +254,13 @@ def test_servos_of_different_tables_are_asked_apart() -> None:
     assert len(plan.push) == 1
 
 
-def test_what_is_not_side_by_side_is_not_read_at_once() -> None:
+def test_what_is_not_side_by_side_is_not_read_at_once():
     line, _ = on_line(1)
     with pytest.raises(ValueError, match=r"one request cannot read position, status"):
         line.read("1", ("position", "status"))
 
 
-def test_without_the_sdk_its_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_sdk_its_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "dynamixel_sdk.protocol2_packet_handler", None)
     with pytest.raises(UsageError, match=r"pip install 'friction-hil\[dynamixel\]'"):
         on_line(1)
@@ -278,9 +278,7 @@ def test_without_the_sdk_its_package_is_named(monkeypatch: pytest.MonkeyPatch) -
 )
 @example(-1, -3, 0, b"", [])  # FF FF FD: stuffed
 @example(-1, -515, -3, b"\xff\xff\xfd", [1, 2, 3, 4])
-def test_a_reply_in_pieces_behind_noise(
-    torque: int, velocity: int, position: int, noise: bytes, cuts: list[int]
-) -> None:
+def test_a_reply_in_pieces_behind_noise(torque, velocity, position, noise, cuts):
     line, images = on_line(1, 2)
     exchange = poll(line, images)
     sent = noise + status(1, feedback(torque, velocity, position)) + status(2, feedback(0, 1, 2))
@@ -297,7 +295,7 @@ def test_a_reply_in_pieces_behind_noise(
     assert len(sent) - len(noise) <= exchange.reply_size
 
 
-def test_a_missing_servo_is_named_and_the_others_are_fresh() -> None:
+def test_a_missing_servo_is_named_and_the_others_are_fresh():
     line, images = on_line(1, 2, 3)
     exchange = poll(line, images)
     assert not exchange.take(bytearray())
@@ -311,7 +309,7 @@ def test_a_missing_servo_is_named_and_the_others_are_fresh() -> None:
     assert exchange.label == "read 10 bytes at 126 of id 1, 2, 3"
 
 
-def test_a_missing_servo_ends_a_fast_reply_but_not_those_before_it() -> None:
+def test_a_missing_servo_ends_a_fast_reply_but_not_those_before_it():
     line, images = on_line(3, 7, 4, fast_sync_read=True)
     exchange = poll(line, images, CycleSignals(("position",), (), ()))
     assert not exchange.take(bytearray(unhex(FAST_STATUS)[:-8]))
@@ -320,7 +318,7 @@ def test_a_missing_servo_ends_a_fast_reply_but_not_those_before_it() -> None:
 
 
 @pytest.mark.parametrize("place", range(8, 32))
-def test_a_flipped_bit_in_a_fast_reply_costs_what_comes_from_there(place: int) -> None:
+def test_a_flipped_bit_in_a_fast_reply_costs_what_comes_from_there(place):
     line, images = on_line(3, 7, 4, fast_sync_read=True)
     exchange = poll(line, images, CycleSignals(("position",), (), ()))
     reply = bytearray(unhex(FAST_STATUS))
@@ -331,7 +329,7 @@ def test_a_flipped_bit_in_a_fast_reply_costs_what_comes_from_there(place: int) -
     assert fresh == [(place - 8) // 8 > k for k in range(3)]
 
 
-def test_a_broken_packet_costs_one_servo() -> None:
+def test_a_broken_packet_costs_one_servo():
     line, images = on_line(1, 2, 3)
     exchange = poll(line, images)
     broken = bytearray(status(2, feedback(7, 8, 9)))
@@ -345,7 +343,7 @@ def test_a_broken_packet_costs_one_servo() -> None:
 
 @pytest.mark.parametrize("servos", [(1,), (1, 2)])
 @pytest.mark.parametrize("place", [*range(5), *range(7, 21)])
-def test_a_broken_packet_is_not_waited_for(place: int, servos: tuple[int, ...]) -> None:
+def test_a_broken_packet_is_not_waited_for(place, servos):
     """Wherever it is broken but in its length; otherwise the line would be blocked until the time-out."""
     line, images = on_line(*servos)
     exchange = poll(line, images)
@@ -358,7 +356,7 @@ def test_a_broken_packet_is_not_waited_for(place: int, servos: tuple[int, ...]) 
     assert [bool(image.fresh) for image in images.values()] == [False, True][: len(servos)]
 
 
-def test_noise_as_long_as_a_reply_does_not_cost_the_reply_that_has_begun() -> None:
+def test_noise_as_long_as_a_reply_does_not_cost_the_reply_that_has_begun():
     line, images = on_line(1)
     exchange = poll(line, images)
     reply = status(1, feedback(1, 2, 3))
@@ -368,7 +366,7 @@ def test_noise_as_long_as_a_reply_does_not_cost_the_reply_that_has_begun() -> No
     assert exchange.take(received)
 
 
-def test_a_fast_reply_without_its_head_is_not_waited_for() -> None:
+def test_a_fast_reply_without_its_head_is_not_waited_for():
     line, images = on_line(3, 7, 4, fast_sync_read=True)
     exchange = poll(line, images, CycleSignals(("position",), (), ()))
     reply = bytearray(unhex(FAST_STATUS))
@@ -378,7 +376,7 @@ def test_a_fast_reply_without_its_head_is_not_waited_for() -> None:
 
 
 @given(st.integers(0, 20), st.integers(0, 7))
-def test_no_flipped_bit_puts_a_value(place: int, bit: int) -> None:
+def test_no_flipped_bit_puts_a_value(place, bit):
     line, images = on_line(1, 2)
     exchange = poll(line, images)
     broken = bytearray(status(1, feedback(1, 2, 3)))
@@ -390,7 +388,7 @@ def test_no_flipped_bit_puts_a_value(place: int, bit: int) -> None:
 
 
 @given(st.lists(st.one_of(BYTES, st.integers(0, 255)), max_size=80).map(bytes), st.booleans())
-def test_random_bytes_never_crash_and_never_put_a_value(noise: bytes, is_fast: bool) -> None:
+def test_random_bytes_never_crash_and_never_put_a_value(noise, is_fast):
     line, images = on_line(1, 2, fast_sync_read=is_fast)
     exchange = poll(line, images)
     received = bytearray(noise)
@@ -400,7 +398,7 @@ def test_random_bytes_never_crash_and_never_put_a_value(noise: bytes, is_fast: b
     assert len(received) <= len(noise)
 
 
-def test_refusals_are_told_in_words() -> None:
+def test_refusals_are_told_in_words():
     line, images = on_line(1, 2)
     images["1"].values["torque_command"] = 5.0
     write = line.write("1", ("torque_command",))
@@ -415,7 +413,7 @@ def test_refusals_are_told_in_words() -> None:
     assert images["2"].values["position"] == 3.0
 
 
-def test_an_alert_is_no_refusal() -> None:
+def test_an_alert_is_no_refusal():
     line, images = on_line(1)
     assert poll(line, images).take(bytearray(status(1, feedback(1, 2, 3), error=0x80)))
     assert images["1"].values["position"] == 3.0
@@ -430,7 +428,7 @@ def test_an_alert_is_no_refusal() -> None:
         (status(1, feedback(1, 2, 3)) + status(1, feedback(4, 5, 6)), r"answered by id 1 twice"),
     ],
 )
-def test_answers_to_something_else_are_no_answers(reply: bytes, message: str) -> None:
+def test_answers_to_something_else_are_no_answers(reply, message):
     line, images = on_line(1, 2)
     exchange = poll(line, images)
     with pytest.raises(ReplyError, match=message) as caught:
@@ -440,14 +438,14 @@ def test_answers_to_something_else_are_no_answers(reply: bytes, message: str) ->
     assert not images["2"].fresh
 
 
-def test_an_echo_is_passed_over() -> None:
+def test_an_echo_is_passed_over():
     line, images = on_line(1)
     (exchange,) = line.plan({"1": ALL}).poll
     assert exchange.take(bytearray(exchange.encode() + status(1, feedback(1, 2, 3))))
     assert images["1"].values["position"] == 3.0
 
 
-def test_an_exchange_can_be_used_again() -> None:
+def test_an_exchange_can_be_used_again():
     line, images = on_line(1, 2)
     exchange = poll(line, images)
     assert not exchange.take(bytearray(status(1, feedback(1, 2, 3))))

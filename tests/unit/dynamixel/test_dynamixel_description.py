@@ -1,7 +1,5 @@
 """Control tables in YAML files: the ready ones, and what is said of mistakes."""
 
-from typing import Any
-
 import pytest
 from dynamixel_easy_sdk.control_table import ControlTable
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDescription
@@ -30,20 +28,20 @@ ITEMS = {
 }
 
 
-def load(name: str) -> DynamixelDescription:
+def load(name):
     return load_description(name, None, DESCRIPTIONS, DynamixelDescription)
 
 
-def options(**keys: Any) -> DynamixelOptions:
+def options(**keys):
     return DynamixelOptions.model_validate({"line": {"port": "/dev/ttyUSB0"}, "description": "xm430", "id": 1} | keys)
 
 
-def test_there_is_a_test_for_each_ready_description() -> None:
+def test_there_is_a_test_for_each_ready_description():
     assert ready(DESCRIPTIONS).keys() == MODELS.keys()
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_addresses_are_those_of_the_vendors_control_tables(name: str) -> None:
+def test_addresses_are_those_of_the_vendors_control_tables(name):
     signals = load(name).signals
     for number in MODELS[name]:
         table = ControlTable.getControlTable(number)
@@ -53,7 +51,7 @@ def test_addresses_are_those_of_the_vendors_control_tables(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_the_simulated_servo_has_a_number_that_the_vendor_gave_the_model(name: str) -> None:
+def test_the_simulated_servo_has_a_number_that_the_vendor_gave_the_model(name):
     description = load(name)
     assert description.signals["model_number"].simulated in MODELS[name]
     assert description.fast_sync_read is False
@@ -73,12 +71,12 @@ def test_the_simulated_servo_has_a_number_that_the_vendor_gave_the_model(name: s
         ({"status": 0, "error": 0}, DriveState.UNKNOWN),
     ],
 )
-def test_states(name: str, numbers: dict[str, float], state: DriveState) -> None:
+def test_states(name, numbers, state):
     assert state_of(load(name), numbers) is state
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_no_fault_is_left_without_a_watchdog(name: str) -> None:
+def test_no_fault_is_left_without_a_watchdog(name):
     description = load(name)
     written = [step.write["watchdog"] for step in description.reset_fault if "watchdog" in step.write]
     assert written[0] == 0  # clears the error
@@ -104,17 +102,17 @@ def test_no_fault_is_left_without_a_watchdog(name: str) -> None:
         ({"signals": {**SIGNALS, "odd": {"address": 0, "size": 3}}}, r"signals\.odd\.size"),
     ],
 )
-def test_mistakes_are_told(keys: dict[str, Any], message: str) -> None:
+def test_mistakes_are_told(keys, message):
     with pytest.raises(ValidationError, match=message):
         described(**keys)
 
 
 @pytest.mark.parametrize("keys", [{"id": 253}, {"id": -1}, {"watchdog_s": 0.009}, {"watchdog_s": 3.0}])
-def test_options_have_bounds(keys: dict[str, Any]) -> None:
+def test_options_have_bounds(keys):
     with pytest.raises(ValidationError, match=next(iter(keys))):
         options(**keys)
 
 
-def test_the_baud_rate_is_that_of_a_new_servo() -> None:
+def test_the_baud_rate_is_that_of_a_new_servo():
     assert options().line.baud == 57600
     assert options().address == "id 1"

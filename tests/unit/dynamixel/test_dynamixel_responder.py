@@ -1,7 +1,5 @@
 """Simulated Dynamixel servos on bytes: what they answer, what they refuse, what they pass over."""
 
-from typing import Any
-
 import pytest
 from dynamixel_sdk import COMM_SUCCESS, PacketHandler
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDescription
@@ -10,7 +8,7 @@ from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import Packets
 from friction_hil_drivers.dynamixel.simulated import DynamixelResponder
 from friction_hil_drivers.serial_line.description import load_description
-from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, ReplyError
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, ReplyError
 from friction_hil_drivers.serial_line.sequences import state_of
 from friction_hil_drivers.serial_line.simulated import SimulatedDrive
 from friction_hil_drivers.serial_line.units import AxisUnits
@@ -29,9 +27,7 @@ READ_POSITION = "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"  # ROBOTIS e-Manual,
 class Bench:
     """Servos on a line; an axis is called by its ID."""
 
-    def __init__(
-        self, *ids: int, name: str = "xm430", is_fast: bool = False, pace: int | None = STEPS_PER_MS, **changes: Any
-    ) -> None:
+    def __init__(self, *ids, name="xm430", is_fast=False, pace=STEPS_PER_MS, **changes):
         loaded = load_description(name, None, DESCRIPTIONS, DynamixelDescription)
         description = loaded.model_copy(update={"fast_sync_read": is_fast, **changes})
         axes = [f"{n}" for n in ids]
@@ -56,24 +52,24 @@ class Bench:
         self.responder = DynamixelResponder(self.drives, descriptions, options)
         self.plan = self.line.plan(dict.fromkeys(axes, WANTED))
 
-    def ask(self, request: bytes) -> bytes | None:
+    def ask(self, request):
         received = bytearray(request)
         reply = self.responder.take(received)
         assert reply is None or not received
         return reply
 
-    def talk(self, exchange: Exchange) -> bool:
+    def talk(self, exchange):
         """One exchange; whether it is complete."""
         reply = self.ask(exchange.encode())
         assert reply is not None
         assert len(reply) <= exchange.reply_size
         return not exchange.reply_size or exchange.take(bytearray(reply))
 
-    def write(self, axis: str, **values: float) -> None:
+    def write(self, axis, **values):
         self.images[axis].values.update(values)
         assert self.talk(self.line.write(axis, tuple(values)))
 
-    def state(self, axis: str) -> DriveState:
+    def state(self, axis):
         for name in ("status", "error", "watchdog"):
             assert self.talk(self.line.read(axis, (name,)))
         return state_of(self.drives[axis].description, self.images[axis].values)
@@ -85,34 +81,34 @@ class _Port:
     is_using = False
     baudrate = 57600
 
-    def getBaudRate(self) -> int:  # noqa: N802
+    def getBaudRate(self):  # noqa: N802
         return self.baudrate
 
-    def setPacketTimeoutMillis(self, milliseconds: float) -> None: ...  # noqa: N802
+    def setPacketTimeoutMillis(self, milliseconds): ...  # noqa: N802
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench):
         self._bench = bench
         self._reply = b""
 
-    def clearPort(self) -> None:  # noqa: N802
+    def clearPort(self):  # noqa: N802
         self._reply = b""
 
-    def writePort(self, packet: list[int]) -> int:  # noqa: N802
+    def writePort(self, packet):  # noqa: N802
         self._reply = self._bench.ask(bytes(packet)) or b""
         return len(packet)
 
-    def readPort(self, length: int) -> bytes:  # noqa: N802
+    def readPort(self, length):  # noqa: N802
         data, self._reply = self._reply[:length], self._reply[length:]
         return data
 
-    def setPacketTimeout(self, length: int) -> None: ...  # noqa: N802
+    def setPacketTimeout(self, length): ...  # noqa: N802
 
-    def isPacketTimeout(self) -> bool:  # noqa: N802
+    def isPacketTimeout(self):  # noqa: N802
         return True
 
 
 @pytest.mark.parametrize("is_fast", [False, True])
-def test_a_servo_that_is_not_there_is_missing_alone(is_fast: bool) -> None:
+def test_a_servo_that_is_not_there_is_missing_alone(is_fast):
     bench, there = Bench(1, 2, 3, is_fast=is_fast), Bench(1, 2, is_fast=is_fast)
     (poll,) = bench.plan.poll
     reply = there.ask(poll.encode())
@@ -122,7 +118,7 @@ def test_a_servo_that_is_not_there_is_missing_alone(is_fast: bool) -> None:
     assert poll.label.endswith("(3 missing)")
 
 
-def test_fast_and_slow_reads_say_the_same() -> None:
+def test_fast_and_slow_reads_say_the_same():
     slow, fast = Bench(5, 1, 9), Bench(5, 1, 9, is_fast=True)
     for bench in (slow, fast):
         for axis in bench.drives:
@@ -137,7 +133,7 @@ def test_fast_and_slow_reads_say_the_same() -> None:
     assert values[0]["5"]["velocity"] != 0.0
 
 
-def test_the_vendors_sdk_understands_the_answers() -> None:
+def test_the_vendors_sdk_understands_the_answers():
     bench = Bench(1, 2)
     sdk, port = PacketHandler(2.0), _Port(bench)
     assert sdk.ping(port, 2) == (1020, COMM_SUCCESS, 0)
@@ -167,11 +163,11 @@ def test_the_vendors_sdk_understands_the_answers() -> None:
         (lambda sdk, port: sdk.factoryReset(port, 1, 0xFF)[1], 2),
     ],
 )
-def test_refusals(call: Any, error: int) -> None:
+def test_refusals(call, error):
     assert call(PacketHandler(2.0), _Port(Bench(1))) == error
 
 
-def test_requests_for_others_and_broken_ones_are_passed_over() -> None:
+def test_requests_for_others_and_broken_ones_are_passed_over():
     bench = Bench(1)
     packets = Packets()
     assert bench.ask(packets.pack(7, 0x01)) == b""
@@ -188,13 +184,13 @@ def test_requests_for_others_and_broken_ones_are_passed_over() -> None:
 
 
 @pytest.fixture(scope="module")
-def anything() -> Bench:
+def anything():
     """Servos that whatever request may come to."""
     return Bench(1, 2, is_fast=True)
 
 
 @given(st.lists(st.one_of(st.sampled_from([0x00, 0x01, 0x03, 0xFD, 0xFE, 0xFF]), st.integers(0, 255)), max_size=60))
-def test_random_bytes_are_no_requests(anything: Bench, data: list[int]) -> None:
+def test_random_bytes_are_no_requests(anything, data):
     before = anything.drives["1"].samples
     assert anything.responder.take(bytearray(data)) is None
     assert anything.drives["1"].samples == before
@@ -212,9 +208,7 @@ PARAMETERS = st.one_of(
 
 
 @given(st.sampled_from([0x01, 0x02, 0x03, 0x08, 0x82, 0x83, 0x8A]), st.sampled_from([1, 254]), PARAMETERS)
-def test_whole_packets_with_any_content_never_crash(
-    anything: Bench, instruction: int, servo: int, parameters: bytes
-) -> None:
+def test_whole_packets_with_any_content_never_crash(anything, instruction, servo, parameters):
     packets = Packets()
     reply = anything.ask(packets.pack(servo, instruction, parameters))
     assert reply is not None
@@ -224,7 +218,7 @@ def test_whole_packets_with_any_content_never_crash(
         assert (answer.id, answer.instruction, answer.is_whole) == (1, 0x55, True)
 
 
-def test_the_bus_watchdog_trips_without_requests_and_is_cleared() -> None:
+def test_the_bus_watchdog_trips_without_requests_and_is_cleared():
     bench = Bench(1, 2)
     for axis in bench.drives:
         bench.write(axis, watchdog=5)  # 100 ms
@@ -245,11 +239,11 @@ def test_the_bus_watchdog_trips_without_requests_and_is_cleared() -> None:
 
 
 @pytest.mark.parametrize("name", ["xl330", "xm430", "xm540"])
-def test_a_goal_beyond_the_limit_is_refused_and_the_last_one_stays(name: str) -> None:
+def test_a_goal_beyond_the_limit_is_refused_and_the_last_one_stays(name):
     """As the descriptions say: a status with an error for a write, and nothing at all for a Sync Write."""
     bench = Bench(1, name=name)
     sdk, port = PacketHandler(2.0), _Port(bench)
-    limit = bench.drives["1"].description.signals["torque_command"].limit  # type: ignore[attr-defined]
+    limit = bench.drives["1"].description.signals["torque_command"].limit
     bench.write("1", status=1)
     assert sdk.write2ByteTxRx(port, 1, 102, 80) == (COMM_SUCCESS, 0)
     for goal in (limit + 1, 0x10000 - limit - 1, 0x8000):
@@ -259,7 +253,7 @@ def test_a_goal_beyond_the_limit_is_refused_and_the_last_one_stays(name: str) ->
     assert sdk.write2ByteTxRx(port, 1, 102, 0x10000 - limit) == (COMM_SUCCESS, 0)
 
 
-def test_no_goal_is_taken_while_the_bus_watchdog_has_tripped() -> None:
+def test_no_goal_is_taken_while_the_bus_watchdog_has_tripped():
     bench = Bench(1)
     sdk, port = PacketHandler(2.0), _Port(bench)
     bench.write("1", watchdog=5)
@@ -272,7 +266,7 @@ def test_no_goal_is_taken_while_the_bus_watchdog_has_tripped() -> None:
     assert sdk.write2ByteTxRx(port, 1, 102, 50) == (COMM_SUCCESS, 0)
 
 
-def test_what_lies_below_64_is_written_without_torque_alone() -> None:
+def test_what_lies_below_64_is_written_without_torque_alone():
     bench = Bench(1)
     sdk, port = PacketHandler(2.0), _Port(bench)
     assert sdk.write1ByteTxRx(port, 1, 11, 0) == (COMM_SUCCESS, 0)
@@ -280,7 +274,7 @@ def test_what_lies_below_64_is_written_without_torque_alone() -> None:
     assert sdk.write1ByteTxRx(port, 1, 11, 0) == (COMM_SUCCESS, 7)
 
 
-def test_the_last_goal_acts_when_the_torque_is_enabled() -> None:
+def test_the_last_goal_acts_when_the_torque_is_enabled():
     """For this the descriptions write a goal of zero before."""
     moved = []
     for goal in (60, 0):
@@ -296,7 +290,7 @@ def test_the_last_goal_acts_when_the_torque_is_enabled() -> None:
     assert moved[1] == 0
 
 
-def test_after_a_reboot_the_position_lies_within_one_turn() -> None:
+def test_after_a_reboot_the_position_lies_within_one_turn():
     bench = Bench(1)
     sdk, port = PacketHandler(2.0), _Port(bench)
     bench.write("1", status=1)
@@ -307,7 +301,7 @@ def test_after_a_reboot_the_position_lies_within_one_turn() -> None:
     assert sdk.read4ByteTxRx(port, 1, 132)[0] in range(position % 4096, position % 4096 + 1000)
 
 
-def test_an_error_shows_as_an_alert() -> None:
+def test_an_error_shows_as_an_alert():
     by_error = Bench(1).drives["1"].description.states[1:]  # no rule looks at the watchdog
     bench = Bench(1, states=by_error)
     request = bytes.fromhex(READ_POSITION)
@@ -317,14 +311,14 @@ def test_an_error_shows_as_an_alert() -> None:
     assert [reply[8] for reply in replies if reply] == [0, 0x80]
 
 
-def test_what_the_servo_does_not_take_is_told() -> None:
+def test_what_the_servo_does_not_take_is_told():
     bench = Bench(1)
     bench.images["1"].values["operating_mode"] = 5.0
     with pytest.raises(ReplyError, match=r"id 1 refuses: data range error"):
         bench.talk(bench.line.write("1", ("operating_mode",)))
 
 
-def test_the_vendors_sdk_finds_identity_and_temperature() -> None:
+def test_the_vendors_sdk_finds_identity_and_temperature():
     bench = Bench(1, 2)
     sdk, port = PacketHandler(2.0), _Port(bench)
     servos, result = sdk.broadcastPing(port)
@@ -337,7 +331,7 @@ def test_the_vendors_sdk_finds_identity_and_temperature() -> None:
     assert 0 < celsius < 80
 
 
-def test_a_reboot_ends_torque_and_errors_and_keeps_what_has_no_need_of_supply() -> None:
+def test_a_reboot_ends_torque_and_errors_and_keeps_what_has_no_need_of_supply():
     bench = Bench(1, 2)
     sdk, port = PacketHandler(2.0), _Port(bench)
     bench.write("1", return_delay=0)
@@ -353,7 +347,7 @@ def test_a_reboot_ends_torque_and_errors_and_keeps_what_has_no_need_of_supply() 
     bench.drives["1"].write("operating_mode", 0.0)
 
 
-def test_a_servo_that_reboots_in_real_time_answers_nothing_until_it_is_up() -> None:
+def test_a_servo_that_reboots_in_real_time_answers_nothing_until_it_is_up():
     bench = Bench(1, 2, pace=None)
     sdk, port = PacketHandler(2.0), _Port(bench)
     assert sdk.reboot(port, 1)[0] == COMM_SUCCESS

@@ -34,7 +34,7 @@ CSP, CST = ("torque_command", "position_command"), ("torque_command",)
 FAST, SLOW = ("position", "velocity"), ("torque", "status", "error")
 
 
-def described(signals: dict[str, dict[str, object]] | None = None, **keys: object) -> ModbusDescription:
+def described(signals=None, **keys):
     """A description with few demands."""
     given_keys: dict[str, object] = {
         "version": 1,
@@ -49,14 +49,14 @@ def described(signals: dict[str, dict[str, object]] | None = None, **keys: objec
     return ModbusDescription.model_validate(given_keys | keys)
 
 
-def on_line(description: ModbusDescription, port: str = RTU, unit: int = 1) -> tuple[ModbusLine, Image]:
+def on_line(description, port=RTU, unit=1):
     """A line with one axis, a."""
     options = ModbusOptions.model_validate({"line": {"port": port}, "description": "x", "unit": unit})
     image = Image()
     return ModbusLine({"a": description}, {"a": options}, {"a": image}), image
 
 
-def with_crc(text: str | bytes) -> bytes:
+def with_crc(text):
     """Frame of a PDU with its unit, by a CRC of this test's own: bit by bit, as the specification draws it."""
     frame = bytes.fromhex(text) if isinstance(text, str) else text
     crc = 0xFFFF
@@ -67,7 +67,7 @@ def with_crc(text: str | bytes) -> bytes:
     return frame + struct.pack("<H", crc)
 
 
-def reader(count: int = 3, *, unit: int = 1) -> tuple[ModbusExchange, Image]:
+def reader(count=3, *, unit=1):
     """Exchange of function 3 that reads 16-bit signals s0, s1, ... from 006Bh on, its request sent."""
     image = Image({"torque_command": 7.0})
     fields = tuple(RegisterField(f"s{k}", "holding", 0x6B + k, "int16") for k in range(count))
@@ -82,9 +82,9 @@ class TestRegisterField:
     @pytest.mark.parametrize("kind", ["int16", "uint16", "int32", "uint32", "bool"])
     @settings(deadline=None)
     @given(data=st.data())
-    def test_every_integer_comes_back(self, kind: str, byte_order: str, word_order: str, data: st.DataObject) -> None:
+    def test_every_integer_comes_back(self, kind, byte_order, word_order, data):
         number = data.draw(st.integers(*RANGES[kind]))
-        field = RegisterField("torque", "holding", 0, kind, word_order, byte_order)  # type: ignore[arg-type]
+        field = RegisterField("torque", "holding", 0, kind, word_order, byte_order)
         words = field.words(float(number))
         assert all(0 <= word < 2**16 for word in words)
         assert field.number(words) == number
@@ -93,8 +93,8 @@ class TestRegisterField:
     @pytest.mark.parametrize("byte_order", ["big", "little"])
     @settings(deadline=None)
     @given(number=st.floats(width=32, allow_nan=False, allow_infinity=False))
-    def test_every_float_comes_back(self, byte_order: str, word_order: str, number: float) -> None:
-        field = RegisterField("position", "holding", 0, "float32", word_order, byte_order)  # type: ignore[arg-type]
+    def test_every_float_comes_back(self, byte_order, word_order, number):
+        field = RegisterField("position", "holding", 0, "float32", word_order, byte_order)
         assert field.number(field.words(number)) == number
 
     @pytest.mark.parametrize(
@@ -106,39 +106,39 @@ class TestRegisterField:
             ("little", "little", [0x7856, 0x3412]),
         ],
     )
-    def test_orders_of_32_bits(self, word_order: str, byte_order: str, words: list[int]) -> None:
-        field = RegisterField("x", "holding", 0, "uint32", word_order, byte_order)  # type: ignore[arg-type]
+    def test_orders_of_32_bits(self, word_order, byte_order, words):
+        field = RegisterField("x", "holding", 0, "uint32", word_order, byte_order)
         assert field.words(float(0x12345678)) == words
 
     @pytest.mark.parametrize("kind", ["int16", "uint16", "int32", "uint32", "bool"])
     @settings(deadline=None)
     @given(number=st.floats(allow_nan=False, allow_infinity=False))
-    def test_what_does_not_fit_saturates(self, kind: str, number: float) -> None:
+    def test_what_does_not_fit_saturates(self, kind, number):
         low, high = RANGES[kind]
-        field = RegisterField("torque_command", "holding", 0, kind)  # type: ignore[arg-type]
+        field = RegisterField("torque_command", "holding", 0, kind)
         sent = field.number(field.words(number))
         assert sent == min(max(round(number), low), high)
 
     @pytest.mark.parametrize("kind", ["int16", "uint16", "int32", "uint32"])
     @settings(deadline=None)
     @given(number=st.integers(-(2**50), 2**50))
-    def test_positions_wrap(self, kind: str, number: int) -> None:
+    def test_positions_wrap(self, kind, number):
         low, high = RANGES[kind]
-        field = RegisterField("position_command", "holding", 0, kind)  # type: ignore[arg-type]
+        field = RegisterField("position_command", "holding", 0, kind)
         sent = field.number(field.words(float(number)))
         assert low <= sent <= high
         assert (sent - number) % (high - low + 1) == 0
 
-    def test_floats_stay_finite(self) -> None:
+    def test_floats_stay_finite(self):
         field = RegisterField("torque_command", "holding", 0, "float32")
         assert field.number(field.words(1e300)) == pytest.approx(3.4028235e38)
 
     @pytest.mark.parametrize("name", ["torque_command", "position_command"])
     @pytest.mark.parametrize("kind", ["int16", "float32", "int32"])
     @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
-    def test_refuses_what_is_not_finite(self, kind: str, name: str, number: float) -> None:
+    def test_refuses_what_is_not_finite(self, kind, name, number):
         with pytest.raises(ValueError, match="cannot be sent"):
-            RegisterField(name, "holding", 0, kind).words(number)  # type: ignore[arg-type]
+            RegisterField(name, "holding", 0, kind).words(number)
 
 
 class TestKnownFrames:
@@ -153,7 +153,7 @@ class TestKnownFrames:
             ({"address": 0xC4, "function": "discrete", "type": "bool"}, "11 02 00 C4 00 01", "11 02 01 AC", 0.0),
         ],
     )
-    def test_reading(self, signal: dict[str, object], frame: str, reply: str, value: float) -> None:
+    def test_reading(self, signal, frame, reply, value):
         line, image = on_line(described(SIGNALS | {"extra": signal}), unit=0x11)
         request = line.read("a", ("extra",))
         assert request.encode() == with_crc(frame)
@@ -171,7 +171,7 @@ class TestKnownFrames:
             ({"address": 0xAC, "function": "coil", "type": "bool"}, 1.0, (15, 16), "11 0F 00 AC 00 01 01 01"),
         ],
     )
-    def test_writing(self, signal: dict[str, object], number: float, functions: object, frame: str) -> None:
+    def test_writing(self, signal, number, functions, frame):
         line, image = on_line(described(SIGNALS | {"extra": signal}, write_functions=functions), unit=0x11)
         image.values["extra"] = number
         request = line.write("a", ("extra",))
@@ -183,7 +183,7 @@ class TestKnownFrames:
         assert request.take(reply)
         assert not reply
 
-    def test_writing_and_reading_at_once(self) -> None:
+    def test_writing_and_reading_at_once(self):
         signals = {f"s{k}": {"address": 3 + k, "type": "uint16"} for k in range(6)}
         signals |= {f"w{k}": {"address": 0xE + k, "type": "uint16"} for k in range(3)}
         image = Image({f"w{k}": 255.0 for k in range(3)})
@@ -200,7 +200,7 @@ class TestKnownFrames:
         assert [image.values[f"s{k}"] for k in range(6)] == [0xFE, 0xACD, 1, 3, 0xD, 0xFF]
         assert (request.request_size, request.reply_size) == (19, 17)
 
-    def test_those_of_kinco_with_their_crc(self) -> None:
+    def test_those_of_kinco_with_their_crc(self):
         signals = SIGNALS | {
             "status": {"address": 0x3200, "type": "uint32"},
             "control": {"address": 0x3100, "type": "uint16"},
@@ -213,7 +213,7 @@ class TestKnownFrames:
         written = line.write("a", ("velocity_command",)).encode()
         assert written.hex(" ") == "01 10 6f 00 00 02 04 55 55 00 08 1a 47"
 
-    def test_that_of_delta_with_its_crc(self) -> None:
+    def test_that_of_delta_with_its_crc(self):
         signals = SIGNALS | {"extra": {"address": 0x112, "type": "uint32", "word_order": "little"}}
         line, image = on_line(described(signals))
         image.values["extra"] = 0x0BB8
@@ -226,7 +226,7 @@ class TestReplies:
     REPLY = with_crc("01 03 06 02 2B 00 00 00 64")
 
     @pytest.mark.parametrize("at", range(1, len(REPLY)))
-    def test_may_come_in_two_pieces(self, at: int) -> None:
+    def test_may_come_in_two_pieces(self, at):
         request, image = reader()
         received = bytearray(self.REPLY[:at])
         assert not request.take(received)
@@ -237,7 +237,7 @@ class TestReplies:
 
     @settings(deadline=None)
     @given(noise=st.binary(min_size=1, max_size=6), at=st.integers(0, 11))
-    def test_is_found_behind_noise(self, noise: bytes, at: int) -> None:
+    def test_is_found_behind_noise(self, noise, at):
         assume(b"\x01" not in noise)
         request, image = reader()
         received = bytearray((noise + self.REPLY)[:at])
@@ -249,14 +249,14 @@ class TestReplies:
         assert not received
 
     @pytest.mark.parametrize("noise", [b"\x01", b"\x01\xff", b"\x01\x03", b"\x01\x03\x01", b"\x00\x01\x80"])
-    def test_is_found_behind_noise_that_looks_like_its_beginning(self, noise: bytes) -> None:
+    def test_is_found_behind_noise_that_looks_like_its_beginning(self, noise):
         request, image = reader()
         assert request.take(bytearray(noise + self.REPLY))
         assert image.values == VALUES
 
     @settings(deadline=None)
     @given(flipped=st.integers(0, 8 * len(REPLY) - 1))
-    def test_a_flipped_bit_puts_nothing(self, flipped: int) -> None:
+    def test_a_flipped_bit_puts_nothing(self, flipped):
         request, image = reader()
         frame = bytearray(self.REPLY)
         frame[flipped // 8] ^= 1 << flipped % 8
@@ -267,7 +267,7 @@ class TestReplies:
 
     @settings(max_examples=200, deadline=None)
     @given(pieces=st.lists(st.binary(max_size=40), max_size=4))
-    def test_random_bytes_never_become_a_value(self, pieces: list[bytes]) -> None:
+    def test_random_bytes_never_become_a_value(self, pieces):
         request, image = reader()
         received = bytearray()
         for piece in pieces:
@@ -283,7 +283,7 @@ class TestReplies:
     @given(
         body=st.binary(min_size=2, max_size=20), unit=st.integers(1, 3), function=st.sampled_from([3, 6, 0x83, 0x81])
     )
-    def test_with_a_right_crc_only_the_reply_asked_for_counts(self, body: bytes, unit: int, function: int) -> None:
+    def test_with_a_right_crc_only_the_reply_asked_for_counts(self, body, unit, function):
         request, image = reader()
         frame = with_crc(bytes((unit, function)) + body)
         assume(not (unit == 1 and function == 3 and body[0] == 6 and len(body) == 7))
@@ -300,7 +300,7 @@ class TestReplies:
             ("01 03 00 6B 00 03", "echoes"),
         ],
     )
-    def test_of_somebody_else_are_told(self, frame: str, text: str) -> None:
+    def test_of_somebody_else_are_told(self, frame, text):
         request, image = reader()
         received = bytearray(with_crc(frame))
         with pytest.raises(ReplyError, match=text) as caught:
@@ -309,7 +309,7 @@ class TestReplies:
         assert not received
         assert not image.fresh
 
-    def test_with_a_wrong_crc_are_told(self) -> None:
+    def test_with_a_wrong_crc_are_told(self):
         request, _ = reader()
         with pytest.raises(ReplyError, match="CRC is wrong: 01 03 06"):
             request.take(bytearray(self.REPLY[:-1] + b"\x00"))
@@ -329,7 +329,7 @@ class TestReplies:
             (99, "standard"),
         ],
     )
-    def test_exceptions_are_told(self, code: int, text: str) -> None:
+    def test_exceptions_are_told(self, code, text):
         request, image = reader()
         received = bytearray(with_crc(bytes((1, 0x83, code))))
         with pytest.raises(ReplyError, match=f"unit 1 refuses: .*{text}.* .exception {code}.") as caught:
@@ -338,12 +338,12 @@ class TestReplies:
         assert not received
         assert not image.fresh
 
-    def test_an_exception_with_another_function_is_one(self) -> None:
+    def test_an_exception_with_another_function_is_one(self):
         request, _ = reader()
         with pytest.raises(ReplyError, match="exception 2"):  # so does Kinco
             request.take(bytearray(with_crc("01 81 02")))
 
-    def test_another_value_written_than_sent_is_told(self) -> None:
+    def test_another_value_written_than_sent_is_told(self):
         line, image = on_line(described())
         image.values["torque_command"] = 300.0
         request = line.write("a", CST)
@@ -351,7 +351,7 @@ class TestReplies:
         with pytest.raises(ReplyError):
             request.take(bytearray(with_crc("01 06 00 30 00 64")))
 
-    def test_not_a_number_is_refused(self) -> None:
+    def test_not_a_number_is_refused(self):
         line, image = on_line(described())
         request = line.read("a", ("velocity",))
         request.encode()
@@ -359,7 +359,7 @@ class TestReplies:
             request.take(bytearray(with_crc(b"\x01\x03\x04" + struct.pack(">f", math.nan))))
         assert not image.fresh
 
-    def test_a_command_that_is_not_finite_is_not_sent(self) -> None:
+    def test_a_command_that_is_not_finite_is_not_sent(self):
         line, image = on_line(described())
         image.values["torque_command"] = math.nan
         with pytest.raises(ValueError, match="unit 1: torque_command: nan"):
@@ -367,18 +367,18 @@ class TestReplies:
 
 
 class TestTcp:
-    def reader(self) -> tuple[ModbusExchange, Image]:
+    def reader(self):
         line, image = on_line(described(), TCP)
         return line.read("a", ("torque",)), image
 
     @staticmethod
-    def reply(request: bytes, body: str = "03 02 00 05", *, unit: int = 1, later: int = 0) -> bytes:
+    def reply(request, body="03 02 00 05", *, unit=1, later=0):
         """Reply to a request, or to one ``later`` requests after it."""
         transaction = int.from_bytes(request[:2], "big") + later
         pdu = bytes.fromhex(body)
         return struct.pack(">HHHB", transaction, 0, len(pdu) + 1, unit) + pdu
 
-    def test_sizes_and_frame(self) -> None:
+    def test_sizes_and_frame(self):
         request, image = self.reader()
         sent = request.encode()
         assert sent[2:] == bytes.fromhex("00 00 00 06 01 03 00 11 00 01")
@@ -387,17 +387,17 @@ class TestTcp:
         assert request.take(bytearray(reply))
         assert image.values == {"torque": 5.0}
 
-    def test_each_request_has_its_number(self) -> None:
+    def test_each_request_has_its_number(self):
         framing = TcpFraming()
         numbers = [int.from_bytes(framing.frame(1, b"\x03")[:2], "big") for _ in range(70_000)]
         assert all(following == before % 0xFFFF + 1 for before, following in itertools.pairwise(numbers))
 
-    def test_all_requests_of_a_line_share_the_count(self) -> None:
+    def test_all_requests_of_a_line_share_the_count(self):
         line, _ = on_line(described(), TCP)
         frames = [line.read("a", (name,)).encode() for name in ("torque", "position", "torque")]
         assert len({frame[:2] for frame in frames}) == 3
 
-    def test_a_late_reply_is_dropped(self) -> None:
+    def test_a_late_reply_is_dropped(self):
         request, image = self.reader()
         late = self.reply(request.encode(), "03 02 00 63")
         sent = request.encode()
@@ -409,7 +409,7 @@ class TestTcp:
         assert image.values == {"torque": 5.0}
 
     @pytest.mark.parametrize("at", range(1, 11))
-    def test_may_come_in_two_pieces_behind_a_late_one(self, at: int) -> None:
+    def test_may_come_in_two_pieces_behind_a_late_one(self, at):
         request, image = self.reader()
         late = self.reply(request.encode(), "03 02 00 63")
         whole = late + self.reply(request.encode())
@@ -428,7 +428,7 @@ class TestTcp:
             ("83 06", 1, "busy"),
         ],
     )
-    def test_no_reply_to_this_request(self, body: str, unit: int, text: str) -> None:
+    def test_no_reply_to_this_request(self, body, unit, text):
         request, image = self.reader()
         received = bytearray(self.reply(request.encode(), body, unit=unit))
         with pytest.raises(ReplyError, match=text) as caught:
@@ -438,7 +438,7 @@ class TestTcp:
 
     @settings(max_examples=200, deadline=None)
     @given(data=st.binary(max_size=60))
-    def test_random_bytes_never_become_a_value(self, data: bytes) -> None:
+    def test_random_bytes_never_become_a_value(self, data):
         request, image = self.reader()
         request.encode()
         assume(data[:2] != b"\x00\x01")

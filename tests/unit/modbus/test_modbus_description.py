@@ -1,8 +1,6 @@
 """Register maps: their mistakes, the ready ones, and the requests that follow from them."""
 
 import struct
-from collections.abc import Callable, Mapping
-from pathlib import Path
 from random import Random
 
 import pytest
@@ -11,7 +9,7 @@ from friction_hil_drivers.modbus.description import DESCRIPTIONS, ModbusDescript
 from friction_hil_drivers.modbus.driver import ModbusLine
 from friction_hil_drivers.modbus.options import ModbusOptions
 from friction_hil_drivers.serial_line.description import load_description, ready
-from friction_hil_drivers.serial_line.protocol import FAST, SLOW, CycleSignals, Image, Plan
+from friction_hil_drivers.serial_line.protocol import FAST, SLOW, CycleSignals, Image
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -41,26 +39,26 @@ KEYS = {
 CSP = ("torque_command", "position_command")
 
 
-def described(changed: Mapping[str, object] | None = None, **keys: object) -> ModbusDescription:
+def described(changed=None, **keys):
     """The map above with some signals changed, and other keys; a signal of None is left out."""
     signals = {name: signal for name, signal in {**SIGNALS, **(changed or {})}.items() if signal is not None}
     return ModbusDescription.model_validate(KEYS | {"signals": signals} | keys)
 
 
-def on_line(description: ModbusDescription, **line: object) -> tuple[ModbusLine, Image]:
+def on_line(description, **line):
     options = ModbusOptions.model_validate({"line": {"port": "/dev/x"} | line, "description": "x", "unit": 1})
     image = Image()
     return ModbusLine({"a": description}, {"a": options}, {"a": image}), image
 
 
-def planned(description: ModbusDescription, commands: tuple[str, ...] = ("torque_command",)) -> Plan:
+def planned(description, commands=("torque_command",)):
     line, _ = on_line(description)
     fast = tuple(name for name in FAST if name in description.signals)
     slow = tuple(name for name in SLOW if name in description.signals)
     return line.plan({"a": CycleSignals(fast, slow, commands)})
 
 
-def labels(plan: Plan) -> list[list[str]]:
+def labels(plan):
     """Return the labels of the exchanges of a plan, without the unit."""
     return [[e.label.removesuffix(" of unit 1") for e in part] for part in (plan.poll, plan.background, plan.push)]
 
@@ -86,11 +84,7 @@ class TestMistakes:
                 "brake is written, which takes function 5 or 15; write_functions does not have it",
             ),
             ({}, {"prepare": [{"write": {"control": 0, "torque_command": 0}}]}, r"prepare\.0\s+writes .* side by side"),
-            (
-                {"torque": {"address": 0x13}},
-                {},
-                r"signals\.position\s+position .2 registers at 0012h. reaches into",
-            ),
+            ({"torque": {"address": 0x13}}, {}, r"signals\.position\s+position .2 registers at 0012h. reaches into"),
             (
                 {},
                 {"prepare": [{"write": {"control": 70000}}]},
@@ -101,16 +95,16 @@ class TestMistakes:
             ({"position": None}, {}, "there is no signal position"),
         ],
     )
-    def test_are_told(self, changed: dict[str, object], keys: dict[str, object], text: str) -> None:
+    def test_are_told(self, changed, keys, text):
         with pytest.raises(ValidationError, match=text):
             described(changed, **keys)
 
     @pytest.mark.parametrize("key", ["adress", "register"])
-    def test_unknown_keys_are_told(self, key: str) -> None:
+    def test_unknown_keys_are_told(self, key):
         with pytest.raises(ValidationError, match=key):
             described({"torque": {"address": 1, key: 2}})
 
-    def test_are_told_with_their_line(self, tmp_path: Path) -> None:
+    def test_are_told_with_their_line(self, tmp_path):
         text = (DESCRIPTIONS / "kinco_fd5p.yaml").read_text()
         path = tmp_path / "mine.yaml"
         path.write_text(text.replace("0x3700, type: int32", "0x3700, type: int33"))
@@ -121,7 +115,7 @@ class TestMistakes:
         assert line is not None
         assert "0x3700" in lines[line - 1]
 
-    def test_contradictions_are_told_with_their_line(self, tmp_path: Path) -> None:
+    def test_contradictions_are_told_with_their_line(self, tmp_path):
         text = (DESCRIPTIONS / "kinco_fd5p.yaml").read_text()
         path = tmp_path / "mine.yaml"
         path.write_text(text.replace("mode: 4", "mode: 40000").replace("word_order: little\n", "\n"))
@@ -132,7 +126,7 @@ class TestMistakes:
         assert any("mode: 40000" in line and "-32768 to 32767, not 40000" in message for line, message in reported)
         assert any(line.startswith("velocity:") and "give word_order" in message for line, message in reported)
 
-    def test_32_bits_may_bring_their_own_order(self) -> None:
+    def test_32_bits_may_bring_their_own_order(self):
         wide = {
             name: signal | {"word_order": "little"} for name, signal in SIGNALS.items() if signal.get("type") == "int32"
         }
@@ -142,18 +136,18 @@ class TestMistakes:
 
 class TestOptions:
     @pytest.mark.parametrize(("unit", "port"), [(0, "/dev/x"), (248, "/dev/x"), (256, "tcp://localhost:502")])
-    def test_units_that_do_not_exist(self, unit: int, port: str) -> None:
+    def test_units_that_do_not_exist(self, unit, port):
         with pytest.raises(ValidationError, match="unit"):
             ModbusOptions.model_validate({"line": {"port": port}, "description": "x", "unit": unit})
 
-    def test_the_device_itself_on_tcp(self) -> None:
+    def test_the_device_itself_on_tcp(self):
         given = {"line": {"port": "tcp://localhost:502"}, "description": "x", "unit": 255}
         assert ModbusOptions.model_validate(given).address == "unit 255"
 
 
 class TestReady:
     @pytest.mark.parametrize("name", sorted(ready(DESCRIPTIONS)))
-    def test_can_be_driven(self, name: str) -> None:
+    def test_can_be_driven(self, name):
         description = load_description(name, None, DESCRIPTIONS, ModbusDescription)
         line, image = on_line(description)
         for mode in description.modes.values():
@@ -166,49 +160,49 @@ class TestReady:
                 image.values.update(step.write)
                 assert line.write("a", tuple(step.write)).encode()
 
-    def test_families(self) -> None:
+    def test_families(self):
         assert set(ready(DESCRIPTIONS)) >= {"kinco_fd5p", "ezmotion_mms7", "nanotec_n5", "generic_cia402"}
 
-    def test_unknown_name(self) -> None:
+    def test_unknown_name(self):
         with pytest.raises(UsageError, match="kinco_fd5p"):
             load_description("kinco", None, DESCRIPTIONS, ModbusDescription)
 
-    def test_velocity_of_kinco_is_that_of_its_manual(self) -> None:
+    def test_velocity_of_kinco_is_that_of_its_manual(self):
         # "4E 82 00 1B": 1789570 is 100 rpm with 65536 counts a revolution
         signal = load_description("kinco_fd5p", None, DESCRIPTIONS, ModbusDescription).signals["velocity"]
         assert 1789570 * signal.scale / 65536 * 60 == pytest.approx(100.0, rel=1e-6)
 
 
 class TestPlan:
-    def test_contiguous_signals_are_read_together_and_commands_written_together(self) -> None:
+    def test_contiguous_signals_are_read_together_and_commands_written_together(self):
         poll, background, push = labels(planned(described(), CSP))
         assert poll == ["read 6 registers at 0010h"]
         assert background == ["read 1 register at 0018h"]
         assert push == ["write 3 registers at 0030h"]
 
-    def test_unused_registers_are_read_over_where_the_drive_does_not_mind(self) -> None:
+    def test_unused_registers_are_read_over_where_the_drive_does_not_mind(self):
         poll, background, _ = labels(planned(described(max_gap_registers=2)))
         assert poll == ["read 9 registers at 0010h"]
         assert background == []
         assert labels(planned(described(max_gap_registers=1)))[1] == ["read 1 register at 0018h"]
 
-    def test_what_is_slow_may_join_what_is_fast(self) -> None:
+    def test_what_is_slow_may_join_what_is_fast(self):
         changed = {"velocity": {"address": 0x15, "type": "int32", "unit": "count/s"}, "error": {"address": 0x14}}
         poll, background, _ = labels(planned(described(changed)))
         assert (poll, background) == (["read 7 registers at 0010h"], [])
 
-    def test_what_is_slow_does_not_cost_a_poll(self) -> None:
+    def test_what_is_slow_does_not_cost_a_poll(self):
         poll, background, _ = labels(planned(described(max_read_registers=4)))
         assert poll == ["read 4 registers at 0012h"]
         assert background == ["read 2 registers at 0010h", "read 1 register at 0018h"]
 
-    def test_function_23_writes_while_it_reads(self) -> None:
+    def test_function_23_writes_while_it_reads(self):
         plan = planned(described(read_write_multiple=True), CSP)
         assert labels(plan)[0] == ["write 3 registers at 0030h and read 6 registers at 0010h"]
         assert not plan.push
         assert plan.poll[0].writes == CSP
 
-    def test_function_23_is_for_holding_registers(self) -> None:
+    def test_function_23_is_for_holding_registers(self):
         inputs = {name: SIGNALS[name] | {"function": "input"} for name in (*FAST, *SLOW)}
         poll, _, push = labels(planned(described(inputs, read_write_multiple=True)))
         assert poll == ["read 6 input registers at 0010h"]
@@ -219,11 +213,11 @@ class TestPlan:
         assert all(part.startswith("read") for part in poll[1:])
         assert not push
 
-    def test_listening_writes_nothing(self) -> None:
+    def test_listening_writes_nothing(self):
         plan = planned(described(read_write_multiple=True), ())
         assert labels(plan) == [["read 6 registers at 0010h"], ["read 1 register at 0018h"], []]
 
-    def test_aligned_access(self) -> None:
+    def test_aligned_access(self):
         changed = {
             "position_command": {"address": 0x34, "type": "int32", "unit": "count"},
             "torque": {"address": 0x17, "unit": "N m"},
@@ -234,24 +228,24 @@ class TestPlan:
         assert request.encode()[:-2] == bytes.fromhex("01 10 00 30 00 02 04 00 05 00 00")
         assert line.read("a", ("torque",)).label == "read 2 registers at 0016h of unit 1"
 
-    def test_signals_far_apart_need_several_requests(self) -> None:
+    def test_signals_far_apart_need_several_requests(self):
         line, _ = on_line(described())
         with pytest.raises(ValueError, match=r"one request cannot read status, error: .*0010h; .*0018h"):
             line.read("a", ("status", "error"))
         with pytest.raises(ValueError, match="one request cannot write"):
             line.write("a", ("control", "torque_command"))
 
-    def test_silence(self) -> None:
+    def test_silence(self):
         assert on_line(described())[0].silence_chars == 3.5
         # ten bits at 9600 baud take 1.04 ms
         assert on_line(described(silence_s=0.01), baud=9600)[0].silence_chars == pytest.approx(9.6)
         assert on_line(described(silence_s=0.01), port="tcp://localhost:502")[0].silence_chars == 0.0
 
 
-def slave(memory: dict[int, int]) -> Callable[[bytes], bytes]:
+def slave(memory):
     """Answer functions 3, 6, 16 and 23 from registers of memory, in the plainest way; CRCs are left out."""
 
-    def answer(frame: bytes) -> bytes:
+    def answer(frame):
         unit, function, address, count = struct.unpack_from(">BBHH", frame)
         if function in (6, 16):
             words = [count] if function == 6 else struct.unpack_from(f">{count}H", frame, 7)
@@ -266,7 +260,7 @@ def slave(memory: dict[int, int]) -> Callable[[bytes], bytes]:
     return answer
 
 
-def crc(frame: bytes) -> bytes:
+def crc(frame):
     value = 0xFFFF
     for byte in frame:
         value ^= byte
@@ -275,7 +269,7 @@ def crc(frame: bytes) -> bytes:
     return frame + struct.pack("<H", value)
 
 
-def exchange(request: ModbusExchange, memory: dict[int, int], most: int) -> None:
+def exchange(request, memory, most):
     sent = request.encode()
     assert len(sent) == request.request_size
     assert crc(sent[:-2]) == sent
@@ -289,7 +283,7 @@ def exchange(request: ModbusExchange, memory: dict[int, int], most: int) -> None
 
 
 @st.composite
-def maps(draw: st.DrawFn) -> ModbusDescription:
+def maps(draw):
     """Signals anywhere near each other in a random order, with room between them or none."""
     widths = {"int16": 1, "uint16": 1, "int32": 2, "uint32": 2}
     changed: dict[str, object] = {}
@@ -315,7 +309,7 @@ def maps(draw: st.DrawFn) -> ModbusDescription:
 
 @settings(deadline=None)
 @given(description=maps(), seed=st.integers(0, 2**32 - 1))
-def test_a_planned_cycle_moves_the_same_numbers_as_single_requests(description: ModbusDescription, seed: int) -> None:
+def test_a_planned_cycle_moves_the_same_numbers_as_single_requests(description, seed):
     line, image = on_line(description)
     most = description.max_read_registers
     random = Random(seed)
@@ -347,7 +341,7 @@ def test_a_planned_cycle_moves_the_same_numbers_as_single_requests(description: 
 
 @settings(deadline=None)
 @given(description=maps())
-def test_a_plan_has_no_more_requests_than_single_ones(description: ModbusDescription) -> None:
+def test_a_plan_has_no_more_requests_than_single_ones(description):
     plan = planned(description, CSP)
     assert len(plan.poll) + len(plan.push) <= len(FAST) + len(CSP)
     alone = description.model_copy(update={"max_read_registers": 125, "max_gap_registers": 120})

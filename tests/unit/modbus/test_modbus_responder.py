@@ -11,7 +11,7 @@ from friction_hil_drivers.serial_line.simulated.drive import RefusedError, Simul
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU, FramerSocket
-from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu import DecodePDU, ExceptionResponse
 from pymodbus.pdu.register_message import (
     ReadHoldingRegistersRequest,
     ReadHoldingRegistersResponse,
@@ -40,27 +40,27 @@ SIGNALS = {
 class Drive:
     """Stands for a simulated drive: keeps what is written, in order, and lets position follow samples."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.numbers: dict[str, float] = {"position": 1000.0}
         self.written: list[tuple[str, float]] = []
         self.events: list[str] = []
 
-    def read(self, name: str) -> float:
+    def read(self, name):
         self.events.append(f"read {name}")
         return self.numbers.get(name, 0.0)
 
-    def write(self, name: str, number: float) -> None:
+    def write(self, name, number):
         self.events.append(f"write {name}")
         if name in ("status", "torque", "position", "velocity") or (name == "torque_command" and number == 666.0):
             raise RefusedError(name)
         self.written.append((name, number))
         self.numbers[name] = number
 
-    def sample(self) -> None:
+    def sample(self):
         self.events.append("sample")
 
 
-def described(**keys: object) -> ModbusDescription:
+def described(**keys):
     return ModbusDescription.model_validate(
         {
             "version": 1,
@@ -81,7 +81,7 @@ def described(**keys: object) -> ModbusDescription:
 class Bench:
     """A responder with one drive at unit 1, and another at unit 2."""
 
-    def __init__(self, port: str = RTU, **keys: object) -> None:
+    def __init__(self, port=RTU, **keys):
         self.drive, self.other = Drive(), Drive()
         description = described(**keys)
         self.options = {
@@ -93,7 +93,7 @@ class Bench:
         self.responder = ModbusResponder(drives, self.descriptions, self.options)
         self.framer = (FramerSocket if port == TCP else FramerRTU)(DecodePDU(False))
 
-    def answer(self, pdu: str, unit: int = 1) -> str:
+    def answer(self, pdu, unit=1):
         """PDU that answers one in hexadecimal; empty: no reply."""
         received = bytearray(self.framer.encode(bytes.fromhex(pdu), unit, 7))
         reply = self.responder.take(received)
@@ -106,7 +106,7 @@ class Bench:
         assert transaction in (0, 7)
         return data.hex(" ")
 
-    def ask(self, request: ModbusPDU) -> ModbusPDU:
+    def ask(self, request):
         """What pymodbus makes of the answer to its own request."""
         request.dev_id, request.transaction_id = 1, 9
         reply = self.responder.take(bytearray(self.framer.buildFrame(request)))
@@ -117,14 +117,14 @@ class Bench:
 
 
 @pytest.fixture(params=[RTU, TCP])
-def bench(request: pytest.FixtureRequest) -> Bench:
+def bench(request):
     return Bench(request.param)
 
 
 class TestKnownFrames:
     """The examples of the Modbus Application Protocol Specification V1.1b3, at the addresses of this map."""
 
-    def test_read(self, bench: Bench) -> None:
+    def test_read(self, bench):
         bench.drive.numbers |= {"status": 0x022B, "torque": 100.0, "error": 10.0, "ready": 1.0, "brake": 1.0}
         assert bench.answer("03 00 00 00 02") == "03 04 02 2b 00 64"
         assert bench.answer("04 00 08 00 01") == "04 02 00 0a"
@@ -132,7 +132,7 @@ class TestKnownFrames:
         assert bench.answer("01 00 AC 00 02") == "01 01 01"
         assert bench.answer("03 00 02 00 04") == "03 08 00 00 03 e8 00 00 00 00"
 
-    def test_write(self, bench: Bench) -> None:
+    def test_write(self, bench):
         assert bench.answer("06 01 00 00 03") == "06 01 00 00 03"
         assert bench.answer("10 01 02 00 02 04 00 0A 01 02") == "10 01 02 00 02"
         assert bench.answer("05 00 AC FF 00") == "05 00 ac ff 00"
@@ -146,7 +146,7 @@ class TestKnownFrames:
         ]
         assert bench.drive.written == wanted
 
-    def test_function_23_passes_a_period_then_writes_then_reads(self, bench: Bench) -> None:
+    def test_function_23_passes_a_period_then_writes_then_reads(self, bench):
         assert bench.answer("17 00 02 00 04 01 01 00 01 02 00 2A").startswith("17 08")
         assert bench.drive.events[0] == "sample"
         writing = bench.drive.events.index("write torque_command")
@@ -175,21 +175,21 @@ class TestKnownFrames:
             ("17 00 06 00 01 01 01 00 01 02 00 01", "97 02"),
         ],
     )
-    def test_exceptions(self, bench: Bench, pdu: str, reply: str) -> None:
+    def test_exceptions(self, bench, pdu, reply):
         assert bench.answer(pdu) == reply
         assert not bench.drive.written
 
-    def test_functions_that_the_drive_has_not(self) -> None:
+    def test_functions_that_the_drive_has_not(self):
         bench = Bench(read_write_multiple=False, write_functions=[5, 16])
         assert bench.answer("17 00 02 00 02 01 01 00 01 02 00 01") == "97 01"
         assert bench.answer("06 01 01 00 01") == "86 01"
         assert bench.answer("0F 00 AC 00 02 01 02") == "8f 01"
 
-    def test_reading_over_what_is_unused(self) -> None:
+    def test_reading_over_what_is_unused(self):
         assert Bench(max_gap_registers=2).answer("03 00 05 00 02") == "03 04 00 00 00 00"
         assert Bench(max_gap_registers=2).answer("03 00 06 00 01") == "83 02"
 
-    def test_aligned_access(self) -> None:
+    def test_aligned_access(self):
         signals = SIGNALS | {"torque_command": {"address": 0x104, "unit": "per_mille"}}
         bench = Bench(alignment=2, write_functions=[5, 15, 16], signals=signals | {"light": SIGNALS["ready"]})
         assert bench.answer("10 01 04 00 02 04 00 07 00 00") == "10 01 04 00 02"
@@ -199,7 +199,7 @@ class TestKnownFrames:
 
 
 class TestNumbers:
-    def test_a_half_written_command_waits_for_its_other_half(self) -> None:
+    def test_a_half_written_command_waits_for_its_other_half(self):
         bench = Bench(write_functions=[5, 6, 15, 16])
         bench.drive.numbers["position_command"] = float(0x1111_2222)
         assert bench.answer("06 01 02 00 01") == "06 01 02 00 01"
@@ -211,7 +211,7 @@ class TestNumbers:
 
     @settings(deadline=None)
     @given(position=st.integers(-(2**45), 2**45), ahead=st.integers(-(2**30), 2**30))
-    def test_positions_wrap_on_the_line_and_unwrap_in_the_drive(self, position: int, ahead: int) -> None:
+    def test_positions_wrap_on_the_line_and_unwrap_in_the_drive(self, position, ahead):
         bench = Bench()
         bench.drive.numbers["position"] = float(position)
         seen = struct.unpack(">i", bytes.fromhex(bench.answer("03 00 02 00 02"))[2:])[0]
@@ -220,7 +220,7 @@ class TestNumbers:
         assert bench.answer(f"10 01 02 00 02 04 {target}") == "10 01 02 00 02"
         assert bench.drive.written == [("position_command", float(position + ahead))]
 
-    def test_what_is_not_finite_is_refused(self) -> None:
+    def test_what_is_not_finite_is_refused(self):
         signals = SIGNALS | {"position_command": {"address": 0x102, "type": "float32", "unit": "rad"}}
         bench = Bench(signals=signals)
         assert bench.answer("10 01 02 00 02 04 7F C0 00 00") == "90 03"
@@ -228,18 +228,18 @@ class TestNumbers:
 
 
 class TestLine:
-    def test_who_is_not_meant_is_silent(self, bench: Bench) -> None:
+    def test_who_is_not_meant_is_silent(self, bench):
         assert bench.answer("03 00 00 00 01", unit=3) == ""
         assert bench.answer("06 01 01 00 09", unit=2) == "06 01 01 00 09"
         assert bench.drive.events == []
         assert bench.other.written == [("torque_command", 9.0)]
 
-    def test_broadcast_is_obeyed_in_silence(self) -> None:
+    def test_broadcast_is_obeyed_in_silence(self):
         bench = Bench()
         assert bench.answer("06 01 01 00 09", unit=0) == ""
         assert bench.drive.written == bench.other.written == [("torque_command", 9.0)]
 
-    def test_a_wrong_crc_gets_no_reply(self) -> None:
+    def test_a_wrong_crc_gets_no_reply(self):
         bench = Bench()
         frame = bytearray(bench.framer.encode(bytes.fromhex("06 01 01 00 09"), 1, 0))
         frame[-1] ^= 1
@@ -250,7 +250,7 @@ class TestLine:
     @pytest.mark.parametrize(
         "pdu", ["03 00 00 00 02", "17 00 02 00 04 01 01 00 01 02 00 2A", "10 01 01 00 01 02 00 07"]
     )
-    def test_requests_may_come_in_two_pieces(self, bench: Bench, pdu: str) -> None:
+    def test_requests_may_come_in_two_pieces(self, bench, pdu):
         frame = bench.framer.encode(bytes.fromhex(pdu), 1, 7)
         whole = bench.responder.take(bytearray(frame))
         for at in range(1, len(frame)):
@@ -260,7 +260,7 @@ class TestLine:
             received += frame[at:]
             assert bench.responder.take(received) == whole
 
-    def test_one_request_is_taken_at_a_time(self, bench: Bench) -> None:
+    def test_one_request_is_taken_at_a_time(self, bench):
         frame = bench.framer.encode(bytes.fromhex("03 00 00 00 01"), 1, 7)
         received = bytearray(2 * frame)
         assert bench.responder.take(received)
@@ -268,7 +268,7 @@ class TestLine:
 
     @settings(max_examples=300, deadline=None)
     @given(data=st.binary(max_size=80), port=st.sampled_from([RTU, TCP]))
-    def test_random_bytes_do_no_harm(self, data: bytes, port: str) -> None:
+    def test_random_bytes_do_no_harm(self, data, port):
         bench = Bench(port)
         received = bytearray(data)
         while received and bench.responder.take(received) is not None:
@@ -282,7 +282,7 @@ class TestLine:
         body=st.binary(max_size=40),
         unit=st.integers(0, 2),
     )
-    def test_any_pdu_gets_an_answer(self, function: int, body: bytes, unit: int) -> None:
+    def test_any_pdu_gets_an_answer(self, function, body, unit):
         bench = Bench(TCP)
         frame = bench.framer.encode(bytes((function,)) + body, unit, 7)
         reply = bench.responder.take(bytearray(frame))
@@ -295,7 +295,7 @@ class TestLine:
 class TestPymodbus:
     """Requests and replies of pymodbus' client side."""
 
-    def test_reads_and_writes(self, bench: Bench) -> None:
+    def test_reads_and_writes(self, bench):
         assert not bench.ask(WriteMultipleRegistersRequest(address=0x101, registers=[5, 0, 6])).isError()
         assert not bench.ask(WriteSingleRegisterRequest(address=0x100, registers=[15])).isError()
         read = bench.ask(ReadHoldingRegistersRequest(address=0x100, count=4))
@@ -304,7 +304,7 @@ class TestPymodbus:
         both = bench.ask(ReadWriteMultipleRegistersRequest(0x100, 2, 0x101, [77]))
         assert list(both.registers) == [15, 77]
 
-    def test_refusals(self, bench: Bench) -> None:
+    def test_refusals(self, bench):
         reply = bench.ask(ReadHoldingRegistersRequest(address=0x50, count=1))
         assert isinstance(reply, ExceptionResponse)
         assert reply.exception_code == 2

@@ -65,12 +65,7 @@ CIA402 = {
     "version": 1,
     "name": "a drive",
     "sources": ["its manual"],
-    "signals": {
-        "position": {"unit": "count"},
-        "status": {},
-        "control": {},
-        "torque_command": {"unit": "per_mille"},
-    },
+    "signals": {"position": {"unit": "count"}, "status": {}, "control": {}, "torque_command": {"unit": "per_mille"}},
     "state_machine": "cia402",
     "modes": {"cst": {"commands": ["torque_command"]}},
 }

@@ -1,32 +1,28 @@
 """Stopping and resetting serial drives: what a fault needs, and what a drive does against it."""
 
-from pathlib import Path
-
 import pytest
 import yaml
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS
 from friction_hil_drivers.serial_line.bus import SerialBus
-from friction_hil_drivers.serial_line.protocol import Exchange
 from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
 
 from friction_hil.drive import DriveState, Request
-from friction_hil.drive.inventory import Stop
 from friction_hil.errors import DriveError
 from tests.serial_rig import KINDS, Rig
 
 
-def drive_of(bench: Rig) -> SimulatedDrive:
+def drive_of(bench):
     (line,) = bench.simulated.lines
     (drive,) = line.drives
     return drive
 
 
-def served(bench: Rig, method: str) -> Stop:
+def served(bench, method):
     (found,) = getattr(bench.driver, method)(bench.config, bench.config.axes).stops
     return found
 
 
-def without_reset(folder: Path, source: Path) -> str:
+def without_reset(folder, source):
     data = yaml.safe_load(source.read_text())
     data["reset_fault"] = []
     path = folder / "changed.yaml"
@@ -34,7 +30,7 @@ def without_reset(folder: Path, source: Path) -> str:
     return str(path)
 
 
-def test_a_servo_whose_fault_needs_a_reboot_is_rebooted(tmp_path: Path) -> None:
+def test_a_servo_whose_fault_needs_a_reboot_is_rebooted(tmp_path):
     with Rig("dynamixel", tmp_path, description=without_reset(tmp_path, DESCRIPTIONS / "xl330.yaml")) as bench:
         drive_of(bench).fail()
         found = served(bench, "reset_axes")
@@ -43,7 +39,7 @@ def test_a_servo_whose_fault_needs_a_reboot_is_rebooted(tmp_path: Path) -> None:
         assert drive_of(bench).is_on
 
 
-def test_a_fault_that_nothing_resets_is_reported_with_what_to_do(tmp_path: Path) -> None:
+def test_a_fault_that_nothing_resets_is_reported_with_what_to_do(tmp_path):
     source = DESCRIPTIONS.parents[1] / "ascii/descriptions/odrive.yaml"
     with Rig("odrive", tmp_path, description=without_reset(tmp_path, source)) as bench:
         drive_of(bench).fail()
@@ -54,10 +50,8 @@ def test_a_fault_that_nothing_resets_is_reported_with_what_to_do(tmp_path: Path)
 
 
 @pytest.mark.parametrize("kind", ["odrive", "rtu, function 23"])
-def test_a_drive_that_does_not_give_up_its_power_is_not_called_stopped(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(drive: SimulatedDrive, name: str, number: float) -> None:
+def test_a_drive_that_does_not_give_up_its_power_is_not_called_stopped(kind, tmp_path, monkeypatch):
+    def refuse(drive, name, number):
         raise RefusedError("not this one")
 
     with Rig(kind, tmp_path) as bench:
@@ -68,7 +62,7 @@ def test_a_drive_that_does_not_give_up_its_power_is_not_called_stopped(
         assert "refuses" in found.detail or "unknown command" in found.detail
 
 
-def test_a_servo_is_not_left_with_a_watchdog_that_would_be_its_next_fault(tmp_path: Path) -> None:
+def test_a_servo_is_not_left_with_a_watchdog_that_would_be_its_next_fault(tmp_path):
     with Rig("dynamixel", tmp_path) as bench:
         drive_of(bench).fail()
         assert served(bench, "reset_axes").result == "reset"
@@ -78,14 +72,14 @@ def test_a_servo_is_not_left_with_a_watchdog_that_would_be_its_next_fault(tmp_pa
 READABLE = ("rtu", "rtu, function 23", "tcp", "dynamixel")  # odrive's torque can only be written
 
 
-def pushed(bench: Rig) -> Rig:
+def pushed(bench):
     bench.begin().enable().cycle(Request.ENABLE, 0.2, count=5)
     assert drive_of(bench).read("torque_command") != 0.0
     return bench
 
 
 @pytest.mark.parametrize("kind", READABLE)
-def test_a_stop_clears_the_torque_that_a_killed_run_left(kind: str, tmp_path: Path) -> None:
+def test_a_stop_clears_the_torque_that_a_killed_run_left(kind, tmp_path):
     with Rig(kind, tmp_path) as bench:
         pushed(bench)
         (bus,) = bench.drives.buses
@@ -96,12 +90,10 @@ def test_a_stop_clears_the_torque_that_a_killed_run_left(kind: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("kind", READABLE)
-def test_a_drive_that_keeps_its_torque_command_is_told_by_the_run_and_by_the_stop(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drive_that_keeps_its_torque_command_is_told_by_the_run_and_by_the_stop(kind, tmp_path, monkeypatch):
     write = SimulatedDrive.write
 
-    def keep(drive: SimulatedDrive, name: str, number: float) -> None:
+    def keep(drive, name, number):
         if name != "torque_command" or number:
             write(drive, name, number)
 
@@ -117,7 +109,7 @@ def test_a_drive_that_keeps_its_torque_command_is_told_by_the_run_and_by_the_sto
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_line_that_is_gone_at_the_end_leaves_the_torque_in_doubt(kind: str, tmp_path: Path) -> None:
+def test_a_line_that_is_gone_at_the_end_leaves_the_torque_in_doubt(kind, tmp_path):
     with Rig(kind, tmp_path) as bench:
         pushed(bench) if kind in READABLE else bench.begin().enable()
         bench.unplug()
@@ -128,12 +120,10 @@ def test_a_line_that_is_gone_at_the_end_leaves_the_torque_in_doubt(kind: str, tm
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_zero_torque_is_written_again_when_its_reply_is_lost(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_zero_torque_is_written_again_when_its_reply_is_lost(kind, tmp_path, monkeypatch):
     transact, lost = SerialBus.transact, []
 
-    def lossy(bus: SerialBus, axis: str, *exchanges: Exchange, attempts: int) -> None:
+    def lossy(bus, axis, *exchanges, attempts):
         if not lost and any("torque_command" in each.writes for each in exchanges):
             lost.append(exchanges)
             raise DriveError("no reply")

@@ -1,9 +1,7 @@
 """A watchdog is claimed of what was read back, and what a drive says against its set-up is not passed over."""
 
 import struct
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -11,7 +9,6 @@ from friction_hil_drivers.ascii import DESCRIPTIONS
 from friction_hil_drivers.ascii.description import AsciiDescription
 from friction_hil_drivers.serial_line import codes
 from friction_hil_drivers.serial_line.description import Description
-from friction_hil_drivers.serial_line.protocol import Exchange
 from friction_hil_drivers.serial_line.read_back import contradiction
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
@@ -26,7 +23,7 @@ WATCHDOG = 0x0107  # its register in generic_cia402
 WATCHED = ("rtu, function 23", "tcp", "dynamixel", "odrive")
 
 
-def odrive(folder: Path, **changes: Any) -> str:
+def odrive(folder, **changes):
     """A copy of the ODrive's description; a message of None is left out."""
     data = yaml.safe_load((DESCRIPTIONS / "odrive.yaml").read_text())
     messages = {**data["messages"], **changes.pop("messages", {})}
@@ -36,11 +33,11 @@ def odrive(folder: Path, **changes: Any) -> str:
     return str(path)
 
 
-def treat(monkeypatch: pytest.MonkeyPatch, signal: str, treatment: Callable[[], None]) -> None:
+def treat(monkeypatch, signal, treatment):
     """Let a drive do something else than to take a written signal."""
     write = SimulatedDrive.write
 
-    def changed(drive: SimulatedDrive, name: str, number: float) -> None:
+    def changed(drive, name, number):
         if name == signal and number != 0.0:
             treatment()
         else:
@@ -49,12 +46,12 @@ def treat(monkeypatch: pytest.MonkeyPatch, signal: str, treatment: Callable[[], 
     monkeypatch.setattr(SimulatedDrive, "write", changed)
 
 
-def refuse() -> None:
+def refuse():
     raise RefusedError("not this one")
 
 
 @pytest.mark.parametrize("kind", WATCHED)
-def test_what_is_said_of_a_watchdog_was_read_back(kind: str, tmp_path: Path) -> None:
+def test_what_is_said_of_a_watchdog_was_read_back(kind, tmp_path):
     with Rig(kind, tmp_path, is_watchdog_required=True).begin() as bench:
         (note,) = [note for note in bench.facts.notes if "watches the daemon" in note]
         assert "100 ms" in note
@@ -63,18 +60,14 @@ def test_what_is_said_of_a_watchdog_was_read_back(kind: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("kind", WATCHED)
-def test_a_drive_that_drops_its_watchdog_without_a_word_is_refused(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drive_that_drops_its_watchdog_without_a_word_is_refused(kind, tmp_path, monkeypatch):
     treat(monkeypatch, "watchdog", lambda: None)
     with Rig(kind, tmp_path) as bench, pytest.raises(DriveError, match=f"watchdog = .*{codes.WATCHDOG_NOT_HELD}"):
         bench.drives.connect()
 
 
 @pytest.mark.parametrize("error_replies", [{}, {"error [0-9]+": "something else"}])
-def test_a_refusal_that_the_description_does_not_list_is_a_refusal(
-    error_replies: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_refusal_that_the_description_does_not_list_is_a_refusal(error_replies, tmp_path, monkeypatch):
     """Without a line that reads the watchdog, the drive's unknown line is all that tells of it."""
     messages = {"read_watchdog": None, "read_watchdog_enabled": None}
     description = odrive(
@@ -90,11 +83,9 @@ def test_a_refusal_that_the_description_does_not_list_is_a_refusal(
         bench.drives.connect()
 
 
-def test_a_watchdog_that_cannot_be_read_is_not_claimed(tmp_path: Path) -> None:
+def test_a_watchdog_that_cannot_be_read_is_not_claimed(tmp_path):
     description = odrive(
-        tmp_path,
-        messages={"read_watchdog": None, "read_watchdog_enabled": None},
-        watchdog={"signal": "watchdog"},
+        tmp_path, messages={"read_watchdog": None, "read_watchdog_enabled": None}, watchdog={"signal": "watchdog"}
     )
     with Rig("odrive", tmp_path, description=description).begin() as bench:
         (note,) = [note for note in bench.facts.notes if "without a command" in note]
@@ -103,14 +94,12 @@ def test_a_watchdog_that_cannot_be_read_is_not_claimed(tmp_path: Path) -> None:
         bench.enable()
 
 
-def test_a_register_that_the_drive_lets_nobody_read_is_not_claimed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_register_that_the_drive_lets_nobody_read_is_not_claimed(tmp_path, monkeypatch):
     with Rig("tcp", tmp_path) as bench:
         space = bench.simulated.lines[0].responder.by_address[3]
         answer = space.answer
 
-        def secretive(pdu: bytes) -> bytes:
+        def secretive(pdu):
             first, count = struct.unpack_from(">HH", pdu, 1)
             is_asked = pdu[0] == READ and first <= WATCHDOG < first + count
             return bytes((READ | 0x80, ILLEGAL_ADDRESS)) if is_asked else answer(pdu)
@@ -122,15 +111,13 @@ def test_a_register_that_the_drive_lets_nobody_read_is_not_claimed(
 
 
 @pytest.mark.parametrize("kind", WATCHED)
-def test_a_period_needs_room_for_one_exchange_of_a_step(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_period_needs_room_for_one_exchange_of_a_step(kind, tmp_path, monkeypatch):
     """A read behind the write of a step would never end within a period that has room for the step alone."""
     with Rig(kind, tmp_path).begin() as bench:
         steps: list[int] = []
         enqueue = BusScheduler.enqueue
 
-        def watched(scheduler: BusScheduler, exchanges: Sequence[Exchange], done: Any = None) -> None:
+        def watched(scheduler, exchanges, done=None):
             if done is not None:
                 steps.append(len(exchanges))
             enqueue(scheduler, exchanges, done)
@@ -141,7 +128,7 @@ def test_a_period_needs_room_for_one_exchange_of_a_step(
         assert set(steps) == {1}
 
 
-def test_a_drive_whose_watchdog_stays_off_gets_no_power(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drive_whose_watchdog_stays_off_gets_no_power(tmp_path, monkeypatch):
     """The switch is written when the drive is enabled, and read back before it gets its power."""
     treat(monkeypatch, "watchdog_enabled", lambda: None)
     with Rig("odrive", tmp_path).begin() as bench:
@@ -168,16 +155,14 @@ def test_a_drive_whose_watchdog_stays_off_gets_no_power(tmp_path: Path, monkeypa
         ("key", 100.0, 101.0, False),
     ],
 )
-def test_a_time_is_kept_within_a_tenth_and_all_else_exactly(
-    name: str, written: float, read: float, is_kept: bool
-) -> None:
+def test_a_time_is_kept_within_a_tenth_and_all_else_exactly(name, written, read, is_kept):
     description: Description = TinyDescription.model_validate(OWN)
     found = contradiction(description, {name: written}, {name: read}, (name,))
     assert (found == "") is is_kept
     assert is_kept or (name in found and f"{read:g} is read back" in found)
 
 
-def test_a_signal_that_nothing_reads_cannot_be_read_back(tmp_path: Path) -> None:
+def test_a_signal_that_nothing_reads_cannot_be_read_back(tmp_path):
     data = yaml.safe_load(Path(odrive(tmp_path, messages={"read_watchdog_enabled": None})).read_text())
     with pytest.raises(ValueError, match="nothing reads watchdog_enabled"):
         AsciiDescription.model_validate(data)

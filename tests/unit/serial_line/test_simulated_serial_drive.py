@@ -24,17 +24,17 @@ READY, ON = DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON
 STOPPING, FAULT = DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT
 
 
-def shown_state(drive: SimulatedDrive) -> DriveState:
+def shown_state(drive):
     """Return the state that the drive's numbers show to the driver."""
     return state_of(drive.description, {name: drive.read(name) for name in drive.description.units()})
 
 
-def sample(drive: SimulatedDrive, count: int = 1) -> None:
+def sample(drive, count=1):
     for _ in range(count):
         drive.sample()
 
 
-def enable(drive: SimulatedDrive) -> None:
+def enable(drive):
     if drive.description.state_machine == "cia402":
         for word in (0x06, 0x07, 0x0F):
             drive.write("control", word)
@@ -47,7 +47,7 @@ def enable(drive: SimulatedDrive) -> None:
 # Device control of CiA 402
 
 
-def test_quick_stop_comes_to_rest_and_then_ends_in_switch_on_disabled() -> None:
+def test_quick_stop_comes_to_rest_and_then_ends_in_switch_on_disabled():
     drive = make_drive(mode=Mode.CSV)
     enable(drive)
     for _ in range(200):
@@ -69,7 +69,7 @@ def test_quick_stop_comes_to_rest_and_then_ends_in_switch_on_disabled() -> None:
 # Device control by a description's own words
 
 
-def test_a_fault_is_left_by_its_own_steps_alone() -> None:
+def test_a_fault_is_left_by_its_own_steps_alone():
     drive = make_drive(OWN)
     enable(drive)
     drive.fail()
@@ -85,7 +85,7 @@ def test_a_fault_is_left_by_its_own_steps_alone() -> None:
     assert shown_state(drive) is FAULT
 
 
-def test_own_quick_stop_repeated_each_cycle_still_ramps() -> None:
+def test_own_quick_stop_repeated_each_cycle_still_ramps():
     drive = make_drive(OWN)
     enable(drive)
     for _ in range(20):
@@ -102,7 +102,7 @@ def test_own_quick_stop_repeated_each_cycle_still_ramps() -> None:
     assert shown_state(drive) is DISABLED
 
 
-def test_a_state_that_no_number_tells_is_a_mistake_of_the_description() -> None:
+def test_a_state_that_no_number_tells_is_a_mistake_of_the_description():
     states = [rule for rule in OWN["states"] if rule["state"] != "switched_on"]
     with pytest.raises(UsageError, match=r"tiny own.*switched_on.*no numbers"):
         make_drive({**OWN, "states": states})
@@ -119,7 +119,7 @@ EVENTS = st.lists(st.integers(0, 12), max_size=40)
 @pytest.mark.parametrize("kind", ["cia402", "own"])
 @settings(max_examples=60, deadline=None)
 @given(events=EVENTS)
-def test_whatever_is_written_the_numbers_tell_the_state_and_torque_needs_power(kind: str, events: list[int]) -> None:
+def test_whatever_is_written_the_numbers_tell_the_state_and_torque_needs_power(kind, events):
     drive = make_drive(CIA402 if kind == "cia402" else OWN)
     numbers = NUMBERS[kind]
     for event in events:
@@ -156,7 +156,7 @@ def test_whatever_is_written_the_numbers_tell_the_state_and_torque_needs_power(k
 # Commands
 
 
-def test_torque_is_an_offset_in_csp_and_commands_may_come_one_by_one() -> None:
+def test_torque_is_an_offset_in_csp_and_commands_may_come_one_by_one():
     apart, together = make_drive(mode=Mode.CSP), Servo(ServoConfig.model_validate(PLAIN))
     enable(apart)
     together.command(Mode.CSP, 0.0)
@@ -171,7 +171,7 @@ def test_torque_is_an_offset_in_csp_and_commands_may_come_one_by_one() -> None:
     assert apart.servo.true_position == pytest.approx(1e-4 * 48**2, abs=0.02)
 
 
-def test_what_cannot_be_written_is_refused_in_words() -> None:
+def test_what_cannot_be_written_is_refused_in_words():
     drive = make_drive()
     for name, number, text in (
         ("position", 0.0, "position cannot be written"),
@@ -186,7 +186,7 @@ def test_what_cannot_be_written_is_refused_in_words() -> None:
     assert drive.read("mode") == 9
 
 
-def test_a_mode_that_the_description_lacks_is_refused() -> None:
+def test_a_mode_that_the_description_lacks_is_refused():
     with pytest.raises(UsageError, match=r"x: tiny own has no mode csp; it has cst"):
         make_drive(OWN, Mode.CSP)
 
@@ -194,7 +194,7 @@ def test_a_mode_that_the_description_lacks_is_refused() -> None:
 # Watchdog and supply
 
 
-def enabled_with_watchdog() -> SimulatedDrive:
+def enabled_with_watchdog():
     drive = make_drive()
     drive.write("lifetime", 20)  # ms
     drive.write("lifetime_on", 1)
@@ -202,7 +202,7 @@ def enabled_with_watchdog() -> SimulatedDrive:
     return drive
 
 
-def test_silence_ends_the_torque_and_is_a_fault() -> None:
+def test_silence_ends_the_torque_and_is_a_fault():
     drive = enabled_with_watchdog()
     for _ in range(5):
         drive.write("torque_command", 100)
@@ -218,7 +218,7 @@ def test_silence_ends_the_torque_and_is_a_fault() -> None:
     assert drive.servo.torque_demand == 0.0
 
 
-def test_silence_is_measured_within_a_period() -> None:
+def test_silence_is_measured_within_a_period():
     drive = make_drive(is_synchronous=False)
     drive.write("lifetime", 20)
     drive.write("lifetime_on", 1)
@@ -232,7 +232,7 @@ def test_silence_is_measured_within_a_period() -> None:
     assert drive.servo.true_velocity == 0.0
 
 
-def test_without_supply_nothing_is_taken_and_then_all_is_as_at_first() -> None:
+def test_without_supply_nothing_is_taken_and_then_all_is_as_at_first():
     drive = enabled_with_watchdog()
     drive.write("torque_command", 200)
     sample(drive, 10)
@@ -253,21 +253,21 @@ def test_without_supply_nothing_is_taken_and_then_all_is_as_at_first() -> None:
 # Units and time
 
 
-def test_a_unit_that_nobody_explains_is_a_mistake() -> None:
+def test_a_unit_that_nobody_explains_is_a_mistake():
     description: dict[str, Any] = {**CIA402, "signals": {**CIA402["signals"], "torque": {"unit": "A"}}}
     with pytest.raises(UsageError, match=r"x: tiny 402 has its torque in A: torque_constant must be given"):
         make_drive(description)
     assert make_drive(description, torque_constant=0.1).read("torque") == 0.0
 
 
-def odrive() -> SimulatedDrive:
+def odrive():
     description = load_description("odrive", None, DESCRIPTIONS, AsciiDescription)
     servo = Servo(ServoConfig.model_validate(PLAIN))
     return SimulatedDrive("x", description, servo, Mode.CST, AxisUnits(torque_constant=0.1), STEPS_PER_MS)
 
 
 @pytest.mark.parametrize("is_switched_on", [True, False])
-def test_a_watchdog_with_a_switch_works_only_when_it_is_on_and_then_in_idle_too(is_switched_on: bool) -> None:
+def test_a_watchdog_with_a_switch_works_only_when_it_is_on_and_then_in_idle_too(is_switched_on):
     """As the description of the ODrive says, which therefore switches it off where there is no power."""
     drive = odrive()
     drive.write("watchdog", 0.02)

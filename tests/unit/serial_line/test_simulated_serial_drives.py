@@ -5,21 +5,18 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
 from friction_hil_drivers.serial_line.simulated import SerialSimulation
 from friction_hil_drivers.serial_line.simulated.server import serve
 
-from friction_hil.config import Configuration, from_dict
+from friction_hil.config import from_dict
 from friction_hil.errors import BusError, ConfigurationError, UsageError
 from tests.peers.serial_processes import free_tcp_port
 from tests.serial_bench import CIA402, LONG_S, PLAIN, Master, TinyOptions, TinySimulatedDrives
 
 
-def configuration(tmp_path: Path, axes: dict[str, dict[str, Any]], period_s: float = 1e-3) -> Configuration:
+def configuration(tmp_path, axes, period_s=1e-3):
     """Axes with the options of the made-up protocol, which no configuration file could name."""
     description = tmp_path / "tiny.yaml"
     description.write_text(json.dumps(CIA402))
@@ -53,7 +50,7 @@ def configuration(tmp_path: Path, axes: dict[str, dict[str, Any]], period_s: flo
 
 
 @contextlib.contextmanager
-def running(config: Configuration, pace: Any = "sync") -> Iterator[str]:
+def running(config, pace="sync"):
     """Drives that are served in another thread; what they say when they are ready."""
     drives = TinySimulatedDrives(config, config.axes, pace=pace)
     is_stopping = threading.Event()
@@ -71,7 +68,7 @@ def running(config: Configuration, pace: Any = "sync") -> Iterator[str]:
     assert not thread.is_alive()
 
 
-def test_several_lines_and_axes_are_served_at_once(tmp_path: Path) -> None:
+def test_several_lines_and_axes_are_served_at_once(tmp_path):
     number = free_tcp_port()
     first, second = {"port": str(tmp_path / "one")}, {"port": f"tcp://127.0.0.1:{number}"}
     config = configuration(tmp_path, {"a": {"line": first}, "b": {"line": first}, "c": {"line": second}})
@@ -89,7 +86,7 @@ def test_several_lines_and_axes_are_served_at_once(tmp_path: Path) -> None:
     assert not (tmp_path / "one").exists()
 
 
-def test_with_pace_real_a_reply_takes_what_the_wire_takes(tmp_path: Path) -> None:
+def test_with_pace_real_a_reply_takes_what_the_wire_takes(tmp_path):
     config = configuration(tmp_path, {"x": {"line": {"port": str(tmp_path / "line"), "baud": 9600}}}, period_s=0.02)
     with running(config, "real"):
         master = Master(tmp_path / "line")
@@ -103,14 +100,14 @@ def test_with_pace_real_a_reply_takes_what_the_wire_takes(tmp_path: Path) -> Non
     assert wire_s <= took_s < wire_s + LONG_S
 
 
-def test_a_clock_that_is_given_is_the_clock(tmp_path: Path) -> None:
+def test_a_clock_that_is_given_is_the_clock(tmp_path):
     config = configuration(tmp_path, {"x": {"line": {"port": str(tmp_path / "line")}}})
     drives = TinySimulatedDrives(config, config.axes, pace="real")
     drives.open()
     ticks = iter(range(0, 1_000_000_000, 100_000))
     now = 0
 
-    def clock() -> int:
+    def clock():
         nonlocal now
         now = next(ticks)
         return now
@@ -122,10 +119,10 @@ def test_a_clock_that_is_given_is_the_clock(tmp_path: Path) -> None:
         drives.close()
 
 
-def test_mistakes_are_told_and_leave_no_port_open(tmp_path: Path) -> None:
+def test_mistakes_are_told_and_leave_no_port_open(tmp_path):
     line, other = {"port": str(tmp_path / "line")}, {"port": str(tmp_path / "other")}
 
-    def opened(**axes: dict[str, Any]) -> None:
+    def opened(**axes):
         config = configuration(tmp_path, axes)
         TinySimulatedDrives(config, config.axes, pace="sync").open()
 

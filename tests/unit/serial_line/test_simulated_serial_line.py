@@ -1,10 +1,8 @@
 """A simulated line on a real pseudo-terminal, under a clock of its own: wire time, silence, faults, supply."""
 
 import select
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 from friction_hil_drivers.serial_line.options import LineOptions
@@ -35,21 +33,21 @@ class Bench:
     drive: SimulatedDrive
     responder: TinyResponder
 
-    def send(self, data: bytes, now_ns: int = 0) -> None:
+    def send(self, data, now_ns=0):
         """Put a request on the wire; it is heard at that time."""
         self.master.send(data)
         assert select.select(self.line.port.descriptors, [], [], LONG_S)[0]
         self.line.hear(now_ns)
 
-    def is_silent(self) -> bool:
+    def is_silent(self):
         return self.master.receive(1, 0.02) == b""
 
 
 @pytest.fixture
-def make_bench(tmp_path: Path) -> Iterator[Any]:
+def make_bench(tmp_path):
     open_benches: list[Bench] = []
 
-    def make(is_real: bool = True, silence_chars: float = 0.0, **faults: Any) -> Bench:
+    def make(is_real=True, silence_chars=0.0, **faults):
         options = LineOptions(port=str(tmp_path / "line"), baud=10000, turnaround_s=TURNAROUND_NS * 1e-9)
         drive = make_drive(is_synchronous=not is_real)
         responder = TinyResponder({"x": drive})
@@ -69,7 +67,7 @@ def make_bench(tmp_path: Path) -> Iterator[Any]:
 # Wire time
 
 
-def test_characters_turn_around_and_silence_take_their_time(make_bench: Any) -> None:
+def test_characters_turn_around_and_silence_take_their_time(make_bench):
     bench = make_bench(silence_chars=3.5)
     bench.send(b"?position\n", 5_000_000)
     complete = 5_000_000 + 10 * CHARACTER_NS
@@ -88,7 +86,7 @@ def test_characters_turn_around_and_silence_take_their_time(make_bench: Any) -> 
     assert bench.line.due_ns is None
 
 
-def test_what_is_left_before_a_silence_is_no_request(make_bench: Any) -> None:
+def test_what_is_left_before_a_silence_is_no_request(make_bench):
     bench = make_bench(silence_chars=3.5)
     bench.send(b"?pos", 0)
     end = 4 * CHARACTER_NS
@@ -106,7 +104,7 @@ def test_what_is_left_before_a_silence_is_no_request(make_bench: Any) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(reply=st.binary(min_size=2, max_size=40), seed=st.integers(0, 1000))
-def test_each_fault_does_what_it_is_called(reply: bytes, seed: int) -> None:
+def test_each_fault_does_what_it_is_called(reply, seed):
     assert Faults(LineFaults(seed=seed)).spoil(reply).pieces == (reply,)
     assert Faults(LineFaults(seed=seed, drop=1)).spoil(reply).pieces == ()
     late = Faults(LineFaults(seed=seed, delay=1)).spoil(reply)
@@ -124,7 +122,7 @@ def test_each_fault_does_what_it_is_called(reply: bytes, seed: int) -> None:
     assert 1 <= len(noisy) - len(reply) <= 4
 
 
-def test_a_late_reply_comes_after_its_delay_and_holds_up_no_other(make_bench: Any) -> None:
+def test_a_late_reply_comes_after_its_delay_and_holds_up_no_other(make_bench):
     bench = make_bench(delay=0.5, delay_s=0.5, seed=LATE_THEN_IN_TIME)
     bench.send(b"?error\n", 0)
     bench.line.work(7 * CHARACTER_NS)
@@ -137,7 +135,7 @@ def test_a_late_reply_comes_after_its_delay_and_holds_up_no_other(make_bench: An
 
 
 @pytest.mark.parametrize("is_real", [True, False])
-def test_a_reboot_is_silent_and_leaves_nothing(make_bench: Any, is_real: bool) -> None:
+def test_a_reboot_is_silent_and_leaves_nothing(make_bench, is_real):
     bench = make_bench(is_real=is_real, reboot_at_s=(0.1,))
     state = []
     for k in range(600):

@@ -6,12 +6,11 @@ import socket
 import termios
 import time
 import tty
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from friction_hil_drivers.serial_line.options import LineOptions
-from friction_hil_drivers.serial_line.simulated.port import Port, PtyPort, TcpPort, open_port
+from friction_hil_drivers.serial_line.simulated.port import PtyPort, TcpPort, open_port
 from pydantic import ValidationError
 
 from friction_hil.errors import BusError
@@ -19,18 +18,18 @@ from tests.peers.serial_processes import free_tcp_port
 from tests.serial_bench import LONG_S, Master
 
 
-def heard(port: Port) -> bytes | None:
+def heard(port):
     """What comes next, once it has come."""
     assert select.select(port.descriptors, [], [], LONG_S)[0]
     return port.read()
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def path(tmp_path):
     return tmp_path / "line"
 
 
-def test_bytes_pass_both_ways_as_they_are(path: Path) -> None:
+def test_bytes_pass_both_ways_as_they_are(path):
     port, master = PtyPort(path), Master(path)
     everything = bytes(range(256))
     master.send(everything)
@@ -45,7 +44,7 @@ def test_bytes_pass_both_ways_as_they_are(path: Path) -> None:
     port.close()
 
 
-def test_masters_come_and_go(path: Path) -> None:
+def test_masters_come_and_go(path):
     port = PtyPort(path)
     for _ in range(2):
         master = Master(path)
@@ -57,9 +56,7 @@ def test_masters_come_and_go(path: Path) -> None:
     port.close()
 
 
-def test_what_a_dead_master_left_unread_is_no_reply_to_the_next_one(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_dead_master_left_unread_is_no_reply_to_the_next_one(path, monkeypatch):
     now_s = 0.0
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
     port, dead, following = PtyPort(path), Master(path), Master(path)
@@ -81,7 +78,7 @@ def test_what_a_dead_master_left_unread_is_no_reply_to_the_next_one(
     port.close()
 
 
-def test_nobody_reads_and_nothing_blocks(path: Path) -> None:
+def test_nobody_reads_and_nothing_blocks(path):
     port = PtyPort(path)
     for _ in range(100):
         port.write(bytes(1000))
@@ -92,7 +89,7 @@ def test_nobody_reads_and_nothing_blocks(path: Path) -> None:
     port.close()
 
 
-def test_the_link_is_told_and_removed(path: Path) -> None:
+def test_the_link_is_told_and_removed(path):
     port = PtyPort(path)
     assert port.where == f"{path} (pseudo-terminal {os.readlink(path)})"
     port.close()
@@ -101,14 +98,14 @@ def test_the_link_is_told_and_removed(path: Path) -> None:
 
 
 @pytest.mark.parametrize("target", ["/dev/pts/99999", "nowhere"])
-def test_a_link_left_behind_is_replaced(path: Path, target: str) -> None:
+def test_a_link_left_behind_is_replaced(path, target):
     path.symlink_to(target)
     port = PtyPort(path)
     assert os.readlink(path) != target
     port.close()
 
 
-def test_a_link_left_behind_may_lead_to_a_terminal_of_somebody_else_by_now(path: Path) -> None:
+def test_a_link_left_behind_may_lead_to_a_terminal_of_somebody_else_by_now(path):
     master, slave = os.openpty()
     path.symlink_to(os.ttyname(slave))
     port = PtyPort(path)
@@ -119,7 +116,7 @@ def test_a_link_left_behind_may_lead_to_a_terminal_of_somebody_else_by_now(path:
 
 
 @pytest.mark.parametrize("kind", ["file", "directory", "link to a file", "device"])
-def test_what_is_no_such_link_stays(path: Path, kind: str) -> None:
+def test_what_is_no_such_link_stays(path, kind):
     if kind == "file":
         path.write_text("precious")
     elif kind == "directory":
@@ -135,7 +132,7 @@ def test_what_is_no_such_link_stays(path: Path, kind: str) -> None:
     assert os.path.samestat(os.lstat(path), before)
 
 
-def test_two_simulations_cannot_share_a_link(path: Path) -> None:
+def test_two_simulations_cannot_share_a_link(path):
     first = PtyPort(path)
     target = os.readlink(path)
     with pytest.raises(BusError, match="another process"):
@@ -145,7 +142,7 @@ def test_two_simulations_cannot_share_a_link(path: Path) -> None:
     PtyPort(path).close()
 
 
-def test_a_link_that_became_another_s_is_not_removed(path: Path) -> None:
+def test_a_link_that_became_another_s_is_not_removed(path):
     port = PtyPort(path)
     path.unlink()
     path.write_text("precious")
@@ -153,7 +150,7 @@ def test_a_link_that_became_another_s_is_not_removed(path: Path) -> None:
     assert path.read_text() == "precious"
 
 
-def test_a_link_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+def test_a_link_that_cannot_be_made_is_told(tmp_path):
     with pytest.raises(BusError, match=r"missing/line cannot be linked.*No such file"):
         PtyPort(tmp_path / "missing" / "line")
     (tmp_path / "missing").mkdir()
@@ -164,26 +161,26 @@ def test_a_link_that_cannot_be_made_is_told(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def address() -> str:
+def address():
     return f"tcp://127.0.0.1:{free_tcp_port()}"
 
 
 @pytest.fixture
-def tcp(address: str) -> Iterator[TcpPort]:
+def tcp(address):
     port = open_port(LineOptions(port=address))
     assert isinstance(port, TcpPort)
     yield port
     port.close()
 
 
-def connect(port: TcpPort) -> socket.socket:
+def connect(port):
     number = int(port.where.rsplit(":")[-1])
     client = socket.create_connection(("127.0.0.1", number), LONG_S)
     assert heard(port) == b""
     return client
 
 
-def test_tcp_passes_bytes_and_masters_come_and_go(tcp: TcpPort) -> None:
+def test_tcp_passes_bytes_and_masters_come_and_go(tcp):
     tcp.write(b"nobody hears this")
     for _ in range(3):
         with connect(tcp) as client:
@@ -196,7 +193,7 @@ def test_tcp_passes_bytes_and_masters_come_and_go(tcp: TcpPort) -> None:
         tcp.write(b"nobody hears this")
 
 
-def test_tcp_serves_one_master_at_a_time(tcp: TcpPort) -> None:
+def test_tcp_serves_one_master_at_a_time(tcp):
     with connect(tcp) as first:
         with connect(tcp) as second:
             second.settimeout(LONG_S)
@@ -205,7 +202,7 @@ def test_tcp_serves_one_master_at_a_time(tcp: TcpPort) -> None:
         assert heard(tcp) == b"still here"
 
 
-def test_tcp_takes_the_next_master_in_the_moment_the_last_one_goes(tcp: TcpPort) -> None:
+def test_tcp_takes_the_next_master_in_the_moment_the_last_one_goes(tcp):
     first = connect(tcp)
     first.close()
     number = int(tcp.where.rsplit(":")[-1])
@@ -218,12 +215,12 @@ def test_tcp_takes_the_next_master_in_the_moment_the_last_one_goes(tcp: TcpPort)
         assert answer == b"next"
 
 
-def test_a_port_in_use_is_told(tcp: TcpPort) -> None:
+def test_a_port_in_use_is_told(tcp):
     with pytest.raises(BusError, match=r"tcp://127\.0\.0\.1:\d+.*in use"):
         TcpPort(tcp.where)
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:0", "tcp://127.0.0.1", "tcp://:5020", "tcp://127.0.0.1:66000"])
-def test_what_is_no_address_is_refused(address: str) -> None:
+def test_what_is_no_address_is_refused(address):
     with pytest.raises(ValidationError, match="is no tcp://HOST:PORT"):
         LineOptions(port=address)

@@ -16,7 +16,7 @@ MOST = 16  # of numbers in the rules below: whatever they tell apart shows withi
 
 
 @st.composite
-def rules(draw: st.DrawFn) -> Rule:
+def rules(draw):
     number = draw(st.integers(0, MOST - 1))
     mask = draw(st.none() | st.integers(1, MOST - 1))
     value = number if mask is None else number & mask
@@ -30,7 +30,7 @@ def rules(draw: st.DrawFn) -> Rule:
     )
 
 
-def first(given_rules: list[Rule], numbers: dict[str, float]) -> DriveState | None:
+def first(given_rules, numbers):
     """State that the rules tell."""
     for rule in given_rules:
         if rule.fits(numbers.get(rule.signal, 0.0)):
@@ -40,7 +40,7 @@ def first(given_rules: list[Rule], numbers: dict[str, float]) -> DriveState | No
 
 @settings(max_examples=100, deadline=None)
 @given(given_rules=st.lists(rules(), min_size=1, max_size=5), name=st.sampled_from(NAMES))
-def test_numbers_are_found_where_there_are_any(given_rules: list[Rule], name: str) -> None:
+def test_numbers_are_found_where_there_are_any(given_rules, name):
     numbers = telling_numbers(given_rules, STATES[name], {})
     if numbers is not None:
         assert numbers.keys() == {rule.signal for rule in given_rules}
@@ -50,7 +50,7 @@ def test_numbers_are_found_where_there_are_any(given_rules: list[Rule], name: st
         assert first(given_rules, {"status": status, "error": error}) is not STATES[name]
 
 
-def test_preferred_numbers_go_first_where_they_do() -> None:
+def test_preferred_numbers_go_first_where_they_do():
     is_broken = Rule(state="fault", signal="error", value_not=0)
     assert telling_numbers([is_broken], DriveState.FAULT, {"error": (0, 77)}) == {"error": 77.0}
     bit = Rule(state="fault", signal="error", mask=0x100, value=0x100)
@@ -58,6 +58,6 @@ def test_preferred_numbers_go_first_where_they_do() -> None:
 
 
 @pytest.mark.parametrize(("written", "is_match"), [(0.1, True), (0.10000000149, True), (0.1001, False)])
-def test_numbers_match_as_exactly_as_the_line_can_say_them(written: float, is_match: bool) -> None:
+def test_numbers_match_as_exactly_as_the_line_can_say_them(written, is_match):
     assert matches({"a": 0.1}, {"a": written, "b": 1.0}) is is_match
     assert not matches({"a": 0.1, "c": 0.0}, {"a": written})
