@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from friction_hil_drivers.serial_line.description import Description, Signal
-from friction_hil_drivers.serial_line.options import SerialOptions
-from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive, SimulatedSerialDrives
+from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
 from friction_hil_drivers.serial_line.units import AxisUnits
 
 from friction_hil.drive import Mode
@@ -139,37 +138,6 @@ class TinyResponder:
 
     def forget(self) -> None:
         self.silences += 1
-
-
-class TinyProtocol:
-    """Driver's end of it, as far as a simulation asks."""
-
-    silence_chars = 0.0
-
-    def __init__(self, descriptions: Any, options: Any, images: Any) -> None:
-        pass
-
-    def plan(self, wanted: Any) -> Any:
-        raise NotImplementedError
-
-    def read(self, axis: str, names: Any) -> Any:
-        raise NotImplementedError
-
-    def write(self, axis: str, names: Any) -> Any:
-        raise NotImplementedError
-
-
-class TinyOptions(SerialOptions):
-    @property
-    def address(self) -> str:
-        return "the only one"
-
-
-class TinySimulatedDrives(SimulatedSerialDrives):
-    description_type = TinyDescription
-    descriptions = Path("nowhere")
-    responder = TinyResponder
-    protocol = TinyProtocol
 
 
 class Master:

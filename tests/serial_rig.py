@@ -205,10 +205,17 @@ class Bench:
     def is_finished(self):
         return not self.scheduler.queue and not self.scheduler.outstanding
 
-    def ask(self, name="position", done=None):
-        exchange = Ask(self.image, name)
-        self.scheduler.enqueue((exchange,), done)
-        return exchange
+    def say(self, *exchanges, done=None):
+        self.scheduler.enqueue(exchanges, done)
+
+    def ask(self, name="position", drive="a drive", done=None):
+        self.say(Ask(self.image, name, drive), done=done)
+
+    def miss(self, name, drive):
+        """A cycle in which a drive does not reply."""
+        self.ask(name, drive)
+        self.go(5.0)
+        self.scheduler.end_cycle()
 
     def go(self, ms=10.0, each=0.1):
         """Let time pass, working whenever there is something to do."""
@@ -260,26 +267,30 @@ def port_of(kind, tmp_path):
     return f"tcp://127.0.0.1:{free_tcp_port()}"
 
 
+def serial_configuration(kind, axes):
+    """A configuration of axes of a kind in CST; ``axes`` has their lines and what is special about them."""
+    base = {**axis_dict(mode="cst", controller=CONTROLLER), **KINDS[kind], "simulation": {}}
+    del base["node"]
+    return configuration(**{name: {**base, **given} for name, given in axes.items()})
+
+
 class Rig:
     """An axis in CST with its simulated drive."""
 
     def __init__(self, kind, tmp_path, *, dry_run=False, faults=None, **changes):
         given = {
-            **KINDS[kind],
             "line": {"port": port_of(kind, tmp_path), **FAST_LINE},
             "is_watchdog_required": False,
             "simulation": {"line": faults or {}},
             **changes,
         }
-        self._set_up(given["driver"], {"x": given}, dry_run=dry_run)
+        self._set_up(kind, {"x": given}, dry_run=dry_run)
         self.feedback, self.command = Feedback(), Command()
 
-    def _set_up(self, driver, axes, *, dry_run=False):
-        base = axis_dict(mode="cst", controller=CONTROLLER)
-        del base["node"]
-        self.config = configuration(**{name: {**base, **given} for name, given in axes.items()})
+    def _set_up(self, kind, axes, *, dry_run=False):
+        self.config = serial_configuration(kind, axes)
         self.clock = SteppedClock()
-        self.driver, simulated = PROTOCOLS[driver]
+        self.driver, simulated = PROTOCOLS[KINDS[kind]["driver"]]
         self.simulated = simulated(self.config, self.config.axes, pace="sync")
         self.simulated.open()
         self._is_stopping = threading.Event()

@@ -6,49 +6,15 @@ from random import Random
 import pytest
 from friction_hil_drivers.modbus.codec import ModbusExchange
 from friction_hil_drivers.modbus.description import DESCRIPTIONS, ModbusDescription
-from friction_hil_drivers.modbus.driver import ModbusLine
 from friction_hil_drivers.modbus.options import ModbusOptions
 from friction_hil_drivers.serial_line.description import load_description, ready
-from friction_hil_drivers.serial_line.protocol import FAST, SLOW, CycleSignals, Image
+from friction_hil_drivers.serial_line.protocol import FAST, SLOW, CycleSignals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from friction_hil.errors import ConfigurationError, UsageError
-
-SIGNALS = {
-    "status": {"address": 0x10, "type": "uint16"},
-    "torque": {"address": 0x11, "unit": "per_mille"},
-    "position": {"address": 0x12, "type": "int32", "unit": "count"},
-    "velocity": {"address": 0x14, "type": "int32", "unit": "count/s"},
-    "error": {"address": 0x18, "type": "uint16"},
-    "control": {"address": 0x20, "type": "uint16"},
-    "torque_command": {"address": 0x30, "unit": "per_mille"},
-    "position_command": {"address": 0x31, "type": "int32", "unit": "count"},
-}
-KEYS = {
-    "version": 1,
-    "name": "drive under test",
-    "protocol": "modbus",
-    "sources": ["this test"],
-    "state_machine": "cia402",
-    "word_order": "big",
-    "modes": {"cst": {"commands": ["torque_command"]}},
-    "signals": SIGNALS,
-}
-CSP = ("torque_command", "position_command")
-
-
-def described(changed=None, **keys):
-    """The map above with some signals changed, and other keys; a signal of None is left out."""
-    signals = {name: signal for name, signal in {**SIGNALS, **(changed or {})}.items() if signal is not None}
-    return ModbusDescription.model_validate(KEYS | {"signals": signals} | keys)
-
-
-def on_line(description, **line):
-    options = ModbusOptions.model_validate({"line": {"port": "/dev/x"} | line, "description": "x", "unit": 1})
-    image = Image()
-    return ModbusLine({"a": description}, {"a": options}, {"a": image}), image
+from tests.unit.modbus.test_modbus_codec import CSP, SIGNALS, TCP, described, on_line, with_crc
 
 
 def planned(description, commands=("torque_command",)):
@@ -69,80 +35,74 @@ class TestMistakes:
         [
             ({"torque": {"address": 1, "type": "bool"}}, {}, "torque is bool in holding"),
             ({"torque": {"address": 1, "function": "coil"}}, {}, "torque is int16 in coil"),
-            ({"position": {"address": 65535, "type": "int32", "unit": "count"}}, {}, "position does not end before"),
-            ({}, {"word_order": None}, "position has 32 bits: give word_order"),
-            ({"torque_command": {"address": 1, "function": "input"}}, {}, "torque_command is written, so it can be"),
-            ({"status": {"address": 0x20, "type": "uint16"}}, {}, "writing control .0020h. would overwrite status"),
-            ({"error": {"address": 0x32}}, {"modes": {"csp": {"commands": CSP}}}, "would overwrite error .0032h."),
-            ({"error": {"address": 0x31}}, {"alignment": 2, "write_functions": [16]}, "would overwrite error"),
-            ({}, {"alignment": 2, "write_functions": [6]}, "torque_command is written, which takes function 16"),
-            ({}, {"write_functions": [5]}, "control is written, which takes function 6 or 16"),
+            ({"position": {"address": 65535, "type": "int32", "unit": "count"}}, {}, "position does not end"),
+            ({}, {"word_order": None}, "position .*word_order"),
+            ({"torque_command": {"address": 1, "function": "input"}}, {}, "torque_command is written"),
+            ({"status": {"address": 0x20, "type": "uint16"}}, {}, "control .0020h.*status"),
+            ({"error": {"address": 0x32}}, {"modes": {"csp": {"commands": CSP}}}, "error .0032h."),
+            ({"error": {"address": 0x31}}, {"alignment": 2, "write_functions": [16]}, "overwrite error"),
+            ({}, {"alignment": 2, "write_functions": [6]}, "torque_command .* function 16"),
+            ({}, {"write_functions": [5]}, "control .*function 6 or 16"),
             ({}, {"modes": {"csp": {"commands": CSP}}, "write_functions": [6]}, "position_command .* function 16;"),
             (
                 {"brake": {"address": 1, "type": "bool", "function": "coil"}},
                 {"prepare": [{"write": {"brake": 1}}]},
-                "brake is written, which takes function 5 or 15; write_functions does not have it",
+                "brake .*function 5 or 15",
             ),
             ({}, {"prepare": [{"write": {"control": 0, "torque_command": 0}}]}, r"prepare\.0\s+writes .* side by side"),
-            ({"torque": {"address": 0x13}}, {}, r"signals\.position\s+position .2 registers at 0012h. reaches into"),
-            (
-                {},
-                {"prepare": [{"write": {"control": 70000}}]},
-                r"prepare\.0\.write\.control\s+control takes .* to 65535",
-            ),
-            ({}, {"prepare": [{"write": {"control": -1}}]}, "control takes whole numbers from 0 to 65535, not -1"),
+            ({"torque": {"address": 0x13}}, {}, r"signals\.position\s+position .*0012h. .*torque"),
+            ({}, {"prepare": [{"write": {"control": 70000}}]}, r"prepare\.0\.write\.control\s+control .* to 65535"),
+            ({}, {"prepare": [{"write": {"control": -1}}]}, "control .*from 0 to 65535, not -1"),
             ({}, {"prepare": [{"write": {"control": 0.5}}]}, "control takes whole numbers"),
-            ({"position": None}, {}, "there is no signal position"),
+            ({"position": None}, {}, "signal position"),
+            ({"torque": {"address": 1, "adress": 2}}, {}, "adress"),
+            ({"torque": {"address": 1, "register": 2}}, {}, "register"),
         ],
     )
     def test_are_told(self, changed, keys, text):
         with pytest.raises(ValidationError, match=text):
             described(changed, **keys)
 
-    @pytest.mark.parametrize("key", ["adress", "register"])
-    def test_unknown_keys_are_told(self, key):
-        with pytest.raises(ValidationError, match=key):
-            described({"torque": {"address": 1, key: 2}})
-
-    def test_are_told_with_their_line(self, tmp_path):
+    @pytest.mark.parametrize(
+        ("replaced", "expected"),
+        [
+            ({"0x3700, type: int32": "0x3700, type: int33"}, [("0x3700", "int32")]),
+            (
+                {"mode: 4": "mode: 40000", "word_order: little\n": "\n"},
+                [("mode: 40000", "to 32767, not 40000"), ("velocity:", "word_order")],
+            ),
+        ],
+    )
+    def test_are_told_with_their_line(self, tmp_path, replaced, expected):
         text = (DESCRIPTIONS / "kinco_fd5p.yaml").read_text()
+        for before, after in replaced.items():
+            text = text.replace(before, after)
         path = tmp_path / "mine.yaml"
-        path.write_text(text.replace("0x3700, type: int32", "0x3700, type: int33"))
-        with pytest.raises(ConfigurationError, match=r"int32") as error:
-            load_description(str(path), None, DESCRIPTIONS, ModbusDescription)
-        lines = path.read_text().splitlines()
-        line = error.value.problems[0].line
-        assert line is not None
-        assert "0x3700" in lines[line - 1]
-
-    def test_contradictions_are_told_with_their_line(self, tmp_path):
-        text = (DESCRIPTIONS / "kinco_fd5p.yaml").read_text()
-        path = tmp_path / "mine.yaml"
-        path.write_text(text.replace("mode: 4", "mode: 40000").replace("word_order: little\n", "\n"))
+        path.write_text(text)
         with pytest.raises(ConfigurationError) as error:
             load_description(str(path), None, DESCRIPTIONS, ModbusDescription)
-        lines = path.read_text().splitlines()
-        reported = [(lines[each.line - 1].strip(), each.message) for each in error.value.problems if each.line]
-        assert any("mode: 40000" in line and "-32768 to 32767, not 40000" in message for line, message in reported)
-        assert any(line.startswith("velocity:") and "give word_order" in message for line, message in reported)
+        lines = text.splitlines()
+        told = [(lines[each.line - 1], each.message) for each in error.value.problems if each.line]
+        for line, words in expected:
+            assert any(line in shown and words in message for shown, message in told), told
 
     def test_32_bits_may_bring_their_own_order(self):
-        wide = {
-            name: signal | {"word_order": "little"} for name, signal in SIGNALS.items() if signal.get("type") == "int32"
-        }
-        description = described(wide, word_order=None)
-        assert description.field("position").word_order == "little"
+        wide = {name: {**each, "word_order": "little"} for name, each in SIGNALS.items() if each.get("type") == "int32"}
+        assert described(wide, word_order=None).field("position").word_order == "little"
 
 
 class TestOptions:
-    @pytest.mark.parametrize(("unit", "port"), [(0, "/dev/x"), (248, "/dev/x"), (256, "tcp://localhost:502")])
-    def test_units_that_do_not_exist(self, unit, port):
+    @pytest.mark.parametrize(
+        ("unit", "port", "is_right"),
+        [(0, "/dev/x", False), (248, "/dev/x", False), (256, TCP, False), (255, TCP, True)],  # 255: the device itself
+    )
+    def test_units_that_exist(self, unit, port, is_right):
+        given = {"line": {"port": port}, "description": "x", "unit": unit}
+        if is_right:
+            assert ModbusOptions.model_validate(given).address == f"unit {unit}"
+            return
         with pytest.raises(ValidationError, match="unit"):
-            ModbusOptions.model_validate({"line": {"port": port}, "description": "x", "unit": unit})
-
-    def test_the_device_itself_on_tcp(self):
-        given = {"line": {"port": "tcp://localhost:502"}, "description": "x", "unit": 255}
-        assert ModbusOptions.model_validate(given).address == "unit 255"
+            ModbusOptions.model_validate(given)
 
 
 class TestReady:
@@ -162,8 +122,6 @@ class TestReady:
 
     def test_families(self):
         assert set(ready(DESCRIPTIONS)) >= {"kinco_fd5p", "ezmotion_mms7", "nanotec_n5", "generic_cia402"}
-
-    def test_unknown_name(self):
         with pytest.raises(UsageError, match="kinco_fd5p"):
             load_description("kinco", None, DESCRIPTIONS, ModbusDescription)
 
@@ -174,27 +132,28 @@ class TestReady:
 
 
 class TestPlan:
-    def test_contiguous_signals_are_read_together_and_commands_written_together(self):
-        poll, background, push = labels(planned(described(), CSP))
-        assert poll == ["read 6 registers at 0010h"]
-        assert background == ["read 1 register at 0018h"]
-        assert push == ["write 3 registers at 0030h"]
-
-    def test_unused_registers_are_read_over_where_the_drive_does_not_mind(self):
-        poll, background, _ = labels(planned(described(max_gap_registers=2)))
-        assert poll == ["read 9 registers at 0010h"]
-        assert background == []
-        assert labels(planned(described(max_gap_registers=1)))[1] == ["read 1 register at 0018h"]
-
-    def test_what_is_slow_may_join_what_is_fast(self):
-        changed = {"velocity": {"address": 0x15, "type": "int32", "unit": "count/s"}, "error": {"address": 0x14}}
-        poll, background, _ = labels(planned(described(changed)))
-        assert (poll, background) == (["read 7 registers at 0010h"], [])
-
-    def test_what_is_slow_does_not_cost_a_poll(self):
-        poll, background, _ = labels(planned(described(max_read_registers=4)))
-        assert poll == ["read 4 registers at 0012h"]
-        assert background == ["read 2 registers at 0010h", "read 1 register at 0018h"]
+    @pytest.mark.parametrize(
+        ("changed", "keys", "poll", "background"),
+        [
+            ({}, {}, ["read 6 registers at 0010h"], ["read 1 register at 0018h"]),
+            ({}, {"max_gap_registers": 1}, ["read 6 registers at 0010h"], ["read 1 register at 0018h"]),
+            ({}, {"max_gap_registers": 2}, ["read 9 registers at 0010h"], []),
+            (
+                {"velocity": {"address": 0x15, "type": "int32", "unit": "count/s"}, "error": {"address": 0x14}},
+                {},
+                ["read 7 registers at 0010h"],  # what is slow joins what is fast
+                [],
+            ),
+            (
+                {},
+                {"max_read_registers": 4},
+                ["read 4 registers at 0012h"],  # and does not cost a poll
+                ["read 2 registers at 0010h", "read 1 register at 0018h"],
+            ),
+        ],
+    )
+    def test_what_lies_side_by_side_goes_together(self, changed, keys, poll, background):
+        assert labels(planned(described(changed, **keys), CSP)) == [poll, background, ["write 3 registers at 0030h"]]
 
     def test_function_23_writes_while_it_reads(self):
         plan = planned(described(read_write_multiple=True), CSP)
@@ -239,7 +198,7 @@ class TestPlan:
         assert on_line(described())[0].silence_chars == 3.5
         # ten bits at 9600 baud take 1.04 ms
         assert on_line(described(silence_s=0.01), baud=9600)[0].silence_chars == pytest.approx(9.6)
-        assert on_line(described(silence_s=0.01), port="tcp://localhost:502")[0].silence_chars == 0.0
+        assert on_line(described(silence_s=0.01), TCP)[0].silence_chars == 0.0
 
 
 def slave(memory):
@@ -260,23 +219,14 @@ def slave(memory):
     return answer
 
 
-def crc(frame):
-    value = 0xFFFF
-    for byte in frame:
-        value ^= byte
-        for _ in range(8):
-            value = (value >> 1) ^ 0xA001 if value & 1 else value >> 1
-    return frame + struct.pack("<H", value)
-
-
 def exchange(request, memory, most):
     sent = request.encode()
     assert len(sent) == request.request_size
-    assert crc(sent[:-2]) == sent
+    assert with_crc(sent[:-2]) == sent
     counts = [1 if sent[1] == 6 else int.from_bytes(sent[4:6], "big")]
     counts += [int.from_bytes(sent[8:10], "big")] if sent[1] == 23 else []
     assert max(counts) <= most
-    reply = bytearray(crc(slave(memory)(sent)))
+    reply = bytearray(with_crc(slave(memory)(sent)))
     assert len(reply) == request.reply_size
     assert request.take(reply)
     assert not reply

@@ -1,26 +1,19 @@
 """The drives' end of Modbus in the simulation, on bytes: known frames, pymodbus' own requests, the driver's codec."""
 
 import struct
-from typing import cast
 
 import pytest
-from friction_hil_drivers.modbus.description import ModbusDescription
 from friction_hil_drivers.modbus.options import ModbusOptions
 from friction_hil_drivers.modbus.simulated import ModbusResponder
-from friction_hil_drivers.serial_line.simulated.drive import RefusedError, SimulatedDrive
+from friction_hil_drivers.serial_line.simulated.drive import RefusedError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU, FramerSocket
-from pymodbus.pdu import DecodePDU, ExceptionResponse
-from pymodbus.pdu.register_message import (
-    ReadHoldingRegistersRequest,
-    ReadHoldingRegistersResponse,
-    ReadWriteMultipleRegistersRequest,
-    WriteMultipleRegistersRequest,
-    WriteSingleRegisterRequest,
-)
+from pymodbus.pdu import DecodePDU
 
-RTU, TCP = "/dev/ttyUSB0", "tcp://127.0.0.1:502"
+from tests.unit.modbus.test_modbus_codec import RTU, TCP
+from tests.unit.modbus.test_modbus_codec import described as described_as
+
 SIGNALS = {
     "status": {"address": 0, "type": "uint16"},
     "torque": {"address": 1, "unit": "per_mille"},
@@ -60,22 +53,10 @@ class Drive:
         self.events.append("sample")
 
 
-def described(**keys):
-    return ModbusDescription.model_validate(
-        {
-            "version": 1,
-            "name": "drive under test",
-            "protocol": "modbus",
-            "sources": ["this test"],
-            "state_machine": "cia402",
-            "word_order": "big",
-            "modes": {"csp": {"commands": ["torque_command", "position_command"]}},
-            "signals": SIGNALS,
-            "write_functions": [5, 6, 15, 16],
-            "read_write_multiple": True,
-        }
-        | keys
-    )
+def described(signals=SIGNALS, **keys):
+    csp = {"csp": {"commands": ["torque_command", "position_command"]}}
+    given_keys = {"write_functions": [5, 6, 15, 16], "read_write_multiple": True, "modes": csp, **keys}
+    return described_as(signals, is_whole=True, **given_keys)
 
 
 class Bench:
@@ -84,13 +65,13 @@ class Bench:
     def __init__(self, port=RTU, **keys):
         self.drive, self.other = Drive(), Drive()
         description = described(**keys)
-        self.options = {
+        options = {
             axis: ModbusOptions.model_validate({"line": {"port": port}, "description": "x", "unit": unit})
             for axis, unit in (("a", 1), ("b", 2))
         }
-        self.descriptions = {"a": description, "b": description}
-        drives = cast("dict[str, SimulatedDrive]", {"a": self.drive, "b": self.other})
-        self.responder = ModbusResponder(drives, self.descriptions, self.options)
+        self.responder = ModbusResponder(
+            {"a": self.drive, "b": self.other}, dict.fromkeys(options, description), options
+        )
         self.framer = (FramerSocket if port == TCP else FramerRTU)(DecodePDU(False))
 
     def answer(self, pdu, unit=1):
@@ -105,15 +86,6 @@ class Bench:
         assert (used, replying) == (len(reply), unit)
         assert transaction in (0, 7)
         return data.hex(" ")
-
-    def ask(self, request):
-        """What pymodbus makes of the answer to its own request."""
-        request.dev_id, request.transaction_id = 1, 9
-        reply = self.responder.take(bytearray(self.framer.buildFrame(request)))
-        assert reply
-        _, response = self.framer.handleFrame(reply, 1, 9)
-        assert response is not None
-        return response
 
 
 @pytest.fixture(params=[RTU, TCP])
@@ -137,14 +109,8 @@ class TestKnownFrames:
         assert bench.answer("10 01 02 00 02 04 00 0A 01 02") == "10 01 02 00 02"
         assert bench.answer("05 00 AC FF 00") == "05 00 ac ff 00"
         assert bench.answer("0F 00 AC 00 02 01 02") == "0f 00 ac 00 02"
-        wanted = [
-            ("control", 3.0),
-            ("position_command", float(0xA0102)),
-            ("brake", 1.0),
-            ("brake", 0.0),
-            ("light", 1.0),
-        ]
-        assert bench.drive.written == wanted
+        wanted = [("control", 3.0), ("position_command", float(0xA0102))]
+        assert bench.drive.written == [*wanted, ("brake", 1.0), ("brake", 0.0), ("light", 1.0)]
 
     def test_function_23_passes_a_period_then_writes_then_reads(self, bench):
         assert bench.answer("17 00 02 00 04 01 01 00 01 02 00 2A").startswith("17 08")
@@ -228,16 +194,14 @@ class TestNumbers:
 
 
 class TestLine:
-    def test_who_is_not_meant_is_silent(self, bench):
+    def test_only_who_is_meant_answers_and_a_broadcast_is_obeyed_in_silence(self, bench):
         assert bench.answer("03 00 00 00 01", unit=3) == ""
         assert bench.answer("06 01 01 00 09", unit=2) == "06 01 01 00 09"
         assert bench.drive.events == []
         assert bench.other.written == [("torque_command", 9.0)]
-
-    def test_broadcast_is_obeyed_in_silence(self):
-        bench = Bench()
-        assert bench.answer("06 01 01 00 09", unit=0) == ""
-        assert bench.drive.written == bench.other.written == [("torque_command", 9.0)]
+        rtu = Bench()
+        assert rtu.answer("06 01 01 00 09", unit=0) == ""
+        assert rtu.drive.written == rtu.other.written == [("torque_command", 9.0)]
 
     def test_a_wrong_crc_gets_no_reply(self):
         bench = Bench()
@@ -250,21 +214,18 @@ class TestLine:
     @pytest.mark.parametrize(
         "pdu", ["03 00 00 00 02", "17 00 02 00 04 01 01 00 01 02 00 2A", "10 01 01 00 01 02 00 07"]
     )
-    def test_requests_may_come_in_two_pieces(self, bench, pdu):
+    def test_requests_may_come_in_two_pieces_and_are_taken_one_at_a_time(self, bench, pdu):
         frame = bench.framer.encode(bytes.fromhex(pdu), 1, 7)
-        whole = bench.responder.take(bytearray(frame))
+        received = bytearray(2 * frame)
+        whole = bench.responder.take(received)
+        assert whole
+        assert received == frame
         for at in range(1, len(frame)):
             received = bytearray(frame[:at])
             assert bench.responder.take(received) is None
             assert received == frame[:at]
             received += frame[at:]
             assert bench.responder.take(received) == whole
-
-    def test_one_request_is_taken_at_a_time(self, bench):
-        frame = bench.framer.encode(bytes.fromhex("03 00 00 00 01"), 1, 7)
-        received = bytearray(2 * frame)
-        assert bench.responder.take(received)
-        assert received == frame
 
     @settings(max_examples=300, deadline=None)
     @given(data=st.binary(max_size=80), port=st.sampled_from([RTU, TCP]))
@@ -290,21 +251,3 @@ class TestLine:
         assert bool(reply) == (unit != 0)
         if reply:
             assert reply[7] in (function, function | 0x80)
-
-
-class TestPymodbus:
-    """Requests and replies of pymodbus' client side."""
-
-    def test_reads_and_writes(self, bench):
-        assert not bench.ask(WriteMultipleRegistersRequest(address=0x101, registers=[5, 0, 6])).isError()
-        assert not bench.ask(WriteSingleRegisterRequest(address=0x100, registers=[15])).isError()
-        read = bench.ask(ReadHoldingRegistersRequest(address=0x100, count=4))
-        assert isinstance(read, ReadHoldingRegistersResponse)
-        assert list(read.registers) == [15, 5, 0, 6]
-        both = bench.ask(ReadWriteMultipleRegistersRequest(0x100, 2, 0x101, [77]))
-        assert list(both.registers) == [15, 77]
-
-    def test_refusals(self, bench):
-        reply = bench.ask(ReadHoldingRegistersRequest(address=0x50, count=1))
-        assert isinstance(reply, ExceptionResponse)
-        assert reply.exception_code == 2

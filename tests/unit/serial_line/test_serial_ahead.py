@@ -11,9 +11,7 @@ from tests.serial_rig import Ahead, Ask, Bench, Push, Word
 
 def test_requests_whose_replies_differ_go_out_together_and_are_answered_in_order():
     bench = Ahead()
-    bench.scheduler.enqueue((bench.one, bench.three))
-    bench.scheduler.poll()
-    assert bench.line.sent == [b"a?abc?"]
+    assert said(bench, bench.one, bench.three) == [b"a?abc?"]
     bench.line.arrived = b"a 1;ab"
     bench.scheduler.poll()
     assert (bench.image.fresh, bench.is_finished) == ({"a"}, False)
@@ -25,30 +23,28 @@ def test_requests_whose_replies_differ_go_out_together_and_are_answered_in_order
 
 def test_requests_whose_replies_look_alike_wait_for_each_other():
     bench = Ahead(a=b"a 1;", b=b"b 2;")
-    bench.scheduler.enqueue((bench.one, bench.other))
-    bench.scheduler.poll()
-    assert bench.line.sent == [b"a?"]
+    assert said(bench, bench.one, bench.other) == [b"a?"]
     bench.scheduler.poll()
     assert bench.line.sent == [b"a?", b"b?"]
 
 
-def test_no_more_is_sent_ahead_than_the_drive_takes_in():
-    bench = Ahead(chars=5)
-    bench.scheduler.enqueue((bench.one, bench.three))
-    bench.scheduler.poll()
-    assert bench.line.sent == [b"a?"]
+@pytest.mark.parametrize(("chars", "is_joint"), [(5, False), (len("a?abc?"), True)])
+def test_as_much_is_sent_ahead_as_the_drive_takes_in(chars, is_joint):
+    bench = Ahead(chars=chars)
+    assert said(bench, bench.one, bench.three) == [b"a?abc?" if is_joint else b"a?"]
+
+
+def test_what_the_drive_has_not_looked_at_yet_counts():
     bench = Ahead(chars=5)
     bench.image.values["t"] = 0.0
-    bench.scheduler.enqueue((Push(bench.image, "t"), bench.one, Word(bench.image, "abc")))
-    bench.scheduler.poll()
-    assert bench.line.sent == [b"t=0;a?"], "what the drive has not looked at yet counts"
+    assert said(bench, Push(bench.image, "t"), bench.one, Word(bench.image, "abc")) == [b"t=0;a?"]
 
 
 def test_a_request_of_the_next_cycle_may_follow_one_that_is_not_answered_yet():
     bench = Ahead()
-    bench.scheduler.enqueue((bench.three,))
+    bench.say(bench.three)
     bench.scheduler.flush()
-    bench.scheduler.enqueue((bench.one,))
+    bench.say(bench.one)
     bench.scheduler.poll()
     assert bench.line.sent == [b"abc?", b"a?"]
     bench.line.arrived = b"abc 3;a 1;"
@@ -65,7 +61,7 @@ def test_of_requests_sent_together_no_late_reply_is_taken_for_a_present_one(firs
     for cycle, count in enumerate((first_cycle, second_cycle)):
         bench.image.fresh.clear()
         sent = len(bench.line.sent)
-        bench.scheduler.enqueue((bench.one, bench.three))
+        bench.say(bench.one, bench.three)
         bench.go(1.0)
         if cycle:
             bench.line.arrived += b"".join(replies[0][min(first_cycle, 2) :])
@@ -81,7 +77,7 @@ def test_of_requests_sent_together_no_late_reply_is_taken_for_a_present_one(firs
 
 def test_after_a_broken_reply_the_other_ones_still_count():
     bench = Ahead()
-    bench.scheduler.enqueue((bench.one, bench.three))
+    bench.say(bench.one, bench.three)
     bench.scheduler.poll()
     bench.line.arrived = b"xx 1;abc 3;"
     bench.scheduler.poll()
@@ -95,18 +91,18 @@ def test_a_refused_command_without_a_reply_counts_as_refused(comes):
     bench.image.values["torque"] = 0.1
     for count in range(1, 4):
         bench.image.fresh.clear()
-        bench.scheduler.enqueue((Push(bench.image, "torque"),))
+        bench.say(Push(bench.image, "torque"))
         bench.scheduler.flush()
         if comes == "before the next request":
             bench.line.arrived += b"!;"
-        bench.scheduler.enqueue((bench.one,))
+        bench.say(bench.one)
         bench.scheduler.poll()
         bench.line.arrived += (b"!;" if comes == "before its reply" else b"") + b"a 1;"
         bench.scheduler.poll()
         assert bench.image.fresh == {"a"}, "the reply proper is not lost"
         assert bench.scheduler.refusals.count == count
         assert bench.scheduler.last_error == "pushing torque: the drive refuses"
-    bench.scheduler.enqueue((Push(bench.image, "torque"), bench.one))
+    bench.say(Push(bench.image, "torque"), bench.one)
     bench.scheduler.poll()
     bench.line.arrived += b"a 1;"
     bench.scheduler.poll()
@@ -115,7 +111,7 @@ def test_a_refused_command_without_a_reply_counts_as_refused(comes):
 
 def test_an_error_is_that_of_the_request_where_nothing_was_commanded_before():
     bench = Ahead()
-    bench.scheduler.enqueue((bench.one,))
+    bench.say(bench.one)
     bench.scheduler.poll()
     bench.line.arrived += b"!;"
     bench.scheduler.poll()
@@ -125,11 +121,11 @@ def test_an_error_is_that_of_the_request_where_nothing_was_commanded_before():
 
 def test_while_a_drive_owes_a_reply_what_has_to_wait_for_it_is_not_sent_later():
     bench = Ahead()
-    bench.scheduler.enqueue((bench.one,))
+    bench.say(bench.one)
     bench.go(1.0)
     bench.scheduler.end_cycle()
     bench.image.values["torque"] = 0.1
-    bench.scheduler.enqueue((Push(bench.image, "torque"), bench.three))
+    bench.say(Push(bench.image, "torque"), bench.three)
     bench.scheduler.flush()
     assert not bench.scheduler.queue
     assert bench.line.sent == [b"a?", b"torque=0.1;"]
@@ -144,17 +140,10 @@ def test_requests_are_said_at_once_only_where_no_silence_has_to_pass_between_the
         assert bench.scheduler.sent == set(commands if is_joint else commands[:1])
 
 
-def test_as_much_is_sent_ahead_as_the_drive_takes_in():
-    bench = Ahead(chars=len("a?abc?"))
-    bench.scheduler.enqueue((bench.one, bench.three))
-    bench.scheduler.poll()
-    assert bench.line.sent == [b"a?abc?"]
-
-
 def broken(bench, noisy_ms=0.0):
     """After a broken reply, and bytes that came for so long; then the line is quiet."""
     bench.image.values["t"] = 0.0
-    bench.scheduler.enqueue((bench.one,))
+    bench.say(bench.one)
     bench.scheduler.poll()
     bench.line.arrived += b"xx 1;"
     for _ in range(round(10.0 * noisy_ms)):
@@ -210,7 +199,7 @@ def test_on_a_line_that_never_was_quiet_requests_go_together_but_not_behind_a_co
 @pytest.mark.parametrize(("is_noisy", "is_command"), [(False, False), (False, True), (True, False), (True, True)])
 def test_while_a_late_reply_is_coming_in_only_a_command_on_a_noisy_line_does_not_wait(is_noisy, is_command):
     bench = broken(Ahead(), noisy_ms=200.0 if is_noisy else 0.0)
-    bench.scheduler.enqueue((bench.one,))
+    bench.say(bench.one)
     bench.go(5.0)
     bench.scheduler.end_cycle()
     bench.line.sent.clear()
@@ -222,10 +211,10 @@ def test_while_a_late_reply_is_coming_in_only_a_command_on_a_noisy_line_does_not
 
 def test_the_beginning_of_a_reply_stays_when_the_next_request_follows():
     bench = Ahead()
-    bench.scheduler.enqueue((bench.three,))
+    bench.say(bench.three)
     bench.scheduler.poll()
     bench.line.arrived = b"ab"
-    bench.scheduler.enqueue((bench.one,))
+    bench.say(bench.one)
     bench.scheduler.poll()
     assert bench.line.sent == [b"abc?", b"a?"]
     bench.line.arrived = b"c 3;a 1;"

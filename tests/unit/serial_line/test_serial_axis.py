@@ -90,34 +90,24 @@ def write(axis, request, time_s=0.0, torque=0.0):
     return dict(axis.take(Command(request, torque=torque), time_s))
 
 
-# --- numbers
-
-
-def test_numbers_of_the_drive_become_si_and_back():
-    axis, image = make()
+@pytest.mark.parametrize(
+    ("options", "motion", "sent", "reported"),
+    [
+        ({}, 1, 1, 1),
+        ({"is_inverted": True}, -1, -1, -1),
+        ({"inverted_torque": "command"}, 1, -1, 1),
+        ({"inverted_torque": "feedback"}, 1, 1, -1),
+        ({"inverted_torque": "both"}, 1, -1, -1),
+        ({"is_inverted": True, "inverted_torque": "both"}, -1, 1, 1),
+    ],
+)
+def test_numbers_of_the_drive_become_si_and_back_with_the_signs_of_the_axis(options, motion, sent, reported):
+    axis, image = make(**options)
     feedback = hear(axis, image, position=500, velocity=600, torque=-150, status=1, error=0)
-    assert feedback.position == pytest.approx(0.5)
-    assert feedback.velocity == pytest.approx(60.0 * 2.0 * math.pi / 60.0)
-    assert feedback.torque == pytest.approx(-1.5 * 0.1)
-    assert feedback.state is ENABLED
-    assert feedback.is_fresh
-    write(axis, Request.ENABLE, torque=0.05)
-    assert image.values["torque_command"] == pytest.approx(100.0)
-
-
-def test_an_inverted_axis_turns_everything_round():
-    axis, image = make(is_inverted=True)
-    feedback = hear(axis, image, position=500, velocity=600, torque=-150, status=1, error=0)
-    assert (feedback.position, feedback.velocity < 0.0, feedback.torque > 0.0) == (pytest.approx(-0.5), True, True)
-    write(axis, Request.ENABLE, torque=0.05)
-    assert image.values["torque_command"] == pytest.approx(-100.0)
-
-
-@pytest.mark.parametrize(("inverted", "sent", "reported"), [("command", -1, 1), ("feedback", 1, -1), ("both", -1, -1)])
-def test_the_sign_of_the_torque_alone_can_be_inverted(inverted, sent, reported):
-    axis, image = make(inverted_torque=inverted)
-    feedback = hear(axis, image, position=500, velocity=600, torque=-150, status=1, error=0)
-    assert (feedback.position, feedback.torque) == pytest.approx((0.5, reported * -0.15))
+    assert feedback.position == pytest.approx(motion * 0.5)
+    assert feedback.velocity == pytest.approx(motion * 60.0 * 2.0 * math.pi / 60.0)
+    assert feedback.torque == pytest.approx(reported * -1.5 * 0.1)
+    assert (feedback.state, feedback.is_fresh) == (ENABLED, True)
     write(axis, Request.ENABLE, torque=0.05)
     assert image.values["torque_command"] == pytest.approx(sent * 100.0)
 
@@ -141,19 +131,13 @@ def test_without_a_velocity_it_is_the_difference_of_positions():
 
 
 @pytest.mark.parametrize("missing", ["counts_per_unit", "rated_torque", "torque_constant"])
-def test_what_a_unit_needs_must_be_given(missing):
+def test_what_a_unit_needs_must_be_given_and_fit_the_axis(missing):
     given_units = {"counts_per_unit": 1000.0, "rated_torque": 0.5, "torque_constant": 0.1}
-    del given_units[missing]
-    with pytest.raises(UsageError, match=f"give {missing} of the axis"):
-        make(units=AxisUnits(**given_units))
-
-
-def test_a_rotary_unit_on_a_linear_axis_is_refused():
     with pytest.raises(UsageError, match="velocity in rpm"):
         make(kind="linear")
-
-
-# --- what did not come
+    del given_units[missing]
+    with pytest.raises(UsageError, match=missing):
+        make(units=AxisUnits(**given_units))
 
 
 def test_a_cycle_without_position_keeps_the_last_and_says_why():
@@ -199,9 +183,6 @@ def test_a_fault_is_told_in_words():
     assert "3210h" in hear(*make(CIA402), position=0, status=8, error=0x3210).error
 
 
-# --- the way through the states
-
-
 def test_a_sequence_goes_on_when_a_step_was_taken_and_the_state_followed():
     axis, image = make()
     hear(axis, image, position=0, velocity=0, status=0, error=0)
@@ -214,6 +195,7 @@ def test_a_sequence_goes_on_when_a_step_was_taken_and_the_state_followed():
     hear(axis, image, position=0, velocity=0, status=1, error=0)
     assert write(axis, Request.ENABLE) == {}
     assert write(axis, Request.DISABLE) == {"power": 0.0}
+    assert write(axis, Request.QUICK_STOP) == {"power": 0.0}, "where the description has no quick stop"
 
 
 def test_a_drive_that_does_not_follow_is_an_error_after_the_steps_time():
@@ -240,12 +222,6 @@ def test_what_a_restart_may_have_changed_is_written_before_each_enabling(data):
         axis.sequencer.acknowledge()
         assert write(axis, Request.ENABLE) == ({"power": 2.0} if data is OWN else {"control": 0x06})
         write(axis, Request.DISABLE)
-
-
-def test_quick_stop_is_disable_where_the_description_has_none():
-    axis, image = make()
-    hear(axis, image, position=0, velocity=0, status=1, error=0)
-    assert write(axis, Request.QUICK_STOP) == {"power": 0.0}
 
 
 def test_a_fault_is_reset_by_its_own_sequence_only():
@@ -289,26 +265,20 @@ def test_fault_reset_is_an_edge():
     assert words == [0x80, 0x00, 0x80, 0x00]
 
 
-# --- descriptions that cannot be
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"enable": [{"write": {"powr": 1}}]}, "names the signal 'powr'; did you mean 'power'"),
-        ({"states": []}, "states, enable and disable are needed"),
-        ({"inferred": ["torc"]}, r"inferred\.0\s+names the signal 'torc'"),
-        ({"modes": {"cst": {"commands": ["power"]}}}, r"modes\.cst\s+commands power; possible commands are"),
+        ({"enable": [{"write": {"powr": 1}}]}, "'powr'.*'power'"),
+        ({"states": []}, "states, enable and disable"),
+        ({"inferred": ["torc"]}, r"inferred\.0\s.*'torc'"),
+        ({"modes": {"cst": {"commands": ["power"]}}}, r"modes\.cst\s+commands power"),
         ({"state_machine": "cia402"}, "cia402 needs the signal control"),
-        ({"watchdog": {"signal": "dog"}}, r"watchdog\s+names the signal 'dog'"),
-        ({"watchdog": {"signal": "reset"}}, "the watchdog's signal reset must be in s"),
+        ({"watchdog": {"signal": "dog"}}, r"watchdog\s.*'dog'"),
+        ({"watchdog": {"signal": "reset"}}, "reset must be in s"),
         ({"states": [{"state": "fault", "value": 1, "value_not": 2}]}, "either value or value_not"),
-        ({"signals": {**OWN["signals"], "velocity": {"unit": "A"}}}, "velocity is in A; it may be in"),
-        (
-            {"signals": {**OWN["signals"], "velocity": {"unit": "rmp"}}},
-            r"no such unit; did you mean 'rpm'\? There are: A",
-        ),
-        ({"states": [{"state": "fault", "mask": 1, "value": 2}]}, "2 has bits that are not in the mask 1"),
+        ({"signals": {**OWN["signals"], "velocity": {"unit": "A"}}}, "velocity is in A"),
+        ({"signals": {**OWN["signals"], "velocity": {"unit": "rmp"}}}, "'rpm'"),
+        ({"states": [{"state": "fault", "mask": 1, "value": 2}]}, "not in the mask 1"),
         ({"signals": {**OWN["signals"], "velocity": {"unit": "rpm", "scale": 0}}}, "must not be zero"),
     ],
 )

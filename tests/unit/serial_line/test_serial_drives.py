@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from friction_hil_drivers.serial_line import codes, drives
 from friction_hil_drivers.serial_line.bus import SerialBus
+from friction_hil_drivers.serial_line.simulated.drive import RefusedError, SimulatedDrive
 from friction_hil_drivers.serial_line.simulated.port import PtyPort
 from pymodbus.framer import FramerRTU
 
@@ -196,30 +197,25 @@ def test_by_default_a_single_lost_reply_is_bridged(tmp_path, period_s, max_misse
         assert bus.scheduler.reply_limit_ns * 1e-9 <= 0.5 * max_missed * period_s
 
 
-def refused(tmp_path, kind="rtu", **changes):
-    with Rig(kind, tmp_path, **changes) as bench, pytest.raises(UsageError) as error:
+@pytest.mark.parametrize(
+    ("kind", "line", "changes", "words"),
+    [
+        ("rtu", {"baud": 115200, "reply_limit_s": 1e-3}, {}, "reply_limit_s: 0.001 s"),
+        ("rtu, function 23", FAST_LINE, {"watchdog_s": 2e-3}, "watchdog_s: 0.002 s"),
+    ],
+)
+def test_a_time_that_is_too_short_is_refused(tmp_path, kind, line, changes, words):
+    line = {"port": str(tmp_path / "line"), **line}
+    with Rig(kind, tmp_path, line=line, **changes) as bench, pytest.raises(UsageError, match=words):
         bench.drives.connect()
-    return str(error.value)
-
-
-def test_a_limit_that_is_shorter_than_replies_may_take_is_refused(tmp_path):
-    line = {"port": str(tmp_path / "line"), "baud": 115200, "reply_limit_s": 1e-3}
-    config = {"line": line, "description": "kinco_fd5p"}
-    message = refused(tmp_path, **config)
-    assert "reply_limit_s: 0.001 s" in message
-
-
-def test_a_watchdog_that_would_be_off_or_trip_at_once_is_refused(tmp_path):
-    assert "watchdog_s: 0.002 s" in refused(tmp_path, "rtu, function 23", watchdog_s=2e-3)
 
 
 class Chain(Rig):
     """Several axes of a kind on one line; `silence` takes one of them off it."""
 
     def __init__(self, kind, tmp_path, addresses, **line):
-        given = {**KINDS[kind], "line": {"port": port_of(kind, tmp_path), **FAST_LINE, **line}}
-        given |= {"is_watchdog_required": False, "simulation": {}}
-        self._set_up(given["driver"], {f"x{n}": {**given, address: n} for address, n in addresses})
+        given = {"line": {"port": port_of(kind, tmp_path), **FAST_LINE, **line}, "is_watchdog_required": False}
+        self._set_up(kind, {f"x{n}": {**given, address: n} for address, n in addresses})
         self.feedback, self.commands = [Feedback() for _ in addresses], [Command() for _ in addresses]
 
     def begin(self):
@@ -291,8 +287,6 @@ def test_a_silent_servo_leaves_its_neighbours_their_feedback_and_takes_no_power_
 
 def refusing(monkeypatch, signal):
     """From now on simulated drives refuse a signal; to set-points without a reply they say so all the same."""
-    from friction_hil_drivers.serial_line.simulated.drive import RefusedError, SimulatedDrive
-
     write = SimulatedDrive.write
 
     def choosy(drive, name, number):
@@ -303,7 +297,7 @@ def refusing(monkeypatch, signal):
     monkeypatch.setattr(SimulatedDrive, "write", choosy)
 
 
-def test_set_points_that_are_refused_without_a_reply_are_told(tmp_path, monkeypatch):
+def test_what_is_refused_without_a_reply_is_told_at_run_time_and_at_connecting(tmp_path, monkeypatch):
     with Rig("odrive", tmp_path).begin().enable() as bench:
         bench.cycle(Request.ENABLE, count=20)
         assert bench.feedback.message == ""
@@ -312,21 +306,17 @@ def test_set_points_that_are_refused_without_a_reply_are_told(tmp_path, monkeypa
         assert bench.feedback.is_fresh, "feedback is none the worse for it"
         assert "torque_command of x" in bench.feedback.message
         assert codes.COMMANDS_REFUSED in bench.feedback.message
-
-
-def test_a_preparation_that_is_refused_without_a_reply_ends_the_connecting(tmp_path, monkeypatch):
     with Rig("odrive", tmp_path) as bench:
         refusing(monkeypatch, "input_mode")
         with pytest.raises(DriveError, match=f"input_mode of x.*{codes.SETUP_REFUSED}"):
             bench.drives.connect()
 
 
-@pytest.mark.parametrize("kind", ["odrive"])
-def test_a_position_in_turns_has_the_resolution_of_its_digits_or_of_the_encoder(kind, tmp_path):
-    with Rig(kind, tmp_path).begin() as bench:
+def test_a_position_in_turns_has_the_resolution_of_its_digits_or_of_the_encoder(tmp_path):
+    with Rig("odrive", tmp_path).begin() as bench:
         assert bench.facts.position_resolution < 1e-4
         assert bench.facts.torque_resolution < 1e-3
-    with Rig(kind, tmp_path, counts_per_unit=8192 / 6.283185307179586).begin() as bench:
+    with Rig("odrive", tmp_path, counts_per_unit=8192 / 6.283185307179586).begin() as bench:
         assert bench.facts.position_resolution == pytest.approx(6.283185307179586 / 8192)
 
 
@@ -344,16 +334,12 @@ def test_how_old_a_torque_is_that_comes_in_turns_is_stated(kind, in_force, tmp_p
         assert bench.facts.torque_delay_s / period_s == pytest.approx(age, abs=0.6)
 
 
-def test_a_drive_that_tells_no_torque_says_so(tmp_path):
-    with Rig("rtu", tmp_path).begin() as bench:
-        assert bench.facts.torque_delay_s is None
-
-
 def test_a_command_that_a_drive_refuses_now_and_then_is_a_notice(tmp_path, monkeypatch):
     """Modbus exceptions are named though the run goes on: 6 is a drive that is busy."""
     with Rig("rtu", tmp_path).begin().enable() as bench:
         bench.cycle(Request.ENABLE, count=5)
         assert bench.feedback.notices == []
+        assert bench.facts.torque_delay_s is None, "this drive tells no torque"
         write, busy = PtyPort.write, itertools.count()
 
         def refuse_sometimes(port, data):

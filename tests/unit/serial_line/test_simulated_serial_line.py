@@ -39,22 +39,18 @@ class Bench:
         assert select.select(self.line.port.descriptors, [], [], LONG_S)[0]
         self.line.hear(now_ns)
 
-    def is_silent(self):
-        return self.master.receive(1, 0.02) == b""
-
 
 @pytest.fixture
 def make_bench(tmp_path):
-    open_benches: list[Bench] = []
+    open_benches = []
 
     def make(is_real=True, silence_chars=0.0, **faults):
         options = LineOptions(port=str(tmp_path / "line"), baud=10000, turnaround_s=TURNAROUND_NS * 1e-9)
         drive = make_drive(is_synchronous=not is_real)
         responder = TinyResponder({"x": drive})
         port = PtyPort(Path(options.port))
-        line = SimulatedLine(
-            port, responder, [drive], options, LineFaults(**faults), silence_chars=silence_chars, is_real=is_real
-        )
+        keys = {"silence_chars": silence_chars, "is_real": is_real}
+        line = SimulatedLine(port, responder, [drive], options, LineFaults(**faults), **keys)
         open_benches.append(Bench(line, Master(Path(options.port)), drive, responder))
         return open_benches[-1]
 
@@ -62,9 +58,6 @@ def make_bench(tmp_path):
     for bench in open_benches:
         bench.master.close()
         bench.line.port.close()
-
-
-# Wire time
 
 
 def test_characters_turn_around_and_silence_take_their_time(make_bench):
@@ -80,7 +73,7 @@ def test_characters_turn_around_and_silence_take_their_time(make_bench):
     replied = complete + SILENCE_NS + TURNAROUND_NS + 2 * CHARACTER_NS  # "0" and the line's end
     assert bench.line.due_ns == replied
     bench.line.work(replied - 1)
-    assert bench.is_silent()
+    assert bench.master.receive(1, 0.02) == b""
     bench.line.work(replied)
     assert bench.master.line() == b"0\n"
     assert bench.line.due_ns is None
@@ -90,34 +83,29 @@ def test_what_is_left_before_a_silence_is_no_request(make_bench):
     bench = make_bench(silence_chars=3.5)
     bench.send(b"?pos", 0)
     end = 4 * CHARACTER_NS
-    bench.line.work(end + SILENCE_NS)
-    assert bench.responder.silences == 0
-    bench.line.work(end + SILENCE_NS + 1)
-    assert bench.responder.silences == 1
+    for silence_ns, silences in ((SILENCE_NS, 0), (SILENCE_NS + 1, 1)):
+        bench.line.work(end + silence_ns)
+        assert bench.responder.silences == silences
     bench.send(b"?error\n", 20_000_000)
     bench.line.work(40_000_000)
     assert bench.master.line() == b"0\n"
 
 
-# Faults
-
-
 @settings(max_examples=60, deadline=None)
 @given(reply=st.binary(min_size=2, max_size=40), seed=st.integers(0, 1000))
 def test_each_fault_does_what_it_is_called(reply, seed):
-    assert Faults(LineFaults(seed=seed)).spoil(reply).pieces == (reply,)
-    assert Faults(LineFaults(seed=seed, drop=1)).spoil(reply).pieces == ()
-    late = Faults(LineFaults(seed=seed, delay=1)).spoil(reply)
-    assert (late.pieces, late.is_late) == ((reply,), True)
-    corrupt = Faults(LineFaults(seed=seed, corrupt=1)).spoil(reply).pieces[0]
+    def spoiled(**faults):
+        return Faults(LineFaults(seed=seed, **faults)).spoil(reply)
+
+    assert (spoiled().pieces, spoiled(drop=1).pieces) == ((reply,), ())
+    assert (spoiled(delay=1).pieces, spoiled(delay=1).is_late) == ((reply,), True)
+    corrupt = spoiled(corrupt=1).pieces[0]
     assert len(corrupt) == len(reply)
-    flipped = int.from_bytes(corrupt, "big") ^ int.from_bytes(reply, "big")
-    assert flipped.bit_count() == 1
-    split = Faults(LineFaults(seed=seed, split=1)).spoil(reply).pieces
-    assert len(split) == 2
-    assert all(split)
-    assert b"".join(split) == reply
-    noisy = Faults(LineFaults(seed=seed, noise=1)).spoil(reply).pieces[0]
+    assert (int.from_bytes(corrupt, "big") ^ int.from_bytes(reply, "big")).bit_count() == 1
+    first, second = spoiled(split=1).pieces
+    assert min(len(first), len(second)) > 0
+    assert first + second == reply
+    noisy = spoiled(noise=1).pieces[0]
     assert noisy.endswith(reply)
     assert 1 <= len(noisy) - len(reply) <= 4
 
@@ -137,16 +125,12 @@ def test_a_late_reply_comes_after_its_delay_and_holds_up_no_other(make_bench):
 @pytest.mark.parametrize("is_real", [True, False])
 def test_a_reboot_is_silent_and_leaves_nothing(make_bench, is_real):
     bench = make_bench(is_real=is_real, reboot_at_s=(0.1,))
-    state = []
-    for k in range(600):
-        bench.send(b"control=6\n?position\n", k * 30_000_000)
-        bench.line.work(k * 30_000_000 + 29_000_000)
-        state.append(bench.drive.state)
-        if bench.drive.time_s > 0.6:
-            break
-    assert bench.drive.state is DriveState.READY_TO_SWITCH_ON
-    assert state[1] is DriveState.READY_TO_SWITCH_ON
-    assert DriveState.NOT_READY in state
+    states = []
+    while bench.drive.time_s <= 0.6:
+        now_ns = 30_000_000 * len(states)
+        bench.send(b"control=6\n?position\n", now_ns)
+        bench.line.work(now_ns + 29_000_000)
+        states.append(bench.drive.state)
+    assert states[1] is states[-1] is DriveState.READY_TO_SWITCH_ON
     period_s = 0.03 if is_real else 0.001
-    off = state.count(DriveState.NOT_READY)
-    assert off * period_s == pytest.approx(0.3, abs=2 * period_s)
+    assert states.count(DriveState.NOT_READY) * period_s == pytest.approx(0.3, abs=2 * period_s)
