@@ -298,6 +298,18 @@ class Rig:
         self._thread.start()
         self.drives = self.daemon(dry_run=dry_run)
 
+    @property
+    def bus(self):
+        """The line of the driver, and ``there`` the simulated drive at the other end."""
+        (bus,) = self.drives.buses
+        return bus
+
+    @property
+    def there(self):
+        (line,) = self.simulated.lines
+        (drive,) = line.drives
+        return drive
+
     def daemon(self, *, dry_run=False):
         return self.driver(self.config, self.config.axes, self.clock, dry_run=dry_run)
 

@@ -94,9 +94,6 @@ def xored(text):
     return text + b"*" + str(value).encode() + b"\r\n"
 
 
-# Cycles
-
-
 def test_an_odrive_is_asked_for_its_feedback_and_commanded_as_its_manual_says():
     plan, _ = plan_of(ODRIVE, "cst")
     assert requests(plan.poll) == [b"f 0*118\n"]
@@ -137,10 +134,7 @@ def test_a_command_that_is_answered_with_feedback_rides_in_the_poll():
     ]
     assert plan.push == ()
     assert requests(plan.poll) == [b"#0GFFFE,0\r"]
-
-
-def test_commands_go_out_in_several_messages_where_no_single_one_has_them():
-    plan, _ = plan_of(BUS, "csv")
+    plan, _ = plan_of(BUS, "csv")  # no single message has both commands
     assert sorted(requests(plan.push)) == [b"#0T0\r", b"#0V3.250000\r"]
 
 
@@ -160,16 +154,18 @@ def test_every_mode_and_every_step_has_its_messages(description):
             assert name in line.read("x", (name,)).reads
 
 
-def test_what_no_message_has_is_refused_with_its_name():
-    line, _ = on_line(BUS)
-    with pytest.raises(UsageError, match=r"x: .*error"):
-        line.read("x", ("error",))
-    with pytest.raises(UsageError, match="position and status"):
-        line.read("x", ("position", "status"))
-    with pytest.raises(UsageError, match="writes just status"):
-        line.write("x", ("status",))
-    with pytest.raises(UsageError, match="position_command"):
-        line.plan({"x": CycleSignals(("position",), (), ("position_command",))})
+@pytest.mark.parametrize(
+    ("ask", "named"),
+    [
+        (lambda line: line.read("x", ("error",)), "x: .*error"),
+        (lambda line: line.read("x", ("position", "status")), "position and status"),
+        (lambda line: line.write("x", ("status",)), "status"),
+        (lambda line: line.plan({"x": CycleSignals(("position",), (), ("position_command",))}), "position_command"),
+    ],
+)
+def test_what_no_message_has_is_refused_with_its_name(ask, named):
+    with pytest.raises(UsageError, match=named):
+        ask(on_line(BUS)[0])
 
 
 def test_a_fixed_number_chooses_its_message():
@@ -200,9 +196,6 @@ def test_a_request_is_never_longer_than_it_says_and_never_holds_what_is_no_numbe
                 exchange.encode()
 
 
-# Replies
-
-
 def feedback_of(description, axis="0"):
     plan, image = plan_of(description, None, axis)
     plan.poll[0].encode()
@@ -217,22 +210,24 @@ def taken(exchange, data):
     return is_complete
 
 
-def test_a_reply_fills_the_image():
+def test_a_reply_fills_the_image_and_what_follows_it_is_left_alone():
     exchange, image = feedback_of(ODRIVE)
     reply = xored(b"1.250000 -0.500000")
-    assert taken(exchange, reply)
+    received = bytearray(reply + b"invalid mo")
+    assert exchange.take(received)
+    assert received == b"invalid mo"
     assert (image.values["position"], image.values["velocity"]) == (1.25, -0.5)
     assert image.fresh == {"position", "velocity"}
     assert len(reply) <= exchange.reply_size
 
 
-def test_an_enumeration_with_a_stray_letter_is_read_as_the_drive_means_it():
+@pytest.mark.parametrize(("text", "number"), [(b"8", 8.0), (b"1d", 1.0)])
+def test_an_enumeration_with_a_stray_letter_is_read_as_the_drive_means_it(text, number):
     line, image = on_line(ODRIVE)
     status = line.read("x", ("status",))
     status.encode()
-    for text, number in ((b"8", 8.0), (b"1d", 1.0)):
-        assert taken(status, xored(text))
-        assert image.values["status"] == number
+    assert taken(status, xored(text))
+    assert image.values["status"] == number
 
 
 positions = st.floats(-99999.0, 99999.0)
@@ -262,28 +257,15 @@ def test_stray_characters_before_a_reply_do_not_make_it_the_one_before(replies):
         assert image.values["position"] == position
 
 
-def test_what_follows_a_reply_is_left_alone():
-    exchange, _ = feedback_of(ODRIVE)
-    received = bytearray(xored(b"1.0 2.0") + b"invalid mo")
-    assert exchange.take(received)
-    assert received == b"invalid mo"
-
-
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        (xored(b"1.0"), "expected: {position:float} {velocity:float}"),
-        (xored(b"1.0 2.0 3.0"), "expected:"),
-        (xored(b"8"), "expected:"),
-        (xored(b"nan 0.0"), "expected:"),
-        (xored(b"inf 0.0"), "expected:"),
-        (xored(b"0.0 1e999"), "too large for velocity"),
+        *((xored(text), "expected:") for text in (b"1.0", b"1.0 2.0 3.0", b"8", b"nan 0.0", b"inf 0.0")),
+        (xored(b"0.0 1e999"), "velocity"),
         (xored(b"1.0 2.0").replace(b"1.0", b"1.1"), "expected: *34"),
-        (b"1.0 2.0\r\n", "no checksum"),
-        (b"1.0 2.0*\r\n", "no checksum"),
+        *((text, "no checksum") for text in (b"1.0 2.0\r\n", b"1.0 2.0*\r\n")),
         (b"\xff\xfe1.0 2.0*17\r\n", "checksum"),
-        (b"1" * 300, "no line ends within 256 characters"),
-        (b"1" * 300 + b" 2.0\r\n", "no line ends within 256 characters"),
+        *((b"1" * 300 + end, "256 characters") for end in (b"", b" 2.0\r\n")),
     ],
 )
 def test_what_is_no_reply_is_refused_whole(line, words):
@@ -308,28 +290,22 @@ def test_the_error_of_a_set_point_is_never_taken_for_the_reply_that_follows(text
     assert not image.fresh
 
 
-def test_an_error_of_a_drive_that_answers_everything_is_the_reply():
+@pytest.mark.parametrize(
+    ("is_push", "line", "words", "is_complete"),
+    [
+        (False, b"e 9\r", "unknown parameter", True),  # the reply of a drive that answers everything
+        (True, b"e -77\r", "-77", True),
+        (False, b"ok\r", "expected:", False),  # an acknowledgement is not a value
+        (True, b"v 1\r", "expected:", False),  # nor a value an acknowledgement
+    ],
+)
+def test_what_a_copley_drive_says_in_place_of_its_reply_is_told(is_push, line, words, is_complete):
     plan, image = plan_of(COPLEY, "cst", "")
-    for exchange, code, words in ((plan.poll[0], b"e 9\r", "unknown parameter"), (plan.push[0], b"e -77\r", "see the")):
-        exchange.encode()
-        with pytest.raises(ReplyError, match=words) as caught:
-            exchange.take(bytearray(code))
-        assert caught.value.is_complete
-    assert not image.fresh
-
-
-def test_an_acknowledgement_is_not_a_value_nor_a_value_an_acknowledgement():
-    plan, _ = plan_of(COPLEY, "cst", "")
-    for exchange, line in ((plan.poll[0], b"ok\r"), (plan.push[0], b"v 1\r")):
-        exchange.encode()
-        with pytest.raises(ReplyError, match="expected:"):
-            exchange.take(bytearray(line))
-
-
-def test_another_axis_answering_is_not_understood():
-    exchange, image = feedback_of(BUS, "2")
-    with pytest.raises(ReplyError, match="#3A0001"):
-        exchange.take(bytearray(b"#2A\r#3A0001,1.0,5\r\n"))
+    exchange = (plan.push if is_push else plan.poll)[0]
+    exchange.encode()
+    with pytest.raises(ReplyError, match=words) as caught:
+        exchange.take(bytearray(line))
+    assert caught.value.is_complete is is_complete
     assert not image.fresh
 
 
@@ -340,25 +316,27 @@ def test_an_echo_comes_before_the_reply():
     for count in range(len(whole)):
         assert not exchange.take(bytearray(whole[:count]))
         exchange.encode()
-    assert taken(exchange, whole)
+    received = bytearray()
+    for count, byte in enumerate(whole, 1):  # an echo in pieces is dropped once
+        received.append(byte)
+        assert exchange.take(received) == (count == len(whole))
     assert image.values["position"] == -1.0
     assert len(whole) <= exchange.reply_size + 3  # with the stray line ends
 
 
-def test_an_echo_in_pieces_is_dropped_once():
-    exchange, _ = feedback_of(BUS)
-    received = bytearray()
-    answers = []
-    for byte in b"#0A\r#0A0001,1.0,2\r\n":
-        received.append(byte)
-        answers.append(exchange.take(received))
-    assert answers == [False] * (len(answers) - 1) + [True]
-
-
-@pytest.mark.parametrize("line", [b"#0A0001,1.0,2\r\n", b"#0M\r#0A0001,1.0,2\r\n", b"x#0A\r#0A0001,1.0,2\r\n"])
-def test_without_its_echo_a_reply_is_none(line):
-    exchange, image = feedback_of(BUS)
-    with pytest.raises(ReplyError, match="the echo"):
+@pytest.mark.parametrize(
+    ("axis", "line", "words"),
+    [
+        ("0", b"#0A0001,1.0,2\r\n", "the echo"),
+        ("0", b"#0M\r#0A0001,1.0,2\r\n", "the echo"),
+        ("0", b"x#0A\r#0A0001,1.0,2\r\n", "the echo"),
+        ("0", b"#0A\r#0A10000,1.0,2\r\n", "position"),  # of another width than described
+        ("2", b"#2A\r#3A0001,1.0,5\r\n", "#3A0001"),  # of another axis
+    ],
+)
+def test_a_reply_without_its_echo_or_of_another_form_is_none(axis, line, words):
+    exchange, image = feedback_of(BUS, axis)
+    with pytest.raises(ReplyError, match=words):
         exchange.take(bytearray(line))
     assert not image.fresh
 
@@ -370,16 +348,6 @@ def test_an_echo_alone_answers_what_has_no_reply():
     assert len(request) <= plan.push[0].reply_size
     assert not taken(plan.push[0], request[:5])
     assert taken(plan.push[0], request)
-
-
-def test_a_reply_of_another_width_than_described_is_refused():
-    exchange, image = feedback_of(BUS)
-    with pytest.raises(ReplyError, match="than position"):
-        exchange.take(bytearray(b"#0A\r#0A10000,1.0,2\r\n"))
-    assert not image.fresh
-
-
-# Anything at all on the line
 
 
 def understood(data):

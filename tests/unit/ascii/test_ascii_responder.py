@@ -4,12 +4,10 @@ import math
 from typing import Any
 
 import pytest
-from friction_hil_drivers.ascii import DESCRIPTIONS
 from friction_hil_drivers.ascii.description import AsciiDescription
 from friction_hil_drivers.ascii.driver import AsciiLine
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.ascii.simulated import AsciiResponder
-from friction_hil_drivers.serial_line.description import ready
 from friction_hil_drivers.serial_line.protocol import CycleSignals, Image
 from friction_hil_drivers.serial_line.sequences import Sequencer, state_of
 from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
@@ -17,35 +15,21 @@ from friction_hil_drivers.serial_line.units import AxisUnits
 from hypothesis import given
 from hypothesis import strategies as st
 
-from friction_hil.checked_yaml.files import read_section
 from friction_hil.drive import DriveState, Mode, Request
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
+from tests.serial_bench import STEPS_PER_MS
+from tests.unit.ascii.test_ascii_codec import COPLEY, ODRIVE, READY
 
-STEPS_PER_MS = 80
-COULOMB, INERTIA = 0.01, 2e-4
 SERVO = ServoConfig.model_validate(
-    {
-        "friction": {"model": "coulomb", "parameters": {"coulomb": COULOMB}},
-        "encoder": {"counts": 65536},
-        "mechanics": {"inertia": INERTIA},
-    }
+    {"friction": {"model": "coulomb", "parameters": {"coulomb": 0.01}}, "mechanics": {"inertia": 2e-4}}
 )
-READY = {name: read_section(path, AsciiDescription) for name, path in ready(DESCRIPTIONS).items()}
-ODRIVE, COPLEY = READY["odrive"], READY["copley_ascii"]
 PLAIN_ODRIVE = ODRIVE.model_copy(update={"checksum": None})
-COUNTER = AsciiDescription.model_validate(
-    PLAIN_ODRIVE.model_dump()
-    | {
-        "signals": PLAIN_ODRIVE.model_dump()["signals"]
-        | {name: {"unit": "count", "bits": 16} for name in ("position", "position_command")},
-        "messages": PLAIN_ODRIVE.model_dump()["messages"]
-        | {
-            "feedback": {"request": "f {axis}", "reply": "{position:int} {velocity:float}"},
-            "command_position": {"request": "p {axis} {position_command:hex} 0 {torque_command:float}"},
-        },
-    }
-)
+COUNTERS = {name: {"unit": "count", "bits": 16} for name in ("position", "position_command")}
+COUNTING = {
+    "feedback": {"request": "f {axis}", "reply": "{position:int} {velocity:float}"},
+    "command_position": {"request": "p {axis} {position_command:hex} 0 {torque_command:float}"},
+}
 
 
 def options(axis):
@@ -71,9 +55,6 @@ def answers(responder, data):
     return replies
 
 
-# The ODrive, as its manual and the sources of its firmware say
-
-
 def test_feedback_is_two_numbers_with_six_digits_in_turns():
     responder, drives = on_line(PLAIN_ODRIVE, "0")
     (reply,) = answers(responder, b"f 0\n")
@@ -82,28 +63,29 @@ def test_feedback_is_two_numbers_with_six_digits_in_turns():
     assert drives["0"].samples == 1
 
 
-def test_set_points_and_settings_get_no_reply():
+def test_set_points_and_settings_get_no_reply_and_numbers_are_read_as_by_sscanf():
     responder, drives = on_line(PLAIN_ODRIVE, "0")
     lines = b"c 0 0.25\nw axis0.controller.config.control_mode 1\nu 0\nsc\n"
     assert answers(responder, lines) == [b""] * 4
-    assert drives["0"].read("torque_command") == 0.25
-    assert drives["0"].read("control_mode") == 1.0
-    assert drives["0"].samples == 0
-
-
-def test_numbers_are_read_as_by_sscanf():
-    responder, drives = on_line(PLAIN_ODRIVE, "0")
+    assert (drives["0"].read("torque_command"), drives["0"].read("control_mode")) == (0.25, 1.0)
     assert answers(responder, b"c  0   -2.5e-1 \n\r\nr axis0.current_state\n") == [b"", b"1\r\n"]
     assert drives["0"].read("torque_command") == -0.25
+    assert drives["0"].samples == 0
 
 
 @pytest.mark.parametrize(
-    "line", [b"x", b"r axis0.nonsense", b"w axis0.requested_state", b"c 0", b"f", b"\xff\xfe", b"f 0 1"]
+    "line",
+    [
+        *(b"x", b"r axis0.nonsense", b"w axis0.requested_state", b"c 0", b"f", b"\xff\xfe", b"f 0 1"),
+        b"w axis0.requested_state 99",
+    ],
 )
-def test_what_it_does_not_know_it_says(line):
+def test_what_it_does_not_know_or_would_not_take_it_says_and_changes_nothing(line):
     responder, drives = on_line(PLAIN_ODRIVE, "0")
     assert answers(responder, line + b"\n") == [b"unknown command\r\n"]
-    assert drives["0"].samples == 0
+    drive = drives["0"]
+    assert (drive.samples, drive.read("requested_state")) == (0, 0.0)
+    assert drive.state is DriveState.READY_TO_SWITCH_ON
 
 
 def test_two_axes_have_what_is_meant_for_them_and_a_third_is_silent():
@@ -124,50 +106,38 @@ def test_a_checksum_is_asked_for_and_given():
     assert drives["0"].read("torque_command") == 0.0
 
 
-def test_a_value_that_a_drive_would_not_take_changes_nothing():
-    responder, drives = on_line(PLAIN_ODRIVE, "0")
-    assert answers(responder, b"w axis0.requested_state 99\n") == [b"unknown command\r\n"]
-    assert drives["0"].read("requested_state") == 0.0
-    assert drives["0"].state is DriveState.READY_TO_SWITCH_ON
-
-
 def test_an_overlong_line_is_dropped_with_all_that_belongs_to_it():
     responder, drives = on_line(PLAIN_ODRIVE, "0")
     received = bytearray(b"c 0 0." + b"1" * 300)
     assert responder.take(received) is None
     received += b"c 0 0.5\nr axis0.current_state\n"
-    assert responder.take(received) == b""
-    assert responder.take(received) == b"1\r\n"
+    assert [responder.take(received), responder.take(received)] == [b"", b"1\r\n"]
     assert drives["0"].read("torque_command") == 0.0
     assert responder.take(bytearray(b"9" * 300)) is None
     responder.forget()
     assert answers(responder, b"r axis0.current_state\n") == [b"1\r\n"]
 
 
-# Copley
-
-
-def test_a_copley_drive_acknowledges_and_tells_integers():
-    responder, drives = on_line(COPLEY, "")
-    assert answers(responder, b"s r0x02 -150\rg r0xa0\rg r0xa4\r") == [b"ok\r", b"v 4096\r", b"v 0\r"]
-    assert drives[""].read("torque_command") == -150.0
-    (reply,) = answers(responder, b"g r0x32\r")
-    assert reply == b"v %d\r" % round(drives[""].servo.position * drives[""].servo.counts_per_unit)
-    assert answers(responder, b"s r0x24 77\rs r0x02 40000\rg r0x99\rhello\r") == [b"e 33\r"] * 4
-    assert answers(responder, b"s r0x24 1\rg r0xa0\r") == [b"ok\r", b"v 0\r"]
-    assert drives[""].state is DriveState.OPERATION_ENABLED
-
-
-def test_an_echo_comes_before_each_reply():
-    responder, _ = on_line(COPLEY.model_copy(update={"echo": True}), "")
-    assert answers(responder, b"s r0x24 1\rg r0xa0\r") == [b"s r0x24 1\rok\r", b"g r0xa0\rv 0\r"]
-
-
-# Positions that are counters
+@pytest.mark.parametrize("has_echo", [False, True])
+def test_a_copley_drive_acknowledges_and_tells_integers(has_echo):
+    responder, drives = on_line(COPLEY.model_copy(update={"echo": has_echo}), "")
+    drive = drives[""]
+    position = round(drive.servo.position * drive.servo.counts_per_unit)
+    for request, reply in (
+        *((b"s r0x02 -150\r", b"ok\r"), (b"g r0xa0\r", b"v 4096\r"), (b"g r0xa4\r", b"v 0\r")),
+        (b"g r0x32\r", b"v %d\r" % position),
+        *((line, b"e 33\r") for line in (b"s r0x24 77\r", b"s r0x02 40000\r", b"g r0x99\r", b"hello\r")),
+        *((b"s r0x24 1\r", b"ok\r"), (b"g r0xa0\r", b"v 0\r")),
+    ):
+        assert answers(responder, request) == [request * has_echo + reply]
+    assert drive.read("torque_command") == -150.0
+    assert drive.state is DriveState.OPERATION_ENABLED
 
 
 def test_a_counter_wraps_on_the_line_and_not_in_the_drive():
-    responder, drives = on_line(COUNTER, "0", mode=Mode.CSP)
+    plain = PLAIN_ODRIVE.model_dump()
+    changes = {"signals": plain["signals"] | COUNTERS, "messages": plain["messages"] | COUNTING}
+    responder, drives = on_line(AsciiDescription.model_validate(plain | changes), "0", mode=Mode.CSP)
     drive = drives["0"]
     for number, expected in ((0x7FF0, 32752.0), (0x8010, 32784.0 - 65536.0)):
         answers(responder, b"p 0 %04X 0 0.0\n" % number)
@@ -179,9 +149,6 @@ def test_a_counter_wraps_on_the_line_and_not_in_the_drive():
     (reply,) = answers(responder, b"f 0\n")
     assert abs(drive.read("position") - 39960.0) < 2000.0
     assert int(reply.split()[0]) == round(drive.read("position")) - 65536
-
-
-# Driver and drive
 
 
 class Talk:
@@ -252,8 +219,6 @@ def test_a_drive_is_led_up_down_and_out_of_a_fault(name, mode):
     talk.until(Request.ENABLE, DriveState.FAULT)
     talk.until(Request.RESET_FAULT, off)
 
-
-# Anything at all on the line
 
 noise = st.one_of(
     st.binary(max_size=40),

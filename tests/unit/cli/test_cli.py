@@ -25,6 +25,7 @@ from friction_hil.errors import ConfigurationError, DriveError, Problem, UsageEr
 
 EXAMPLES = Path(__file__).parents[3] / "config"
 DEMO = str(EXAMPLES / "demo.yaml")
+MISTAKE = Problem("a.yaml", 3, "b", "c")
 
 
 @pytest.fixture
@@ -46,7 +47,7 @@ def raising(error):
     return function
 
 
-def test_overview(capsys):
+def test_the_overview_names_every_command(capsys):
     assert main(["--help"]) == 0
     out = capsys.readouterr().out
     for name, summary in COMMANDS.items():
@@ -54,28 +55,11 @@ def test_overview(capsys):
         assert summary in out
 
 
-def test_version(capsys):
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"friction-hil {__version__}\n"
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_of_the_table_has_help(name, capsys):
     assert isinstance(LazyGroup().get_command(None, name), click.Command)
     assert main([name, "--help"]) == 0
     assert f"friction-hil {name}" in capsys.readouterr().out
-
-
-def test_the_overview_imports_nothing_heavy():
-    code = (
-        "import sys; from friction_hil.cli import main; main(['--help']); "
-        "print('loaded:', *sorted(name for name in sys.modules if '.' not in name))"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = set(run.stdout.split("loaded:")[1].split())
-    heavy = {"numpy", "numba", "scipy", "can", "canopen", "pydantic", "matplotlib", "rich", "yaml", "mcap", "serial"}
-    assert "click" in loaded
-    assert not loaded & heavy
 
 
 @pytest.mark.deep
@@ -92,18 +76,17 @@ def test_closed_standard_streams_are_no_mistake(redirections, tmp_path):
 
 
 def test_the_module_is_the_command():
-    run = subprocess.run(
-        [sys.executable, "-m", "friction_hil", "--version"], capture_output=True, text=True, check=True
-    )
+    words = [sys.executable, "-m", "friction_hil", "--version"]
+    run = subprocess.run(words, capture_output=True, text=True, check=True)
     assert run.stdout == f"friction-hil {__version__}\n"
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["rnu"], "no command is called 'rnu'; did you mean 'run'?"),
+        (["rnu"], "'run'"),
         (["--verison"], "--version"),
-        (["config", "chekc"], "did you mean 'check'?"),
+        (["config", "chekc"], "'check'"),
         (["config", "check"], "FILE"),
         (["config", "check", "--jsno", "x"], "--json"),
     ],
@@ -121,11 +104,7 @@ def test_wrong_use(words, message, capsys):
     [
         (UsageError("not so"), 2, "Error: not so\n"),
         (DriveError("node 3 does not answer"), 1, "Error: node 3 does not answer\n"),
-        (
-            ConfigurationError([Problem("a.yaml", 3, "b", "c"), Problem("d", None, "", "e")]),
-            2,
-            "a.yaml:3: b: c\nd: e\n",
-        ),
+        (ConfigurationError([MISTAKE, Problem("d", None, "", "e")]), 2, "a.yaml:3: b: c\nd: e\n"),
         (PermissionError(13, "Permission denied", "out.csv"), 1, "Permission denied: 'out.csv'"),
         (KeyboardInterrupt(), 130, "\n"),
     ],
@@ -143,7 +122,7 @@ ERRORS = (
     (UsageError("not so"), "\x1b[31m\x1b[1mError:\x1b[0m not so\n"),
     (click.UsageError("no such thing"), "\x1b[31m\x1b[1mError:\x1b[0m no such thing\n"),
     (PermissionError(13, "denied", "out.csv"), "\x1b[31m\x1b[1mError:\x1b[0m [Errno 13] denied: 'out.csv'\n"),
-    (ConfigurationError([Problem("a.yaml", 3, "b", "c")]), "\x1b[31m\x1b[1ma.yaml:3:\x1b[0m b: c\n"),
+    (ConfigurationError([MISTAKE]), "\x1b[31m\x1b[1ma.yaml:3:\x1b[0m b: c\n"),
 )
 
 
@@ -171,7 +150,7 @@ def test_a_mistake_of_ours_shows_where_and_asks_to_report_it(add_command, capsys
     err = capsys.readouterr().err
     assert "Traceback" in err
     assert "ZeroDivisionError: oh" in err
-    assert err.rstrip().splitlines()[-1].startswith("This is an error in friction-hil")
+    assert "error in friction-hil" in err.rstrip().splitlines()[-1]
 
 
 @pytest.mark.parametrize("error", [DriveError("no answer"), OSError(28, "disk full"), ValueError("math domain error")])
@@ -199,13 +178,9 @@ def test_a_command_returns_its_status(add_command, result, status):
 def test_a_reader_that_went_away_is_met_quietly(code):
     reader, writer = os.pipe()
     os.close(reader)
+    words = [sys.executable, "-c", f"import sys; from friction_hil.cli import main; {code}"]
     try:
-        run = subprocess.run(
-            [sys.executable, "-c", f"import sys; from friction_hil.cli import main; {code}"],
-            stdout=writer,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        run = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True)
     finally:
         os.close(writer)
     assert (run.returncode, run.stderr) == (1, "")
@@ -232,9 +207,9 @@ def test_an_error_of_a_command_with_json_is_json_too(add_command, capsys, error,
 @pytest.mark.parametrize("name", ["demo", "serial_modbus", "sidecar"])
 def test_a_configuration_in_place_of_a_model_file_is_called_one(name, capsys):
     assert main(["export", f"config/{name}.yaml", "--to", "csv"]) == 2
-    assert capsys.readouterr().err.startswith(f"config/{name}.yaml: this is a configuration; give a model file")
+    assert capsys.readouterr().err.startswith(f"config/{name}.yaml: this is a configuration")
     assert main(["export", "config/models/lugre_axis.yaml", "--to", "mujoco"]) == 2
-    assert "MuJoCo reads what --to mjcf writes" in capsys.readouterr().err
+    assert "--to mjcf" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", ["can0", "socketcan:can0", "udp_multicast:239.74.163.2:43114"])
@@ -246,24 +221,14 @@ def test_a_bus_is_named_alike_for_a_new_file_and_for_drives(words):
 
 
 def test_json_output(add_command, capsys):
+    numbers = {"float": np.float64(0.1), "int": np.int32(3), "bool": np.bool_(True), "nan": np.float32("nan")}
+    given = {"nan": math.nan, "infinite": [math.inf, -math.inf, 1.5], "numpy": numbers}
+    given |= {"array": np.array([[1.0, np.inf], [2.0, 3.0]]), "path": PurePosixPath("a/b"), 3: (None, True, "ä")}
+
     @option_json
     def function(as_json):
         assert as_json
-        print_json(
-            {
-                "nan": math.nan,
-                "infinite": [math.inf, -math.inf, 1.5],
-                "numpy": {
-                    "float": np.float64(0.1),
-                    "int": np.int32(3),
-                    "bool": np.bool_(True),
-                    "nan": np.float32("nan"),
-                },
-                "array": np.array([[1.0, np.inf], [2.0, 3.0]]),
-                "path": PurePosixPath("a/b"),
-                3: (None, True, "ä"),
-            }
-        )
+        print_json(given)
 
     add_command(function)
     assert main(["probe", "--json"]) == 0
@@ -275,10 +240,7 @@ def test_json_output(add_command, capsys):
         "path": "a/b",
         "3": [None, True, "ä"],
     }
-
-
-def test_what_has_no_form_in_json_is_refused():
-    with pytest.raises(TypeError, match="complex cannot be represented in JSON"):
+    with pytest.raises(TypeError, match="complex"):
         to_json([1j])
 
 
@@ -286,11 +248,6 @@ def test_consoles(capsys):
     console().print("result")
     console(stderr=True).print("progress")
     assert capsys.readouterr() == ("result\n", "progress\n")
-
-
-def test_check_a_good_file(capsys):
-    assert main(["config", "check", DEMO]) == 0
-    assert capsys.readouterr() == (f"{DEMO}: ok\n", "")
 
 
 def test_check_reports_every_mistake_of_every_file(tmp_path, capsys):
@@ -312,24 +269,16 @@ def test_check_reports_every_mistake_of_every_file(tmp_path, capsys):
     assert err == ""
     assert good == {"path": DEMO, "problems": [], "notes": []}
     assert len(bad["problems"]) == 3
-    assert bad["problems"][0] == {
-        "path": str(path),
-        "line": line,
-        "field": "axes.x.node",
-        "message": "must be at least 1 and at most 127, not 0",
-    }
+    message = "must be at least 1 and at most 127, not 0"
+    assert bad["problems"][0] == {"path": str(path), "line": line, "field": "axes.x.node", "message": message}
 
 
-def test_show_prints_what_loads_again(tmp_path, capsys):
+def test_show_prints_what_loads_again_and_of_a_bad_file_nothing(tmp_path, capsys):
     for example in sorted(EXAMPLES.glob("*.yaml")):
         assert main(["config", "show", str(example)]) == 0
         path = tmp_path / example.name
         path.write_text(capsys.readouterr().out)
         assert self_contained(load(path)) == self_contained(load(example))
-
-
-def test_show_of_a_bad_file_prints_nothing(tmp_path, capsys):
-    path = tmp_path / "bad.yaml"
     path.write_text("version: 1\n")
     assert main(["config", "show", str(path)]) == 2
     out, err = capsys.readouterr()

@@ -24,21 +24,27 @@ def run(folder, *words, then=""):
     assert done.returncode == 0, done.stderr
 
 
+COMPILER = {"numba", "llvmlite"}
+HEAVY = {"numpy", "scipy", "can", "canopen", "pydantic", "matplotlib", "rich", "yaml", "mcap", "serial", *COMPILER}
+
+
 @pytest.mark.parametrize(
-    "words",
+    ("words", "modules"),
     [
-        ("config", "check", EXAMPLE),
-        ("config", "new", "new.yaml", "--simulated"),
-        ("models", "lugre"),
-        ("convert", "--info", "a.csv"),
+        (("--help",), HEAVY),
+        (("config", "check", EXAMPLE), COMPILER),
+        (("config", "new", "new.yaml", "--simulated"), COMPILER),
+        (("models", "lugre"), {*COMPILER, "matplotlib"}),
+        (("convert", "--info", "a.csv"), COMPILER),
     ],
-    ids=lambda words: " ".join(words[:2]),
+    ids=lambda given: " ".join(given[:2]) if isinstance(given, tuple) else "",
 )
-def test_what_computes_nothing_does_not_import_the_compiler(words, tmp_path):
+def test_a_command_imports_nothing_that_it_does_not_need(words, modules, tmp_path):
     table = tmp_path / "a.csv"
     table.write_text("time_s,position,torque\n0,0,0\n0.001,0.1,0.1\n0.002,0.2,0.1\n0.003,0.3,0.1\n")
     own = {"new.yaml": tmp_path / "new.yaml", "a.csv": table}
-    run(tmp_path, *(own.get(each, each) for each in words), then="assert not {'numba', 'llvmlite'} & set(sys.modules)")
+    then = f"assert 'click' in sys.modules and not {modules} & set(sys.modules)"
+    run(tmp_path, *(own.get(each, each) for each in words), then=then)
 
 
 @pytest.mark.parametrize("name", [name for name, family in FAMILIES.items() if not family.is_static])

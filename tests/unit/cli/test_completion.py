@@ -16,7 +16,6 @@ from friction_hil.recordings import Recording, write
 from tests.readme_commands import ROOT
 
 PAGE = (ROOT / "friction_hil/cli/README.md").read_text()
-CONFIGURATION = "version: 1\naxes:\n  left: {}\n  lift: {}\n  right: {}\n"
 
 
 @pytest.fixture
@@ -49,19 +48,13 @@ def test_commands_have_their_descriptions(complete):
     assert texts(complete("config", "ch")) == ["check"]
 
 
-def test_the_models_are_those_that_there_are():
-    assert list(MODELS) == models.names()
-    assert all(text and "," not in text for text in MODELS.values())
-
-
 @pytest.mark.parametrize(
     "words", [("models", "lu"), ("replay", "a.csv", "--model", "lu"), ("train", "--from-model", "lu")]
 )
-def test_name_of_a_model(complete, words):
+def test_name_of_a_model_or_a_file_where_no_model_begins_so(complete, words):
+    assert list(MODELS) == models.names()
+    assert all(text and "," not in text for text in MODELS.values())
     assert complete(*words) == [("plain", "lugre", MODELS["lugre"])]
-
-
-def test_where_no_model_begins_so_a_file_may(complete):
     assert complete("replay", "a.csv", "--model", "out/ax") == [("file", "out/ax", "")]
 
 
@@ -72,14 +65,11 @@ def test_list_of_models(complete, command):
     assert "lugre,lugre" not in texts(complete(command, "--models", "lugre,"))
 
 
-def test_axes_of_the_configuration_on_the_line(complete, tmp_path):
+def test_axes_of_the_file_on_the_line(complete, tmp_path):
     path = tmp_path / "machine.yaml"
-    path.write_text(CONFIGURATION)
+    path.write_text("version: 1\naxes:\n  left: {}\n  lift: {}\n  right: {}\n")
     assert texts(complete("tune", str(path), "--axis", "l")) == ["left", "lift"]
     assert texts(complete("tune", str(path), "--axis", "left", "--axis", "r")) == ["right"]
-
-
-def test_axes_of_a_recording_on_the_line(complete, tmp_path):
     path = tmp_path / "run.mcap"
     write(path, Recording("", "left", {"time_s": np.array([0.0, 1.0]), "torque": np.zeros(2)}))
     assert texts(complete("replay", str(path), "--axis", "")) == ["left"]

@@ -49,14 +49,6 @@ def test_each_axis_gets_a_csv_of_its_own(two_axes, tmp_path, capsys):
     np.testing.assert_array_equal(y["position"], -np.array([0, 1, 5]) / 3)
 
 
-def test_where_one_of_the_files_exists_none_is_written(two_axes, tmp_path, capsys):
-    (tmp_path / "out_y.csv").write_text("mine")
-    assert main(["convert", str(two_axes), str(tmp_path / "out.csv")]) == 1
-    assert "out_y.csv exists already; --force replaces it" in capsys.readouterr().err
-    assert not (tmp_path / "out_x.csv").exists()
-    assert (tmp_path / "out_y.csv").read_text() == "mine"
-
-
 def test_one_axis_is_written_under_the_name_given(two_axes, tmp_path):
     assert main(["convert", str(two_axes), str(tmp_path / "out.csv"), "--axis", "y"]) == 0
     assert fh.recordings.read(tmp_path / "out.csv")["position"][1] == -1 / 3
@@ -69,14 +61,19 @@ def test_columns_are_renamed_and_scaled_on_the_way(table, tmp_path):
     assert out.read_text().splitlines()[:2] == ["current,angle,time_s", "3.0,0.1,0.0"]
 
 
-def test_existing_files_are_replaced_only_by_force(table, tmp_path, capsys):
+def test_existing_files_are_replaced_only_by_force(two_axes, table, tmp_path, capsys):
     out = tmp_path / "out.mcap"
     out.write_bytes(b"precious")
     assert main(["convert", str(table), str(out)]) == 1
-    assert "exists already; --force replaces it" in capsys.readouterr().err
+    assert "--force" in capsys.readouterr().err
     assert out.read_bytes() == b"precious"
     assert main(["convert", str(table), str(out), "--force", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"written": [str(out)], "rows": {"bench": 2}}
+    (tmp_path / "out_y.csv").write_text("mine")
+    assert main(["convert", str(two_axes), str(tmp_path / "out.csv")]) == 1
+    assert "out_y.csv exists already" in capsys.readouterr().err
+    assert not (tmp_path / "out_x.csv").exists(), "where one of the files exists none is written"
+    assert (tmp_path / "out_y.csv").read_text() == "mine"
 
 
 @pytest.mark.parametrize(
@@ -86,7 +83,7 @@ def test_existing_files_are_replaced_only_by_force(table, tmp_path, capsys):
         (["bench.csv", "x.csv", "--info"], 2, "leave OUT away"),
         (["bench.csv", "x.txt"], 2, "there are: .csv, .h5,"),
         (["none.csv", "x.mcap"], 1, "No such file or directory"),
-        (["bench.csv", "x.mcap", "--column", "torque"], 2, "does not have the form 'torque=effort'"),
+        (["bench.csv", "x.mcap", "--column", "torque"], 2, "'torque=effort'"),
         (["bench.csv", "x.mcap", "--column", "torque=efort"], 2, "there are: position, time_s, torque"),
         (["bench.csv", "x.mcap", "--scale", "torque=much"], 2, "'much' is not a number"),
         (["bench.csv", "x.mcap", "--scale", "torque=nan"], 2, "finite and not zero"),
@@ -105,14 +102,10 @@ def test_mistakes_are_reported_in_a_sentence(words, status, message, two_axes, t
 def test_info_tells_what_is_in_a_recording(two_axes, capsys):
     assert main(["convert", str(two_axes), "--info"]) == 0
     output = capsys.readouterr()
-    assert "x: 3 rows, 0.005 s at 400 Hz" in output.out
-    assert "1.667" in output.out
-    assert "2 restart points; metadata: fingerprint, recording" in output.out
+    for text in ("x: 3 rows, 0.005 s at 400 Hz", "1.667", "2 restart points; metadata: fingerprint, recording"):
+        assert text in output.out
     assert "cycle 5: fault: [red] x: too fast" in output.out
     assert "3 cycles are missing" in output.err
-
-
-def test_info_as_json(two_axes, capsys):
     assert main(["convert", str(two_axes), "--info", "--axis", "y", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     facts = content["axes"]["y"]
@@ -138,6 +131,10 @@ def test_a_recording_that_was_cut_off_is_converted_as_far_as_it_goes(two_axes, t
     assert "there is no channel in it; the file was cut off" in error
 
 
+def no_space(*_, **__):
+    raise OSError(28, "No space left on device")
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".mcap", ".mat", ".h5", ".parquet", ".mf4"])
 @pytest.mark.parametrize("force", [False, True])
 def test_a_conversion_that_fails_leaves_what_was_there(table, tmp_path, monkeypatch, suffix, force):
@@ -146,12 +143,8 @@ def test_a_conversion_that_fails_leaves_what_was_there(table, tmp_path, monkeypa
     out.parent.mkdir()
     if force:
         out.write_bytes(b"precious")
-
-    def fail(*_, **__):
-        raise OSError(28, "No space left on device")
-
     for name in ("link", "replace"):  # one of them gives the complete file its name
-        monkeypatch.setattr(os, name, fail)
+        monkeypatch.setattr(os, name, no_space)
     assert main(["convert", str(table), str(out), *(["--force"] if force else [])]) == 1
     assert [path.name for path in out.parent.iterdir()] == ([out.name] if force else [])
     assert not force or out.read_bytes() == b"precious"
@@ -167,17 +160,14 @@ def test_rows_that_cannot_be_written_leave_no_file(tmp_path, capsys):
 def test_one_axis_that_cannot_be_written_leaves_no_other(two_axes, tmp_path, monkeypatch):
     link, calls = os.link, []
 
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
     def fail_at_the_second(*words):
         calls.append(words)
         if len(calls) == 2:
-            full()
+            no_space()
         link(*words)
 
     monkeypatch.setattr(os, "link", fail_at_the_second)
-    monkeypatch.setattr(os, "replace", full)
+    monkeypatch.setattr(os, "replace", no_space)
     (tmp_path / "out").mkdir()
     assert main(["convert", str(two_axes), str(tmp_path / "out" / "x.csv")]) == 1
     assert list((tmp_path / "out").iterdir()) == []

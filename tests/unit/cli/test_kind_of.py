@@ -14,19 +14,15 @@ def recorded(kind=None, path="log.mcap"):
 
 
 @pytest.mark.parametrize("is_linear", [False, True])
-def test_without_a_configuration_the_option_decides(is_linear):
+def test_a_recording_of_the_daemon_needs_no_option_and_of_others_it_decides(is_linear):
     assert kind_of([recorded(), recorded()], is_linear=is_linear) == ("linear" if is_linear else "rotary")
-
-
-@pytest.mark.parametrize("is_linear", [False, True])
-def test_a_recording_of_the_daemon_needs_no_option(is_linear):
     assert kind_of([recorded(), recorded("linear")], is_linear=is_linear) == "linear"
 
 
 def test_what_contradicts_is_refused():
-    with pytest.raises(UsageError, match=r"^a: axis 'x' is rotary by its configuration, and linear by --linear$"):
+    with pytest.raises(UsageError, match=r"^a: axis 'x' .*--linear$"):
         kind_of([recorded("rotary", "a")], is_linear=True)
-    with pytest.raises(UsageError, match=r"^b: axis 'x' is linear by its configuration, and rotary by a$"):
+    with pytest.raises(UsageError, match=r"^b: axis 'x' .*rotary by a$"):
         kind_of([recorded("rotary", "a"), recorded("linear", "b")], is_linear=False)
 
 

@@ -30,11 +30,8 @@ def test_no_control_character_stays(text):
     assert printable(shown) == shown
     # a JSON document stays the same document
     assert json.loads(printable(json.dumps([text], ensure_ascii=False))) == [text]
-
-
-def test_words_stay_as_they_are():
-    text = "Geschwindigkeit [µm/s] → 速度 №1\tx\n"
-    assert printable(text) == text
+    words = "Geschwindigkeit [µm/s] → 速度 №1\tx\n"
+    assert printable(words) == words
 
 
 @pytest.fixture
@@ -62,7 +59,9 @@ def folder(tmp_path, monkeypatch):
     ],
 )
 def test_no_command_prints_them(folder, words, capsys):
+    before = sys.stdout, sys.stderr
     main(words)
+    assert (sys.stdout, sys.stderr) == before, "the streams are put back"
     printed = capsys.readouterr()
     for text in printed:
         assert not set(text) & {"\x1b", "\x07", "\r", "\x9b", "\u202e"}
@@ -92,6 +91,7 @@ def test_a_terminal_gets_them_as_text(folder):
     assert b"\x1b]" not in data
     assert b"\x07" not in data
     assert b"\x1b[1m" in data  # the heading is bold
+    assert b"\x1b[1mmodel" in on_a_terminal(sys.executable, "-m", "friction_hil", "models", COLUMNS="80", TERM="xterm")
 
 
 def test_a_bar_and_what_is_printed_beside_it_reach_a_terminal():
@@ -119,12 +119,8 @@ with progress_bar() as bar:
 
 
 def test_no_word_of_an_error_is_cut_at_the_edge_of_a_terminal(folder):
-    for words in (
-        ["rnu"],
-        ["run", "--duration", "5"],
-        ["config", "check", "nowhere.yaml"],
-        ["convert", "x.npz", "y.z"],
-    ):
+    wrong = (["rnu"], ["run", "--duration", "5"], ["config", "check", "nowhere.yaml"], ["convert", "x.npz", "y.z"])
+    for words in wrong:
         data = on_a_terminal(sys.executable, "-m", "friction_hil", *words, COLUMNS="40", NO_COLOR="1")
         lines = data.decode().splitlines()
         assert [line for line in lines if len(line) > 40 and "friction" not in line] == []
@@ -136,12 +132,6 @@ def test_no_word_of_an_error_is_cut_at_the_edge_of_a_terminal(folder):
 def test_a_folder_in_the_place_of_a_recording_is_named(folder, words, capsys):
     assert main(words) == 2
     assert ".: no recording (.mcap) is in this folder" in capsys.readouterr().err
-
-
-def test_headings_of_the_models_are_bold_on_a_terminal():
-    data = on_a_terminal(sys.executable, "-m", "friction_hil", "models", COLUMNS="80", TERM="xterm")
-    assert rb"\u001b" not in data
-    assert b"\x1b[1mmodel" in data
 
 
 def test_a_file_name_that_is_not_utf_8(tmp_path, capsysbinary):
@@ -161,9 +151,3 @@ def test_styles_of_our_own_are_kept_on_a_terminal(is_terminal):
     PrintableStream(stream).write(f"{own_style(click.style('Error:', fg='red', bold=True))} \x1b[31mred\x1b[0m")
     label = "\x1b[31m\x1b[1mError:\x1b[0m" if is_terminal else "Error:"
     assert stream.getvalue() == rf"{label} \u001b[31mred\u001b[0m"
-
-
-def test_the_streams_are_put_back():
-    before = sys.stdout, sys.stderr
-    main(["models", "none"])
-    assert (sys.stdout, sys.stderr) == before

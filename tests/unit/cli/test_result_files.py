@@ -18,9 +18,7 @@ LONG = {
 @pytest.mark.parametrize(("option", "suffix"), [("--output", ".yaml"), ("--report", ".html")])
 def test_a_command_that_works_for_long_refuses_first_what_it_could_not_write(command, option, suffix, tmp_path, capsys):
     target = tmp_path / "gone" / f"result{suffix}"
-
     assert main([command, *LONG[command], option, str(target)]) == 2
-
     assert f"{option} {target}: there is no folder {tmp_path / 'gone'}" in capsys.readouterr().err
     folder = tmp_path / f"result{suffix}"
     folder.mkdir()
@@ -31,21 +29,14 @@ def test_a_command_that_works_for_long_refuses_first_what_it_could_not_write(com
 @pytest.mark.parametrize("words", [["study", "--models", "coulomb"], ["study", "no_such_machine.yaml"]])
 def test_a_study_refuses_a_folder_that_it_cannot_make(words, tmp_path, capsys):
     (tmp_path / "file").write_text("")
-
     assert main([*words, "--output", str(tmp_path / "file" / "study")]) in (1, 2)
-
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_a_file_that_may_not_be_written_is_refused(tmp_path, monkeypatch):
+def test_a_file_that_may_not_be_written_is_refused_and_none_is_touched(tmp_path, monkeypatch):
+    check_result_files(tmp_path / "net.yaml", None)
+    assert list(tmp_path.iterdir()) == []
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # tests may run as root, who may write everywhere
-
     for path in (tmp_path / "new.yaml", tmp_path):
         with pytest.raises(UsageError, match=r"cannot be written|is a folder"):
             check_writable(path, "--output")
-
-
-def test_files_that_can_be_written_are_not_touched(tmp_path):
-    check_result_files(tmp_path / "net.yaml", None)
-
-    assert list(tmp_path.iterdir()) == []

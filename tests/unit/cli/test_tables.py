@@ -111,31 +111,22 @@ def test_drives_of_a_bus_are_shown_in_parts_where_the_terminal_is_narrow(width, 
 def test_other_tables_fit(width, capsys, monkeypatch):
     monkeypatch.setattr("friction_hil.cli.work.tables._WIDE", width)
     error = SimpleNamespace(relative_error=0.12345)
+    values = {"direction.positive.coulomb": -1.23456e-5}
     fit = SimpleNamespace(
         **{"label": "elasto_plastic + direction + load + temperature", "count": 12, "train": error},
         **{"cross_validation": error, "across_speeds": None, "validation": error},
-        **{
-            "structure": SimpleNamespace(modifiers=("direction",)),
-            "values": {"direction.positive.coulomb": -1.23456e-5},
-        },
+        **{"structure": SimpleNamespace(modifiers=("direction",)), "values": values},
         inference=SimpleNamespace(standard_errors={"direction.positive.coulomb": 1.2e-7}),
     )
     found = SimpleNamespace(fits=(fit,), groups=(("", (fit,)),), records=(SimpleNamespace(group="a"),), settings=None)
-    outcome = SimpleNamespace(
-        picture=None,
-        facts={
-            "path": f"/logs/{LONG}.mcap",
-            "axis": "x",
-            "problems": [],
-            "models": [
-                {"model": f"lugre:sigma0=2000,coulomb={k}", "rmse": 10.0**-k, "unit": "N m", "relative_error": 0.5}
-                for k in range(3)
-            ],
-        },
-    )
-    columns = {
-        "velocity_demand_ahead": {"unit": "rad/s or m/s", "values": 123456, "min": -0.0, "max": 1e5, "step": 1.2345e-7}
-    }
+    tried = [
+        {"model": f"lugre:sigma0=2000,coulomb={k}", "rmse": 10.0**-k, "unit": "N m", "relative_error": 0.5}
+        for k in range(3)
+    ]
+    replayed = {"path": f"/logs/{LONG}.mcap", "axis": "x", "problems": [], "models": tried}
+    outcome = SimpleNamespace(picture=None, facts=replayed)
+    column = {"unit": "rad/s or m/s", "values": 123456, "min": -0.0, "max": 1e5, "step": 1.2345e-7}
+    columns = {"velocity_demand_ahead": column}
     facts = {"rows": 1, "duration_s": 1.0, "rate_hz": 1.0, "jitter_s": 0.0, "gaps": 0, "longest_gap_s": 0.0}
     printed = (
         lambda: identify.print_candidates(found),
@@ -152,36 +143,31 @@ def test_other_tables_fit(width, capsys, monkeypatch):
     assert "100000" in words(shown)
 
 
-def test_rows_have_a_cell_for_each_column():
-    with pytest.raises(ValueError, match="1 cells for 2 columns"):
-        Table(new_table("a", "b").columns).add_row("x")
-
-
-def test_a_table_in_a_pipe_is_as_wide_as_it_needs(capsys):
+def test_rows_have_a_cell_for_each_column_and_a_table_in_a_pipe_is_as_wide_as_it_needs(capsys):
     table = new_table("name", number("value"))
+    with pytest.raises(ValueError, match="1 cells for 2 columns"):
+        Table(table.columns).add_row("x")
     table.add_row("n" * 150, "1")
     print_table(table)
     assert [len(line) for line in capsys.readouterr().out.splitlines()][1] == 150 + 2 + 5
 
 
 def test_remaining_time_follows_from_the_steps_so_far():
-    now = 100.0
+    now = 0.0
     steps = _Steps(lambda: now)
-    assert steps.text(0, None) == ""
-    assert steps.text(1, 5) == "1 of 5"
-    now = 130.0
-    assert steps.text(2, 5) == "2 of 5, 2:00 left"
-    now = 160.0
-    assert steps.text(3, 5) == "3 of 5, 1:30 left"
-    assert steps.text(1, None) == "1"
-    now = 190.0
-    assert steps.text(4, None) == "4"
-    assert steps.text(1, 2) == "1 of 2"  # another stage
-    now = 191.5
-    assert steps.text(2, 2) == "2 of 2, 0:01 left"
-    assert steps.text(1, 6) == "1 of 6"
-    now = 191.6
-    assert steps.text(4, 6) == "4 of 6"  # what was quick so far says nothing of the rest
+    for now, done, total, text in (  # noqa: B007 - the clock is read by the steps
+        (100.0, 0, None, ""),
+        (100.0, 1, 5, "1 of 5"),
+        (130.0, 2, 5, "2 of 5, 2:00 left"),
+        (160.0, 3, 5, "3 of 5, 1:30 left"),
+        (160.0, 1, None, "1"),
+        (190.0, 4, None, "4"),
+        (190.0, 1, 2, "1 of 2"),  # another stage
+        (191.5, 2, 2, "2 of 2, 0:01 left"),
+        (191.5, 1, 6, "1 of 6"),
+        (191.6, 4, 6, "4 of 6"),  # what was quick so far says nothing of the rest
+    ):
+        assert steps.text(done, total) == text
 
 
 def test_modules_without_tables_of_their_own_use_this_one():

@@ -4,19 +4,10 @@ from friction_hil.cli.work.train import Tries
 from friction_hil.training import Progress
 
 
-def progress(stage, start, error):
-    return Progress(stage, start, 2, 1, 10, 0.5, error, 1e-2)
-
-
 def test_each_try_is_one_line_with_its_lowest_error_and_the_best_so_far():
     tries = Tries()
-    steps = [
-        progress("series-parallel", 0, 0.9),
-        progress("trial", 0, 0.4),
-        progress("trial", 0, 0.6),
-        progress("trial", 1, 0.5),
-        progress("parallel", 0, 0.1),
-    ]
+    given = (("series-parallel", 0, 0.9), ("trial", 0, 0.4), ("trial", 0, 0.6), ("trial", 1, 0.5), ("parallel", 0, 0.1))
+    steps = [Progress(stage, start, 2, 1, 10, 0.5, error, 1e-2) for stage, start, error in given]
 
     lines = [line for step in steps for line in tries.take(step)] + tries.end()
 

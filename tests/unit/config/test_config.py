@@ -1,6 +1,5 @@
 """Configurations and model files: correct ones are accepted, and mistakes are reported."""
 
-import copy
 import json
 import math
 import re
@@ -48,8 +47,10 @@ def test_a_good_file(path):
     assert str(configuration.recording.path) == "out/run.mcap"
 
 
-def test_it_cannot_be_changed():
-    configuration = from_dict(good(), "test")
+def test_neither_it_nor_what_it_is_made_of_is_changed():
+    values = good()
+    configuration = from_dict(values, "test")
+    assert values == good()
     with pytest.raises(ValueError, match="frozen"):
         configuration.axes["x"].limits.torque = 3.0
 
@@ -57,10 +58,8 @@ def test_it_cannot_be_changed():
 CASES = [
     # the line of GOOD that is replaced, what replaces it, the field, the message
     ("period_s: 1e-3", "period_s: 1:30", "period_s", "must be a number [s], not the text '1:30'"),
-    ("period_s: 1e-3", "period_s: 1:30", "period_s", "write 90"),
     ("period_s: 1e-3", "period_s: 2", "period_s", "must be at least 0.0001 and at most 1 s, not 2"),
     ("period_s: 1e-3", "period_s: .nan", "period_s", "must be a finite number, not .nan"),
-    ("period_s: 1e-3", "period_s: .inf", "period_s", "must be a finite number, not .inf"),
     ("period_s: 1e-3", "period_s: '1e-3'", "period_s", "without quotes"),
     ("period_s: 1e-3", "period_s: 0,001", "period_s", "write 0.001"),
     ("period_s: 1e-3", "period_s: true", "period_s", "must be a number [s], not true"),
@@ -68,32 +67,20 @@ CASES = [
     ("period_s: 1e-3", "priod_s: 1e-3", "priod_s", "did you mean 'period_s'?"),
     ("version: 1", "version: 2", "version", "must be 1, not 2"),
     ("  port: 43113", "  port: 43_113", "bus.port", "write 43113"),
-    ("  port: 43113", "  port: 70000", "bus.port", "at most 65535"),
     ("  port: 43113", "  port: 1.0", "bus.port", "write 1"),
-    ("  port: 43113", "  bitrate: 10", "bus.bitrate", "must be at least 1000"),
-    (
-        "  channel: 239.74.163.2",
-        "  channel: can0",
-        "bus.channel",
-        "multicast address such as 239.74.163.2, not the text",
-    ),
     ("  channel: 239.74.163.2", "  channel: can0", "bus.channel", "can0 is a channel of interface: socketcan"),
     ("  channel: 239.74.163.2", "  channel: 10.0.0.1", "bus.channel", "multicast address"),
-    ("  port: 43113", "  prot: 43113", "bus.prot", "did you mean 'port'?"),
     ("  channel: 239.74.163.2", "  channel: [1]", "bus.channel", "must be a whole number, not a list; or"),
     ("  x:", "  X:", "axes.X", "small letters"),
     ("    driver: fake", "    driver: fkae", "axes.x.driver", "did you mean 'fake'?"),
     ("    driver: fake", "    driver: broken", "axes.x.driver", "cannot be imported"),
     ("    node: 1", "    node: 10", "axes.x.node", "must be at least 1 and at most 9, not 10"),
     ("    node: 1", "    node: 010", "axes.x.node", "write 10"),
-    ("    node: 1", "    nod: 1", "axes.x.nod", "did you mean 'node'?"),
     ("    node: 1", "    node: 1\n    options: {node: 1}", "axes.x.options", "is not a key here"),
     ("    node: 1", "    node: 1\n    gear: 0", "axes.x.gear", "must be above 0 furlong, not 0"),
     ("    node: 1", "    node: 1\n    is_inverted: on", "axes.x.is_inverted", "write true"),
     ("    node: 1", "    node: 1\n    wiring: {pins: [1, a]}", "axes.x.wiring.pins[1]", "whole number"),
-    ("    node: 1", "    node: 1\n    wiring: {pin: [1]}", "axes.x.wiring.pin", "did you mean 'pins'?"),
     ("    mode: csp", "    mode: CSP", "axes.x.mode", "'csp', 'csv' or 'cst'"),
-    ("    limits:", "    limit:", "axes.x.limit", "did you mean 'limits'?"),
     ("      torque: 0.3", "      torque: -0.3", "axes.x.limits.torque", "must be above 0 N m"),
     ("      torque: 0.3", "      torque: 0.3 Nm", "axes.x.limits.torque", "write the number alone, 0.3"),
     ("      torque: 0.3", "      torque: 1e300", "axes.x.limits.torque", "at most 1e+07 N m or N, not 1e+300"),
@@ -102,9 +89,6 @@ CASES = [
     ("period_s: 1e-3", "period_s: 1000 Hz", "period_s", "write the number alone, converted to s"),
     ("      torque: 0.3", "      torque: 30%", "axes.x.limits.torque", "a percentage; give the value in N m or N"),
     ("      torque: 0.3", "      torque:", "axes.x.limits.torque", "not empty: fill in the limit of abs(compensation)"),
-    ("      velocity: 30.0", "      velocity: 1e300", "axes.x.limits.velocity", "at most 1e+06"),
-    ("      position: [-10.0, 10]", "      position: [-1e300, 10]", "axes.x.limits.position[0]", "at least -1e+09"),
-    ("      torque: 0.3", "      torqe: 0.3", "axes.x.limits.torqe", "did you mean 'torque'?"),
     ("      position: [-10.0, 10]", "      position: [1, 1]", "axes.x.limits.position", "[lowest, highest]"),
     ("      position: [-10.0, 10]", "      position: [1]", "axes.x.limits.position", "at least 2 values"),
     ("      position: [-10.0, 10]", "      position: [1, 2, 3]", "axes.x.limits.position", "at most 2"),
@@ -112,52 +96,21 @@ CASES = [
     ("      velocity: 30.0", "      velocity: 3.1", "axes.x.limits.velocity", "moves at up to 3.142"),
     ("        model: lugre", "        model: lugree", "axes.x.model.friction.model", "did you mean 'lugre'?"),
     ("          sigma0: 2000", "          sigma0: -1", "axes.x.model.friction.parameters.sigma0", "N m/rad, > 0"),
-    ("          sigma0: 2000", "          sigma0: .nan", "axes.x.model.friction.parameters.sigma0", "nan"),
     ("          sigma0: 2000", "          sigma: 1", "axes.x.model.friction.parameters.sigma", "sigma0"),
     ("        inertia: 2e-4", "        inertia: [2e-4]", "axes.x.model.mechanics.inertia", "not a list"),
-    ("        inertia: 2e-4", "        inertia: -1", "axes.x.model.mechanics.inertia", "kg m^2 or kg"),
-    ("        inertia: 2e-4", "        inertia: 1e300", "axes.x.model.mechanics.inertia", "at most 1e+09"),
     ("      gain: 0.8", "      gain: 1.6", "axes.x.compensation.gain", "at least 0 and at most 1.5, not 1.6"),
-    ("      gain: 0.8", "      gain: 90%", "axes.x.compensation.gain", "write 0.9"),
     ("      gain: 0.8", "      gain: 12.5 %", "axes.x.compensation.gain", "write 0.125"),
     ("      gain: 0.8", "      enabled: yes", "axes.x.compensation.enabled", "write true"),
     ("      gain: 0.8", "      enabled: 1", "axes.x.compensation.enabled", "must be true or false, not 1"),
     ("      gain: 0.8", "      smoothing: 0.05", "axes.x.compensation.smoothing", "cycles"),
     ("      - name: plain", "      - name: Plain", "axes.x.shadows[0].name", "small letters"),
     ("      kind: circle", "      kind: circel", "axes.x.trajectory.kind", "one of 'circle', 'sine'"),
-    ("      radius: 1.0", "      radus: 1.0", "axes.x.trajectory.radus", "did you mean 'radius'?"),
     ("      kind: circle", "", "axes.x.trajectory", "needs the key 'kind'"),
-    ("      frequency: 0.5", "      frequency: 5e-324", "axes.x.trajectory.frequency", "at least 1e-05"),
-    ("      radius: 1.0", "      radius: 0", "axes.x.trajectory.radius", "must be above 0 rad or m"),
-    ("      rate_hz: 4000.0", "      rate: 1", "axes.x.simulation.rate", "did you mean 'rate_hz'?"),
     ("  path: out/run.mcap", "  path: 3", "recording.path", "3"),
-    (
-        "  path: out/run.mcap",
-        "  budget_mb: 20\n  rotate_mb: 15",
-        "recording.rotate_mb",
-        "at most half of budget_mb, 10",
-    ),
-    ("  path: out/run.mcap", "  rotate_s: 0.5", "recording.rotate_s", "1"),
-    (
-        "  path: out/run.mcap",
-        "  path: out/run.mcap\nlive: {}",
-        "live.dashboard",
-        "is needed, or foxglove: the port at which",
-    ),
-    (
-        "  path: out/run.mcap",
-        "  path: out/run.mcap\nlive: {dashboard: 80, foxglove: 80}",
-        "live.foxglove",
-        "another port than that of dashb",
-    ),
-    ("  path: out/run.mcap", "  path: out/run.mcap\nlive: {dashboard: 65536}", "live.dashboard", "65535"),
-    (
-        "  path: out/run.mcap",
-        "  path: out/run.mcap\nlive: {dashboard: 1, allow_hosts: ['a b']}",
-        "live.allow_hosts[0]",
-        "the name of a machine",
-    ),
-    ("  priority: 0", "  priority: 100", "realtime.priority", "at most 99"),
+    ("  path: out/run.mcap", "  budget_mb: 20\n  rotate_mb: 15", "recording.rotate_mb", "half of budget_mb, 10"),
+    ("  path: out/run.mcap", "  path: out/run.mcap\nlive: {}", "live.dashboard", "is needed, or foxglove"),
+    ("realtime:", "live: {dashboard: 80, foxglove: 80}\nrealtime:", "live.foxglove", "another port"),
+    ("realtime:", "live: {dashboard: 1, allow_hosts: ['a b']}\nrealtime:", "live.allow_hosts[0]", "machine"),
     ("  priority: 0", "  spin_us: 1000", "realtime.spin_us", "below the period, 1000 µs"),
 ]
 
@@ -170,32 +123,24 @@ def test_a_mistake_is_reported_with_its_line(path, old, new, field, message):
     assert message in problem.message
     assert problem.path == str(path)
     lines = GOOD.split("\n")
-    expected = lines.index(old) + 1 + new.count("\n")
+    expected = lines.index(old) + 1 + (0 if new.startswith("live") else new.count("\n"))
     if message.startswith("needs the key"):
         expected = lines.index("    trajectory:") + 1
     assert problem.line == expected
 
 
-def test_a_list_without_values_is_reported_once(path):
+def test_what_is_missing_is_reported_at_its_parent(path):
     [problem] = problems_in(path, GOOD.replace("position: [-10.0, 10]", "position: []"))
     assert (problem.field, problem.message) == ("axes.x.limits.position", "needs at least 2 values")
-
-
-def test_a_missing_key_is_reported_at_its_parent(path):
     [problem] = problems_in(path, GOOD.replace("      torque: 0.3\n", ""))
     assert (problem.line, problem.field) == (12, "axes.x.limits.torque")
-    assert problem.message.startswith("is missing: limit of abs(compensation)")
+    assert problem.message.startswith("is missing: ")
     [problem] = problems_in(path, GOOD.replace("          coulomb: 0.1\n          strib", "          strib"))
     assert (problem.line, problem.field) == (22, "axes.x.model.friction.parameters.coulomb")
-    assert problem.message.startswith("lugre needs coulomb (Coulomb level")
-
-
-def test_a_driver_without_simulated_drive(path):
+    assert problem.message.startswith("lugre needs coulomb")
     [problem] = problems_in(path, GOOD.replace("    driver: fake\n", "    driver: unsimulated\n"))
     assert (problem.line, problem.field) == (43, "axes.x.simulation")
-    assert problem.message.startswith(
-        "there are simulated drives for ascii, canopen, dynamixel, fake, modbus: no driver is called"
-    )
+    assert "ascii, canopen, dynamixel, fake, modbus" in problem.message
 
 
 @pytest.mark.parametrize("text", ["9" * 32_000 + "x", "0" * 32_000 + "x", "1" + ":00" * 10_000, "9" * 32_000 + ":00"])
@@ -210,7 +155,6 @@ def test_a_very_long_number_is_refused_without_a_long_search(path, text):
 def test_only_model_files_are_suggested_for_a_missing_one(tmp_path, path):
     text = re.sub(r"    model:\n(?:      .*\n)+", "    model: axes.yaml\n", GOOD, count=1)
     [problem] = problems_in(path, text)  # in axis.yaml itself, which is no model file
-    assert problem.message.startswith("there is no model file")
     assert "'friction-hil tune'" in problem.message
     assert "did you mean" not in problem.message
     (tmp_path / "axes1.yaml").write_text("axis: rotary\nfriction: {model: coulomb, parameters: {coulomb: 0.1}}\n")
@@ -250,63 +194,38 @@ def test_all_mistakes_are_reported_at_once(path):
     assert problems[-1].message.startswith("is given twice")
 
 
+CONTROLLER = {"position_gain": 1.0, "velocity_gain": 1.0, "integral_hz": 0.0}
+CST = {"axes__x__mode": "cst"}
+SINE = {"kind": "sine", "amplitude": 1e-3, "frequency": 1.0}
+TRIANGLE = {"kind": "triangle", "amplitude": 1.0, "frequency": 0.4}
+EXPERIMENT = {"velocity": 3.0, "travel": 1.0}
+
+
 @pytest.mark.parametrize(
     ("changes", "field", "message"),
     [
         ({"axes__x__trajectory": {"kind": "none"}}, "axes.x.trajectory.kind", "mode csp needs"),
         ({"axes__x__mode": "csv", "axes__x__trajectory": {"kind": "none"}}, "axes.x.trajectory.kind", "csv"),
-        ({"axes__x__mode": "cst"}, "axes.x.controller", "is missing"),
-        (
-            {"axes__x__controller": {"position_gain": 1.0, "velocity_gain": 1.0, "integral_hz": 0.0}},
-            "axes.x.controller",
-            "is only for modes cst",
-        ),
-        (
-            {"axes__x__mode": "cst", "axes__x__trajectory": {"kind": "none"}},
-            "axes.x.limits.following_error",
-            "needs a set-point",
-        ),
+        (CST, "axes.x.controller", "is missing"),
+        ({"axes__x__controller": CONTROLLER}, "axes.x.controller", "modes cst"),
+        ({**CST, "axes__x__trajectory": {"kind": "none"}}, "axes.x.limits.following_error", "set-point"),
         ({"axes__x__shadows": [good()["axes"]["x"]["shadows"][0]] * 2}, "axes.x.shadows[1]", "'plain' already"),
-        (
-            {"axes__x__model__friction__modifiers": {"weather": {}}},
-            "axes.x.model.friction.modifiers.weather",
-            "no modifier 'weather'",
-        ),
+        ({"axes__x__model__friction__modifiers": {"a": {}}}, "axes.x.model.friction.modifiers.a", "no modifier 'a'"),
         ({"axes__y": good()["axes"]["x"]}, "axes.y.node", "has this node already"),
         ({"bus": None}, "axes.x.driver", "needs a bus"),
         ({"axes": {}}, "axes", "needs at least 1"),
-        (
-            {"axes__x__trajectory": {"kind": "triangle", "amplitude": 20.0, "frequency": 0.4}},
-            "axes.x.limits.velocity",
-            "32",
-        ),
-        (
-            {"axes__x__trajectory__frequency": 5e-324},
-            "axes.x.trajectory.frequency",
-            "must be at least 1e-05 and at most 5000 Hz",
-        ),
+        ({"axes__x__trajectory": {**TRIANGLE, "amplitude": 20.0}}, "axes.x.limits.velocity", "32"),
+        ({"axes__x__trajectory__frequency": 5e-324}, "axes.x.trajectory.frequency", "at least 1e-05 .* 5000 Hz"),
         ({"bus__interface": "socketcan", "bus__channel": "can0"}, "bus.port", "no meaning"),
         ({"bus": {"interface": "pcan", "channel": "PCAN_USBBUS1", "timing": [1]}}, "bus.timing", "single value"),
         ({"bus": {"interface": "pcan", "channel": "PCAN_USBBUS1", "delay": math.nan}}, "bus.delay", "finite"),
         ({"bus": {"interface": "socketcan", "channel": "239.74.163.2"}}, "bus.channel", "for interface: udp_multicast"),
         ({"axes__x__limits__position": [-0.9, 0.9]}, "axes.x.trajectory.radius", "room for 0.9 at most"),
+        ({"axes__x__trajectory": {**SINE, "frequency": 500.0}}, "axes.x.trajectory.frequency", "below half .*500 Hz"),
+        ({"axes__x__experiment": {**EXPERIMENT, "travel": 100.0}}, "axes.x.experiment.travel", "100 .*room for 10 at"),
+        ({"axes__x__experiment": {**EXPERIMENT, "duration_s": 36e3}}, "axes.x.experiment.duration_s", "at most 600 s"),
         (
-            {"axes__x__trajectory": {"kind": "sine", "amplitude": 1e-3, "frequency": 500.0}},
-            "axes.x.trajectory.frequency",
-            "must be below half of the set-points per second, 500 Hz, not 500",
-        ),
-        (
-            {"axes__x__experiment": {"velocity": 3.0, "travel": 100.0}},
-            "axes.x.experiment.travel",
-            "is 100 to either side, but limits.position [-10, 10] leaves room for 10 at most",
-        ),
-        (
-            {"axes__x__experiment": {"velocity": 3.0, "travel": 1.0, "duration_s": 36000.0}},
-            "axes.x.experiment.duration_s",
-            "at most 600 s",
-        ),
-        (
-            {"axes__x__trajectory": {"kind": "experiment", "velocity": 3.0, "travel": 1.0, "duration_s": 36000.0}},
+            {"axes__x__trajectory": {"kind": "experiment", **EXPERIMENT, "duration_s": 36e3}},
             "axes.x.trajectory.duration_s",
             "at most 600 s",
         ),
@@ -315,19 +234,16 @@ def test_all_mistakes_are_reported_at_once(path):
     ],
 )
 def test_what_does_not_fit_together(changes, field, message):
-    assert message in problems_of(changed(**changes))[field]
+    assert re.search(message, problems_of(changed(**changes))[field])
 
 
 @pytest.mark.parametrize(
     "changes",
     [
         {"axes__x__mode": "cst", "axes__x__trajectory": {"kind": "none"}, "axes__x__limits__following_error": None},
-        {
-            "axes__x__mode": "cst",
-            "axes__x__controller": {"position_gain": 1.0, "velocity_gain": 1.0, "integral_hz": 0.0},
-        },
+        {"axes__x__mode": "cst", "axes__x__controller": CONTROLLER},
         {"axes__x__trajectory": {"kind": "hold"}},
-        {"axes__x__mode": "csv", "axes__x__trajectory": {"kind": "sine", "amplitude": 1.0, "frequency": 1.0}},
+        {"axes__x__mode": "csv", "axes__x__trajectory": {**SINE, "amplitude": 1.0}},
         {"axes__y": {**good()["axes"]["x"], "node": 2}},
         {"bus": {"interface": "socketcan", "channel": "can0", "bitrate": 1000000}},
         {"bus": {"interface": "kvaser", "channel": 0, "bitrate": 1000000, "single_handle": True}},
@@ -464,11 +380,8 @@ def test_what_is_self_contained_comes_back_without_files(tmp_path):
     model = values["axes"]["x"]["model"]
     (tmp_path / "models" / "lugre_axis.yaml").write_text(dump({"version": 1, **model}))
     values["axes"]["x"]["model"] = "models/lugre_axis.yaml"
-    values["axes"]["x"]["shadows"] = [
-        "models/lugre_axis.yaml",
-        {"name": "other", "model": "models/lugre_axis.yaml"},
-        {"name": "inline", "model": model},
-    ]
+    named = {"name": "other", "model": "models/lugre_axis.yaml"}
+    values["axes"]["x"]["shadows"] = ["models/lugre_axis.yaml", named, {"name": "inline", "model": model}]
     path = tmp_path / "axis.yaml"
     path.write_text(dump(values))
     configuration = load(path)
@@ -494,12 +407,5 @@ def test_relative_paths_of_a_driver_start_from_the_configuration(path):
 
 
 def test_the_schema_names_a_broken_driver():
-    with pytest.raises(UsageError, match="'broken' cannot be imported"):
+    with pytest.raises(UsageError, match="'broken'"):
         json_schema()
-
-
-def test_the_good_values_stay_good():
-    values = good()
-    before = copy.deepcopy(values)
-    from_dict(values, "test")
-    assert values == before

@@ -23,10 +23,15 @@ def path(tmp_path):
     return tmp_path / "axis.yaml"
 
 
-def test_mistakes_in_a_model_file_name_that_file(tmp_path, path):
-    lines = GOOD.split("\n")
+def naming(model):
+    """A configuration whose axis has this model file."""
+    lines = GOOD.splitlines()
     start, end = lines.index("    model:"), lines.index("    compensation:")
-    text = "\n".join([*lines[:start], "    model: models/bad.yaml", *lines[end:]])
+    return "\n".join([*lines[:start], f"    model: {model}", *lines[end:]])
+
+
+def test_mistakes_in_a_model_file_name_that_file(tmp_path, path):
+    text = naming("models/bad.yaml")
     (tmp_path / "models").mkdir()
     model = tmp_path / "models" / "bad.yaml"
 
@@ -39,15 +44,15 @@ def test_mistakes_in_a_model_file_name_that_file(tmp_path, path):
     assert {(problem.path, problem.line) for problem in problems_in(path, text)} == {(str(model), 3)}
     model.rename(tmp_path / "models" / "bed.yaml")
     [problem] = problems_in(path, text)
-    assert (problem.path, problem.line, problem.field) == (str(path), start + 1, "axes.x.model")
-    assert "did you mean 'models/bed.yaml'?" in problem.message
+    line = text.splitlines().index("    model: models/bad.yaml") + 1
+    assert (problem.path, problem.line, problem.field) == (str(path), line, "axes.x.model")
+    assert "'models/bed.yaml'" in problem.message
 
 
 def test_a_shadow_whose_file_name_is_no_name(tmp_path, path):
     (tmp_path / "My-Axis.yaml").write_text(dump(good()["axes"]["x"]["model"]))
-    values = changed(axes__x__shadows=["My-Axis.yaml"])
-    problems = problems_in(path, dump(values))
-    assert ["{name: ..., model: My-Axis.yaml}" in problem.message for problem in problems] == [True]
+    (problem,) = problems_in(path, dump(changed(axes__x__shadows=["My-Axis.yaml"])))
+    assert "{name: ..., model: My-Axis.yaml}" in problem.message
 
 
 def test_model_file(tmp_path):
@@ -61,7 +66,7 @@ def test_model_file(tmp_path):
         load_model_file(path)
     assert [(problem.line, problem.field) for problem in caught.value.problems] == [(3, "fit"), (4, "foo")]
     path.write_text("- 3\n")
-    with pytest.raises(ConfigurationError, match="is not the file that belongs here: it has none of the keys"):
+    with pytest.raises(ConfigurationError, match="none of the keys"):
         load_model_file(path)
 
 
@@ -78,20 +83,17 @@ def test_model_from_argument(tmp_path):
 @pytest.mark.parametrize(
     ("argument", "message"),
     [
-        ("lugree", "did you mean 'lugre'"),
+        ("lugree", "'lugre'"),
         ("missing.yaml", "cannot be read"),
         ("coulomb", "coulomb needs coulomb"),
         ("coulomb:", "coulomb needs coulomb"),
-        ("coulomb:coulomb", "write coulomb:parameter=value"),
+        ("coulomb:coulomb", "parameter=value"),
         ("coulomb:coulomb=1,coulomb=2", "each parameter once"),
-        ("coulomb:colomb=1", "did you mean 'coulomb'"),
-        ("coulomb:coulomb=-1", "not allowed"),
-        ("coulomb:coulomb=-1" + " " * 300, "not allowed"),
-        ("coulomb:coulomb=.nan", "not allowed"),
+        ("coulomb:colomb=1", "'coulomb'"),
+        *((f"coulomb:coulomb={value}", "not allowed") for value in ("-1", "-1" + " " * 300, ".nan")),
         ("coulomb:coulomb=1e999", "too large"),
-        ("coulomb:coulomb=1:30", "not a number"),
-        ("coulomb:coulomb=[1,2]", "not a number"),
-        ("coulomb:coulomb=[1", "is not YAML"),
+        *((f"coulomb:coulomb={value}", "not a number") for value in ("1:30", "[1,2]")),
+        ("coulomb:coulomb=[1", "not YAML"),
         ("coulomb:coulomb=", "is empty"),
     ],
 )
@@ -100,26 +102,11 @@ def test_a_wrong_argument(argument, message):
         model_from_argument(argument)
 
 
-def naming(model):
-    """A configuration whose axis has this model file."""
-    lines = GOOD.splitlines()
-    start, end = lines.index("    model:"), lines.index("    compensation:")
-    return "\n".join([*lines[:start], f"    model: {model}", *lines[end:]])
-
-
 @pytest.mark.parametrize(
     "content",
     [
-        "root:secret:0:0:root:/root:/bin/sh\n",
-        "services: {web: {password: secret}}\n",
-        "- secret\n",
-        "secret\n",
-        "key: *secret\n",
-        "!secret {a: 1}\n",
-        "secret: 1\nsecret: 2\n",
-        "secret: [\n",
-        b"\xffsecret",
-        "",
+        *("root:secret:0:0:root:/root:/bin/sh\n", "services: {web: {password: secret}}\n", "- secret\n", "secret\n"),
+        *("key: *secret\n", "!secret {a: 1}\n", "secret: 1\nsecret: 2\n", "secret: [\n", b"\xffsecret", ""),
     ],
 )
 def test_a_file_that_is_no_model_is_not_shown(path, content):
@@ -128,13 +115,5 @@ def test_a_file_that_is_no_model_is_not_shown(path, content):
     other.write_bytes(content if isinstance(content, bytes) else content.encode())
     (problem,) = problems_in(path, naming("other.yaml"))
     assert problem.path == str(other)
-    assert (
-        problem.message == "is not the file that belongs here: it has none of the keys friction, axis, mechanics"
-        or (content == "" and problem.message == "is empty")
-    )
-
-
-def test_a_mistake_in_a_model_has_its_line(path):
-    path.with_name("other.yaml").write_text("axis: rotary\nfriction: [\n")
-    (problem,) = problems_in(path, naming("other.yaml"))
-    assert (problem.path, problem.line) == (str(path.with_name("other.yaml")), 3)
+    assert "secret" not in problem.message
+    assert problem.message == "is empty" if content == "" else "none of the keys" in problem.message

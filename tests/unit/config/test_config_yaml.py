@@ -53,40 +53,10 @@ def mistakes(text):
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [
-        ("1e-3", 1e-3),
-        ("1E3", 1000.0),
-        ("-.5e-3", -5e-4),
-        ("1.", 1.0),
-        (".inf", math.inf),
-        ("-.INF", -math.inf),
-        (".NaN", math.nan),
-        ("0x10", 16),
-        ("0o14", 12),
-        ("+12", 12),
-        ("0", 0),
-        ("01.5", 1.5),
-        ("True", True),
-        ("~", None),
-        ("", None),
-        ("tRUE", "tRUE"),
-        ("on", "on"),
-        ("yes", "yes"),
-        ("No", "No"),
-        ("y", "y"),
-        ("1:30", "1:30"),
-        ("1_000", "1_000"),
-        ("0b11", "0b11"),
-        ("inf", "inf"),
-        ("nan", "nan"),
-        ("1e", "1e"),
-        ("2024-01-01", "2024-01-01"),
-        ("012", "012"),
-        ("-012", "-012"),
-        ("00", "00"),
-    ],
+    [("-.5e-3", -5e-4), ("-.INF", -math.inf), ("0x10", 16), ("0o14", 12), ("~", None), ("", None), ("True", True)]
+    + [(text, text) for text in ("tRUE", "on", "No", "1:30", "1_000", "0b11", "nan", "1e", "2024-01-01", "-012", "00")],
 )
-def test_scalar(text, value):
+def test_a_scalar_in_quotes_is_a_text_whatever_it_is_without(text, value):
     assert same(value_of(f"key: {text}\n")["key"], value)
     assert value_of(f"key: '{text}'\n")["key"] == text
 
@@ -166,8 +136,8 @@ def test_anchors_and_merge_keys():
 @pytest.mark.parametrize(
     ("text", "line", "message"),
     [
-        ("a: 1\nb: 2\na: 3\n", 3, "is given twice (first in line 1)"),
-        ("a:\n  b: 1\n  'b': 2\n", 3, "is given twice (first in line 2)"),
+        ("a: 1\nb: 2\na: 3\n", 3, "first in line 1"),
+        ("a:\n  b: 1\n  'b': 2\n", 3, "first in line 2"),
         ("a: 1\n---\nb: 2\n", 2, "a second document"),
         ("", None, "is empty"),
         ("# nothing\n", None, "is empty"),
@@ -231,13 +201,10 @@ def test_unreadable_bytes(tmp_path, data, line, message):
     with pytest.raises(ConfigurationError, match=message) as caught:
         yaml_text.read(path)
     assert [(problem.path, problem.line) for problem in caught.value.problems] == [(str(path), line)]
-
-
-def test_unreadable_file(tmp_path):
-    for path in (tmp_path / "missing.yaml", tmp_path):
+    for unreadable in (tmp_path / "missing.yaml", tmp_path):
         with pytest.raises(ConfigurationError, match="cannot be read") as caught:
-            yaml_text.read(path)
-        assert caught.value.problems[0].path == str(path)
+            yaml_text.read(unreadable)
+        assert caught.value.problems[0].path == str(unreadable)
 
 
 def test_a_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path):

@@ -9,7 +9,7 @@ import pydantic
 import pytest
 
 from friction_hil.checked_yaml.section import keys
-from friction_hil.checked_yaml.text import dump, parse, read
+from friction_hil.checked_yaml.text import parse, read
 from friction_hil.config import (
     AxisConfig,
     AxisExperiment,
@@ -44,13 +44,6 @@ def test_there_are_examples():
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=name_of)
-def test_it_loads_and_comes_back(path):
-    configuration = load(path)
-    values = self_contained(configuration)
-    assert self_contained(from_dict(parse(dump(values), "show").value, "show")) == values
-
-
-@pytest.mark.parametrize("path", EXAMPLES, ids=name_of)
 def test_it_fits_the_schema(path):
     assert schema_errors(read(path).value) == []
     assert schema_errors(self_contained(load(path))) == []
@@ -73,17 +66,10 @@ def test_the_schema_is_current():
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("node: 1", "nod: 1"),
-        ("node: 1", "node: 128"),
-        ("mode: csp", "mode: cspp"),
-        ("driver: canopen", "driver: canopn"),
-        ("kind: sine", "kind: sinus"),
-        ("  amplitude: 0.5", "  amplitude: 0"),
-        ("models/lugre_axis.yaml", "3"),
-        ("{coulomb: 0.05, viscous: 1e-3}", "{colomb: 0.05, viscous: 1e-3}"),
-        ("priority: 80", "priority: 100"),
-        ("period_s: 1e-3", "period_s: 1 ms"),
-        ("torque_slew: 100.0", "torque_slow: 100.0"),
+        *(("node: 1", "nod: 1"), ("node: 1", "node: 128"), ("mode: csp", "mode: cspp"), ("kind: sine", "kind: sinus")),
+        *(("driver: canopen", "driver: canopn"), ("  amplitude: 0.5", "  amplitude: 0")),
+        *(("models/lugre_axis.yaml", "3"), ("{coulomb: 0.05, viscous: 1e-3}", "{colomb: 0.05, viscous: 1e-3}")),
+        *(("priority: 80", "priority: 100"), ("period_s: 1e-3", "period_s: 1 ms"), ("torque_slew", "torque_slow")),
     ],
 )
 def test_the_schema_finds_mistakes(old, new):
@@ -123,13 +109,3 @@ def test_the_serial_example_lists_every_key_of_its_drivers():
     assert set(given) >= set(type(axis.options).model_fields)
     assert set(given["line"]) == set(type(axis.options.line).model_fields)
     assert set(given["simulation"]["line"]) == set(type(axis.simulation.line).model_fields)
-
-
-def test_the_demo_is_a_circle_with_wrong_parameters():
-    axes = load(DIRECTORY / "demo.yaml").axes
-    assert list(axes) == ["x", "y"]
-    for axis in axes.values():
-        assumed, true = axis.model.friction_model, axis.simulation.friction
-        shared = ("coulomb", "static", "stribeck_velocity")
-        ratios = [assumed.parameters[name] / true.parameters[name] for name in shared]
-        assert all(0.09 <= abs(ratio - 1.0) <= 0.21 for ratio in ratios), ratios

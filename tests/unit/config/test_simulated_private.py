@@ -64,21 +64,17 @@ def test_two_of_them_do_not_meet(tmp_path):
 def test_the_simulated_drive_is_the_one_that_the_file_expects(tmp_path):
     identity = {"vendor_id": 0x123, "product_code": 7}
     expected = {"identity": identity, "counts_per_unit": 4000.0, "rated_torque": 1.5, "velocity_unit": "rpm"}
-    linear = {**axis_dict()["model"], "axis": "linear"}
-    path = written(tmp_path, x=axis_dict(**expected, model=linear))
+    path = written(tmp_path, x=axis_dict(**expected, model={**axis_dict()["model"], "axis": "linear"}))
     simulation = moved(path, tmp_path)[1].axes["x"].simulation
-    assert (simulation.canopen.vendor_id, simulation.canopen.product_code) == (0x123, 7)
-    assert (simulation.mechanics.axis, simulation.encoder.counts, simulation.motor.rated_torque) == (
-        "linear",
-        4000,
-        1.5,
-    )
-    assert simulation.canopen.velocity_unit == "rpm"
+    drive = simulation.canopen
+    assert (drive.vendor_id, drive.product_code, drive.velocity_unit) == (0x123, 7, "rpm")
+    assert (simulation.mechanics.axis, simulation.encoder.counts) == ("linear", 4000)
+    assert simulation.motor.rated_torque == 1.5
 
 
 def test_what_the_file_says_of_the_simulated_drive_stays(tmp_path):
-    given = {"encoder": {"counts": 5000}, "canopen": {"vendor_id": 9}, "friction": {"model": "coulomb"}}
-    given["friction"]["parameters"] = {"coulomb": 0.1}
+    friction = {"model": "coulomb", "parameters": {"coulomb": 0.1}}
+    given = {"encoder": {"counts": 5000}, "canopen": {"vendor_id": 9}, "friction": friction}
     path = written(tmp_path, x=axis_dict(identity={"vendor_id": 1}, counts_per_unit=4000.0, simulation=given))
     simulation = moved(path, tmp_path)[1].axes["x"].simulation
     assert (simulation.encoder.counts, simulation.canopen.vendor_id, simulation.friction.model) == (5000, 9, "coulomb")

@@ -41,6 +41,7 @@ SIGNALS = {
     "position": {"address": 132, "size": 4, "unit": "turn"},
 }
 ALL = CycleSignals(("position", "velocity"), ("torque", "status", "error"), ("torque_command",))
+FAST = CycleSignals(("position",), (), ())
 BYTES = st.sampled_from([0x00, 0x01, 0x55, 0xFD, 0xFE, 0xFF])  # those of which headers and stuffing are made
 
 
@@ -125,7 +126,7 @@ def test_packets_are_those_of_the_manual():
 
 def test_replies_of_the_manual_are_understood():
     line, images = on_line(1, 2)
-    exchange = poll(line, images, CycleSignals(("position",), (), ()))
+    exchange = poll(line, images, FAST)
     received = bytearray(unhex(READ_STATUS + READ_STATUS_2))
     assert exchange.take(received)
     assert not received
@@ -134,11 +135,8 @@ def test_replies_of_the_manual_are_understood():
     write = line.write("1", ("position_command",))
     write.encode()
     assert write.take(bytearray(unhex(WRITE_STATUS)))
-
-
-def test_fast_read_of_the_manual():
     line, images = on_line(3, 7, 4, fast_sync_read=True)
-    (exchange,) = line.plan(dict.fromkeys(images, CycleSignals(("position",), (), ()))).poll
+    (exchange,) = line.plan(dict.fromkeys(images, FAST)).poll
     assert exchange.encode() == unhex(FAST_READ)
     reply = unhex(FAST_STATUS)
     assert exchange.reply_size == len(reply)
@@ -254,13 +252,10 @@ def test_servos_of_different_tables_are_asked_apart():
     assert len(plan.push) == 1
 
 
-def test_what_is_not_side_by_side_is_not_read_at_once():
+def test_what_no_request_can_ask_for_is_refused(monkeypatch):
     line, _ = on_line(1)
-    with pytest.raises(ValueError, match=r"one request cannot read position, status"):
+    with pytest.raises(ValueError, match="position, status"):
         line.read("1", ("position", "status"))
-
-
-def test_without_the_sdk_its_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "dynamixel_sdk.protocol2_packet_handler", None)
     with pytest.raises(UsageError, match=r"pip install 'friction-hil\[dynamixel\]'"):
         on_line(1)
@@ -269,13 +264,10 @@ def test_without_the_sdk_its_package_is_named(monkeypatch):
 # Replies
 
 
-@given(
-    st.integers(-(2**15), 2**15 - 1),
-    st.integers(-(2**31), 2**31 - 1),
-    st.integers(-(2**31), 2**31 - 1),
-    st.binary(max_size=6),
-    st.lists(st.integers(0, 60), max_size=4),
-)
+WORD, LONG = st.integers(-(2**15), 2**15 - 1), st.integers(-(2**31), 2**31 - 1)
+
+
+@given(WORD, LONG, LONG, st.binary(max_size=6), st.lists(st.integers(0, 60), max_size=4))
 @example(-1, -3, 0, b"", [])  # FF FF FD: stuffed
 @example(-1, -515, -3, b"\xff\xff\xfd", [1, 2, 3, 4])
 def test_a_reply_in_pieces_behind_noise(torque, velocity, position, noise, cuts):
@@ -307,38 +299,30 @@ def test_a_missing_servo_is_named_and_the_others_are_fresh():
     received += status(2, feedback(7, 8, 9))
     assert exchange.take(received)
     assert exchange.label == "read 10 bytes at 126 of id 1, 2, 3"
+    exchange.encode()  # it can be used again
+    assert not exchange.take(bytearray(status(1, feedback(1, 2, 3))))
+    exchange.encode()
+    assert exchange.take(bytearray(b"".join(status(n, feedback(n, n, n)) for n in (1, 2, 3))))
+    assert [image.values["position"] for image in images.values()] == [1.0, 2.0, 3.0]
 
 
 def test_a_missing_servo_ends_a_fast_reply_but_not_those_before_it():
     line, images = on_line(3, 7, 4, fast_sync_read=True)
-    exchange = poll(line, images, CycleSignals(("position",), (), ()))
+    exchange = poll(line, images, FAST)
     assert not exchange.take(bytearray(unhex(FAST_STATUS)[:-8]))
     assert [images[axis].fresh for axis in "374"] == [{"position"}, {"position"}, set()]
     assert exchange.label.endswith("(4 missing)")
 
 
-@pytest.mark.parametrize("place", range(8, 32))
+@pytest.mark.parametrize("place", [2, *range(8, 32)])
 def test_a_flipped_bit_in_a_fast_reply_costs_what_comes_from_there(place):
     line, images = on_line(3, 7, 4, fast_sync_read=True)
-    exchange = poll(line, images, CycleSignals(("position",), (), ()))
+    exchange = poll(line, images, FAST)
     reply = bytearray(unhex(FAST_STATUS))
     reply[place] ^= 0x10
-    with pytest.raises(ReplyError, match=r"wrong CRC"):
+    with pytest.raises(ReplyError, match="id 3, 7, 4$" if place < 8 else "wrong CRC"):  # without its head it is none
         exchange.take(reply)
-    fresh = [bool(images[axis].fresh) for axis in "374"]
-    assert fresh == [(place - 8) // 8 > k for k in range(3)]
-
-
-def test_a_broken_packet_costs_one_servo():
-    line, images = on_line(1, 2, 3)
-    exchange = poll(line, images)
-    broken = bytearray(status(2, feedback(7, 8, 9)))
-    broken[-4] ^= 1
-    reply = status(1, feedback(1, 2, 3)) + broken + status(3, feedback(4, 5, 6))
-    with pytest.raises(ReplyError, match="id 2 has") as caught:
-        exchange.take(bytearray(reply))
-    assert not caught.value.is_complete
-    assert [axis for axis in images if images[axis].fresh] == ["1", "3"]
+    assert [bool(images[axis].fresh) for axis in "374"] == [(place - 8) // 8 > k for k in range(3)]
 
 
 @pytest.mark.parametrize("servos", [(1,), (1, 2)])
@@ -364,15 +348,6 @@ def test_noise_as_long_as_a_reply_does_not_cost_the_reply_that_has_begun():
     assert not exchange.take(received)
     received += reply[9:]
     assert exchange.take(received)
-
-
-def test_a_fast_reply_without_its_head_is_not_waited_for():
-    line, images = on_line(3, 7, 4, fast_sync_read=True)
-    exchange = poll(line, images, CycleSignals(("position",), (), ()))
-    reply = bytearray(unhex(FAST_STATUS))
-    reply[2] ^= 1
-    with pytest.raises(ReplyError, match=r"id 3, 7, 4$"):
-        exchange.take(reply)
 
 
 @given(st.integers(0, 20), st.integers(0, 7))
@@ -403,7 +378,7 @@ def test_refusals_are_told_in_words():
     images["1"].values["torque_command"] = 5.0
     write = line.write("1", ("torque_command",))
     write.encode()
-    with pytest.raises(ReplyError, match=r"id 1 refuses: .* \(error 4\)") as caught:
+    with pytest.raises(ReplyError, match=r"id 1 .*\(error 4\)") as caught:
         write.take(bytearray(status(1, error=0x84)))
     assert caught.value.is_complete
     exchange = poll(line, images)
@@ -413,19 +388,22 @@ def test_refusals_are_told_in_words():
     assert images["2"].values["position"] == 3.0
 
 
-def test_an_alert_is_no_refusal():
+@pytest.mark.parametrize(("has_echo", "error"), [(False, 0x80), (True, 0)])
+def test_an_alert_is_no_refusal_and_an_echo_is_passed_over(has_echo, error):
     line, images = on_line(1)
-    assert poll(line, images).take(bytearray(status(1, feedback(1, 2, 3), error=0x80)))
+    (exchange,) = line.plan({"1": ALL}).poll
+    request = exchange.encode()
+    assert exchange.take(bytearray(request * has_echo + status(1, feedback(1, 2, 3), error=error)))
     assert images["1"].values["position"] == 3.0
 
 
 @pytest.mark.parametrize(
     ("reply", "message"),
     [
-        (status(3, feedback(1, 2, 3)), r"answered by id 3, which was not asked"),
-        (status(1), r"id 1 answered with 0 bytes of data instead of 10"),  # to a write of the cycle before
-        (status(1, b"\x01"), r"id 1 answered with 1 bytes of data instead of 10"),
-        (status(1, feedback(1, 2, 3)) + status(1, feedback(4, 5, 6)), r"answered by id 1 twice"),
+        (status(3, feedback(1, 2, 3)), "by id 3"),
+        (status(1), "id 1 answered with 0 bytes .*10"),  # to a write of the cycle before
+        (status(1, b"\x01"), "id 1 answered with 1 bytes .*10"),
+        (status(1, feedback(1, 2, 3)) + status(1, feedback(4, 5, 6)), "id 1 twice"),
     ],
 )
 def test_answers_to_something_else_are_no_answers(reply, message):
@@ -436,19 +414,3 @@ def test_answers_to_something_else_are_no_answers(reply, message):
     assert not caught.value.is_complete
     assert images["1"].values.get("position", 3.0) == 3.0
     assert not images["2"].fresh
-
-
-def test_an_echo_is_passed_over():
-    line, images = on_line(1)
-    (exchange,) = line.plan({"1": ALL}).poll
-    assert exchange.take(bytearray(exchange.encode() + status(1, feedback(1, 2, 3))))
-    assert images["1"].values["position"] == 3.0
-
-
-def test_an_exchange_can_be_used_again():
-    line, images = on_line(1, 2)
-    exchange = poll(line, images)
-    assert not exchange.take(bytearray(status(1, feedback(1, 2, 3))))
-    exchange.encode()
-    assert exchange.take(bytearray(status(1, feedback(4, 5, 6)) + status(2, feedback(7, 8, 9))))
-    assert [images[axis].values["position"] for axis in "12"] == [6.0, 9.0]

@@ -51,13 +51,14 @@ def test_addresses_are_those_of_the_vendors_control_tables(name):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_the_simulated_servo_has_a_number_that_the_vendor_gave_the_model(name):
+def test_the_simulated_servo_is_one_that_there_is_and_no_fault_is_left_without_a_watchdog(name):
     description = load(name)
     assert description.signals["model_number"].simulated in MODELS[name]
     assert description.fast_sync_read is False
-    firmware = description.signals["firmware"].simulated
-    assert firmware is not None
-    assert 38 <= firmware < 46, "it has the bus watchdog, and no Fast Sync Read"
+    assert 38 <= description.signals["firmware"].simulated < 46, "it has the bus watchdog, and no Fast Sync Read"
+    written = [step.write["watchdog"] for step in description.reset_fault if "watchdog" in step.write]
+    assert written[0] == 0  # clears the error
+    assert written[-1] > 0
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -75,31 +76,14 @@ def test_states(name, numbers, state):
     assert state_of(load(name), numbers) is state
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_no_fault_is_left_without_a_watchdog(name):
-    description = load(name)
-    written = [step.write["watchdog"] for step in description.reset_fault if "watchdog" in step.write]
-    assert written[0] == 0  # clears the error
-    assert written[-1] > 0
-
-
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        (
-            {"signals": {**SIGNALS, "load": {"address": 134, "size": 2}}},
-            r"position \(4 bytes at 132\) reaches into load",
-        ),
-        ({"signals": {**SIGNALS, "last": {"address": 65535, "size": 2}}}, r"last does not end before address 65536"),
-        (
-            {"enable": [{"write": {"torque_command": 0, "status": 1}}]},
-            r"enable\.0\s+writes torque_command, status, which do not lie side by side: make a step of each",
-        ),
-        (
-            {"enable": [{"write": {"torque_command": 40000}}]},
-            r"enable\.0\.write\.torque_command\s+torque_command takes whole numbers from -",
-        ),
+        ({"signals": {**SIGNALS, "load": {"address": 134, "size": 2}}}, r"position \(4 bytes at 132\) .*load"),
+        ({"signals": {**SIGNALS, "last": {"address": 65535, "size": 2}}}, "last .*65536"),
         ({"signals": {**SIGNALS, "odd": {"address": 0, "size": 3}}}, r"signals\.odd\.size"),
+        ({"enable": [{"write": {"torque_command": 0, "status": 1}}]}, r"enable\.0\s+writes torque_command, status"),
+        ({"enable": [{"write": {"torque_command": 40000}}]}, r"enable\.0\.write\.torque_command\s"),
     ],
 )
 def test_mistakes_are_told(keys, message):

@@ -8,7 +8,7 @@ from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import Packets
 from friction_hil_drivers.dynamixel.simulated import DynamixelResponder
 from friction_hil_drivers.serial_line.description import load_description
-from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, ReplyError
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image
 from friction_hil_drivers.serial_line.sequences import state_of
 from friction_hil_drivers.serial_line.simulated import SimulatedDrive
 from friction_hil_drivers.serial_line.units import AxisUnits
@@ -25,32 +25,35 @@ READ_POSITION = "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"  # ROBOTIS e-Manual,
 
 
 class Bench:
-    """Servos on a line; an axis is called by its ID."""
+    """Servos on a line, and the vendor's SDK; an axis is called by its ID."""
 
     def __init__(self, *ids, name="xm430", is_fast=False, pace=STEPS_PER_MS, **changes):
         loaded = load_description(name, None, DESCRIPTIONS, DynamixelDescription)
         description = loaded.model_copy(update={"fast_sync_read": is_fast, **changes})
-        axes = [f"{n}" for n in ids]
+        self.images = {f"{n}": Image() for n in ids or (1,)}
+        servo, units = ServoConfig.model_validate(PLAIN), AxisUnits(torque_constant=1.78)
         self.drives = {
-            axis: SimulatedDrive(
-                axis,
-                description,
-                Servo(ServoConfig.model_validate(PLAIN)),
-                Mode.CST,
-                AxisUnits(torque_constant=1.78),
-                pace,
-            )
-            for axis in axes
+            axis: SimulatedDrive(axis, description, Servo(servo), Mode.CST, units, pace) for axis in self.images
         }
-        options = {
-            axis: DynamixelOptions.model_validate({"line": {"port": "x"}, "description": "xm430", "id": int(axis)})
-            for axis in axes
-        }
-        self.images = {axis: Image() for axis in axes}
-        descriptions = dict.fromkeys(axes, description)
+        given = {"line": {"port": "x"}, "description": "xm430"}
+        options = {axis: DynamixelOptions.model_validate({**given, "id": int(axis)}) for axis in self.images}
+        descriptions = dict.fromkeys(self.images, description)
         self.line = DynamixelLine(descriptions, options, self.images)
         self.responder = DynamixelResponder(self.drives, descriptions, options)
-        self.plan = self.line.plan(dict.fromkeys(axes, WANTED))
+        self.plan = self.line.plan(dict.fromkeys(self.images, WANTED))
+        self.sdk, self.port = PacketHandler(2.0), _Port(self)
+
+    @property
+    def drive(self):
+        return self.drives["1"]
+
+    def sdk_write(self, address, size, number, servo=1):
+        """Result and error of a write of the vendor's SDK."""
+        return getattr(self.sdk, f"write{size}ByteTxRx")(self.port, servo, address, number)
+
+    def sdk_read(self, address, size, servo=1):
+        """Number of a read of the vendor's SDK, its result and error."""
+        return getattr(self.sdk, f"read{size}ByteTxRx")(self.port, servo, address)
 
     def ask(self, request):
         received = bytearray(request)
@@ -107,15 +110,8 @@ class _Port:
         return True
 
 
-@pytest.mark.parametrize("is_fast", [False, True])
-def test_a_servo_that_is_not_there_is_missing_alone(is_fast):
-    bench, there = Bench(1, 2, 3, is_fast=is_fast), Bench(1, 2, is_fast=is_fast)
-    (poll,) = bench.plan.poll
-    reply = there.ask(poll.encode())
-    assert reply
-    assert not poll.take(bytearray(reply))
-    assert [bool(image.fresh) for image in bench.images.values()] == [True, True, False]
-    assert poll.label.endswith("(3 missing)")
+OK = (COMM_SUCCESS, 0)
+STATUS, GOAL_CURRENT, POSITION = 64, 102, 132
 
 
 def test_fast_and_slow_reads_say_the_same():
@@ -135,47 +131,48 @@ def test_fast_and_slow_reads_say_the_same():
 
 def test_the_vendors_sdk_understands_the_answers():
     bench = Bench(1, 2)
-    sdk, port = PacketHandler(2.0), _Port(bench)
-    assert sdk.ping(port, 2) == (1020, COMM_SUCCESS, 0)
-    assert sdk.write1ByteTxRx(port, 1, 64, 1) == (COMM_SUCCESS, 0)
-    assert sdk.read1ByteTxRx(port, 1, 64) == (1, COMM_SUCCESS, 0)
-    assert sdk.write2ByteTxRx(port, 1, 102, 100) == (COMM_SUCCESS, 0)
-    position, result, error = sdk.read4ByteTxRx(port, 1, 132)
-    assert (result, error) == (COMM_SUCCESS, 0)
-    assert position == round(bench.drives["1"].read("position"))
-    assert bench.drives["1"].read("torque_command") == 100.0
-    across = sdk.read4ByteTxRx(port, 1, 130)[0]  # the high half of velocity, the low half of position
-    drive = bench.drives["1"]
-    assert across == (round(drive.read("velocity")) >> 16) | (round(drive.read("position")) & 0xFFFF) << 16
+    servos, result = bench.sdk.broadcastPing(bench.port)
+    assert result == COMM_SUCCESS
+    assert {servo: list(found) for servo, found in servos.items()} == {1: [1020, 44], 2: [1020, 44]}
+    assert bench.sdk_read(0, 2) == (1020, *OK)
+    assert bench.sdk_read(6, 1) == (44, *OK)
+    assert 0 < bench.sdk_read(146, 1)[0] < 80  # °C
+    assert bench.sdk_write(STATUS, 1, 1) == OK
+    assert bench.sdk_read(STATUS, 1) == (1, *OK)
+    assert bench.sdk_write(GOAL_CURRENT, 2, 100) == OK
+    assert bench.drive.read("torque_command") == 100.0
+    assert bench.sdk_read(POSITION, 4) == (round(bench.drive.read("position")), *OK)
+    across = bench.sdk_read(130, 4)[0]  # the high half of velocity, the low half of position
+    velocity, position = round(bench.drive.read("velocity")), round(bench.drive.read("position"))
+    assert across == (velocity >> 16) | (position & 0xFFFF) << 16
     assert across != 0
 
 
 @pytest.mark.parametrize(
     ("call", "error"),
     [
-        (lambda sdk, port: sdk.read2ByteTxRx(port, 1, 2)[2], 7),  # no signal there
-        (lambda sdk, port: sdk.read4ByteTxRx(port, 1, 130)[2], 0),  # the end of one and the beginning of another
-        (lambda sdk, port: sdk.write2ByteTxRx(port, 1, 2, 1)[1], 7),
-        (lambda sdk, port: sdk.write1ByteTxRx(port, 1, 102, 1)[1], 5),
-        (lambda sdk, port: sdk.write1ByteTxRx(port, 1, 64, 2)[1], 4),
-        (lambda sdk, port: sdk.write4ByteTxRx(port, 1, 132, 0)[1], 4),  # present position is not to be written
-        (lambda sdk, port: sdk.write2ByteTxRx(port, 1, 0, 1)[1], 4),  # nor is the model number
-        (lambda sdk, port: sdk.factoryReset(port, 1, 0xFF)[1], 2),
+        (lambda bench: bench.sdk_read(2, 2)[2], 7),  # no signal there
+        (lambda bench: bench.sdk_read(130, 4)[2], 0),  # the end of one and the beginning of another
+        (lambda bench: bench.sdk_write(2, 2, 1)[1], 7),
+        (lambda bench: bench.sdk_write(GOAL_CURRENT, 1, 1)[1], 5),
+        (lambda bench: bench.sdk_write(STATUS, 1, 2)[1], 4),
+        (lambda bench: bench.sdk_write(POSITION, 4, 0)[1], 4),  # present position is not to be written
+        (lambda bench: bench.sdk_write(0, 2, 1)[1], 4),  # nor is the model number
+        (lambda bench: bench.sdk.factoryReset(bench.port, 1, 0xFF)[1], 2),
     ],
 )
 def test_refusals(call, error):
-    assert call(PacketHandler(2.0), _Port(Bench(1))) == error
+    assert call(Bench()) == error
 
 
 def test_requests_for_others_and_broken_ones_are_passed_over():
-    bench = Bench(1)
-    packets = Packets()
-    assert bench.ask(packets.pack(7, 0x01)) == b""
+    bench = Bench()
+    assert bench.ask(Packets().pack(7, 0x01)) == b""
     request = bytes.fromhex(READ_POSITION)
     broken = bytearray(request)
     broken[9] ^= 1
     assert bench.ask(bytes(broken)) is None
-    assert bench.drives["1"].samples == 0
+    assert bench.drive.samples == 0
     whole = bench.ask(request)
     assert whole
     # a request that broke off, or whose length came wrong, costs no other
@@ -191,9 +188,9 @@ def anything():
 
 @given(st.lists(st.one_of(st.sampled_from([0x00, 0x01, 0x03, 0xFD, 0xFE, 0xFF]), st.integers(0, 255)), max_size=60))
 def test_random_bytes_are_no_requests(anything, data):
-    before = anything.drives["1"].samples
+    before = anything.drive.samples
     assert anything.responder.take(bytearray(data)) is None
-    assert anything.drives["1"].samples == before
+    assert anything.drive.samples == before
 
 
 PARAMETERS = st.one_of(
@@ -226,133 +223,95 @@ def test_the_bus_watchdog_trips_without_requests_and_is_cleared():
     for exchange in (bench.line.read("1", ("position",)), bench.plan.poll[0]):
         for _ in range(150):
             assert bench.talk(exchange)  # a read feeds it, and 150 ms pass
-        assert bench.state("1") is DriveState.OPERATION_ENABLED
-    assert bench.state("2") is DriveState.OPERATION_ENABLED
-    drive = bench.drives["1"]
+        assert [bench.state(axis) for axis in bench.drives] == [DriveState.OPERATION_ENABLED] * 2
     for _ in range(101):
-        drive.sample()
+        bench.drive.sample()
     assert bench.state("1") is DriveState.FAULT
     assert bench.images["1"].values["watchdog"] == -1.0
-    for step in drive.description.reset_fault:
+    assert bench.sdk_write(GOAL_CURRENT, 2, 50) == (COMM_SUCCESS, 4), "no goal is taken then"
+    assert bench.sdk_read(GOAL_CURRENT, 2)[0] == 0
+    for step in bench.drive.description.reset_fault:
         bench.write("1", **step.write)
     assert bench.state("1") is DriveState.SWITCH_ON_DISABLED
+    assert bench.sdk_write(GOAL_CURRENT, 2, 50) == OK
 
 
 @pytest.mark.parametrize("name", ["xl330", "xm430", "xm540"])
 def test_a_goal_beyond_the_limit_is_refused_and_the_last_one_stays(name):
     """As the descriptions say: a status with an error for a write, and nothing at all for a Sync Write."""
-    bench = Bench(1, name=name)
-    sdk, port = PacketHandler(2.0), _Port(bench)
-    limit = bench.drives["1"].description.signals["torque_command"].limit
+    bench = Bench(name=name)
+    limit = bench.drive.description.signals["torque_command"].limit
     bench.write("1", status=1)
-    assert sdk.write2ByteTxRx(port, 1, 102, 80) == (COMM_SUCCESS, 0)
+    assert bench.sdk_write(GOAL_CURRENT, 2, 80) == OK
     for goal in (limit + 1, 0x10000 - limit - 1, 0x8000):
-        assert sdk.write2ByteTxRx(port, 1, 102, goal) == (COMM_SUCCESS, 6)
-        assert sdk.syncWriteTxOnly(port, 102, 2, [1, *goal.to_bytes(2, "little")], 3) == COMM_SUCCESS
-        assert sdk.read2ByteTxRx(port, 1, 102) == (80, COMM_SUCCESS, 0)
-    assert sdk.write2ByteTxRx(port, 1, 102, 0x10000 - limit) == (COMM_SUCCESS, 0)
-
-
-def test_no_goal_is_taken_while_the_bus_watchdog_has_tripped():
-    bench = Bench(1)
-    sdk, port = PacketHandler(2.0), _Port(bench)
-    bench.write("1", watchdog=5)
-    bench.write("1", status=1)
-    for _ in range(101):
-        bench.drives["1"].sample()
-    assert sdk.write2ByteTxRx(port, 1, 102, 50) == (COMM_SUCCESS, 4)
-    assert sdk.read2ByteTxRx(port, 1, 102)[0] == 0
-    assert sdk.write1ByteTxRx(port, 1, 98, 0) == (COMM_SUCCESS, 0)
-    assert sdk.write2ByteTxRx(port, 1, 102, 50) == (COMM_SUCCESS, 0)
+        assert bench.sdk_write(GOAL_CURRENT, 2, goal) == (COMM_SUCCESS, 6)
+        data = [1, *goal.to_bytes(2, "little")]
+        assert bench.sdk.syncWriteTxOnly(bench.port, GOAL_CURRENT, 2, data, 3) == COMM_SUCCESS
+        assert bench.sdk_read(GOAL_CURRENT, 2) == (80, *OK)
+    assert bench.sdk_write(GOAL_CURRENT, 2, 0x10000 - limit) == OK
 
 
 def test_what_lies_below_64_is_written_without_torque_alone():
-    bench = Bench(1)
-    sdk, port = PacketHandler(2.0), _Port(bench)
-    assert sdk.write1ByteTxRx(port, 1, 11, 0) == (COMM_SUCCESS, 0)
-    assert sdk.write1ByteTxRx(port, 1, 64, 1) == (COMM_SUCCESS, 0)
-    assert sdk.write1ByteTxRx(port, 1, 11, 0) == (COMM_SUCCESS, 7)
+    bench = Bench()
+    assert bench.sdk_write(11, 1, 0) == OK
+    assert bench.sdk_write(STATUS, 1, 1) == OK
+    assert bench.sdk_write(11, 1, 0) == (COMM_SUCCESS, 7)
 
 
 def test_the_last_goal_acts_when_the_torque_is_enabled():
     """For this the descriptions write a goal of zero before."""
     moved = []
     for goal in (60, 0):
-        bench = Bench(1)
-        sdk, port = PacketHandler(2.0), _Port(bench)
-        sdk.write2ByteTxRx(port, 1, 102, goal)
-        before = sdk.read4ByteTxRx(port, 1, 132)[0]
+        bench = Bench()
+        bench.sdk_write(GOAL_CURRENT, 2, goal)
+        before = bench.sdk_read(POSITION, 4)[0]
         bench.write("1", status=1)
         for _ in range(50):
-            after = sdk.read4ByteTxRx(port, 1, 132)[0]
+            after = bench.sdk_read(POSITION, 4)[0]
         moved.append(after - before)
     assert moved[0] > 10
     assert moved[1] == 0
 
 
-def test_after_a_reboot_the_position_lies_within_one_turn():
-    bench = Bench(1)
-    sdk, port = PacketHandler(2.0), _Port(bench)
-    bench.write("1", status=1)
-    bench.drives["1"].write("torque_command", 100.0)
-    while (position := sdk.read4ByteTxRx(port, 1, 132)[0]) < 5000:
-        pass
-    sdk.reboot(port, 1)
-    assert sdk.read4ByteTxRx(port, 1, 132)[0] in range(position % 4096, position % 4096 + 1000)
-
-
 def test_an_error_shows_as_an_alert():
-    by_error = Bench(1).drives["1"].description.states[1:]  # no rule looks at the watchdog
-    bench = Bench(1, states=by_error)
+    by_error = Bench().drive.description.states[1:]  # no rule looks at the watchdog
+    bench = Bench(states=by_error)
     request = bytes.fromhex(READ_POSITION)
     replies = [bench.ask(request)]
-    bench.drives["1"].fail()
+    bench.drive.fail()
     replies.append(bench.ask(request))
     assert [reply[8] for reply in replies if reply] == [0, 0x80]
 
 
-def test_what_the_servo_does_not_take_is_told():
-    bench = Bench(1)
-    bench.images["1"].values["operating_mode"] = 5.0
-    with pytest.raises(ReplyError, match=r"id 1 refuses: data range error"):
-        bench.talk(bench.line.write("1", ("operating_mode",)))
-
-
-def test_the_vendors_sdk_finds_identity_and_temperature():
-    bench = Bench(1, 2)
-    sdk, port = PacketHandler(2.0), _Port(bench)
-    servos, result = sdk.broadcastPing(port)
-    assert result == COMM_SUCCESS
-    assert {servo: list(found) for servo, found in servos.items()} == {1: [1020, 44], 2: [1020, 44]}
-    assert sdk.read2ByteTxRx(port, 1, 0) == (1020, COMM_SUCCESS, 0)
-    assert sdk.read1ByteTxRx(port, 1, 6) == (44, COMM_SUCCESS, 0)
-    celsius, result, error = sdk.read1ByteTxRx(port, 1, 146)
-    assert (result, error) == (COMM_SUCCESS, 0)
-    assert 0 < celsius < 80
+def test_after_a_reboot_the_position_lies_within_one_turn():
+    bench = Bench()
+    bench.write("1", status=1)
+    bench.drive.write("torque_command", 100.0)
+    while (position := bench.sdk_read(POSITION, 4)[0]) < 5000:
+        pass
+    bench.sdk.reboot(bench.port, 1)
+    assert bench.sdk_read(POSITION, 4)[0] in range(position % 4096, position % 4096 + 1000)
 
 
 def test_a_reboot_ends_torque_and_errors_and_keeps_what_has_no_need_of_supply():
     bench = Bench(1, 2)
-    sdk, port = PacketHandler(2.0), _Port(bench)
-    bench.write("1", return_delay=0)
-    bench.write("1", watchdog=100)
-    bench.write("1", status=1)
+    for name, number in (("return_delay", 0), ("watchdog", 100), ("status", 1)):
+        bench.write("1", **{name: number})
     bench.write("2", status=1)
-    bench.drives["1"].fail()
+    bench.drive.fail()
     assert bench.state("1") is DriveState.FAULT
-    assert sdk.reboot(port, 1)[0] == COMM_SUCCESS
+    assert bench.sdk.reboot(bench.port, 1)[0] == COMM_SUCCESS
     assert bench.state("1") is DriveState.SWITCH_ON_DISABLED
     assert bench.images["1"].values["watchdog"] == 0.0
     assert bench.state("2") is DriveState.OPERATION_ENABLED
-    bench.drives["1"].write("operating_mode", 0.0)
+    bench.drive.write("operating_mode", 0.0)
 
 
 def test_a_servo_that_reboots_in_real_time_answers_nothing_until_it_is_up():
     bench = Bench(1, 2, pace=None)
-    sdk, port = PacketHandler(2.0), _Port(bench)
-    assert sdk.reboot(port, 1)[0] == COMM_SUCCESS
+    assert bench.sdk.reboot(bench.port, 1)[0] == COMM_SUCCESS
     for now_s, is_there in ((0.0, False), (0.2, False), (0.4, True)):
         for drive in bench.drives.values():
             drive.advance_to(round(now_s * 1e9))
-        assert (sdk.ping(port, 1)[1] == COMM_SUCCESS) is is_there
-        assert sdk.ping(port, 2)[1] == COMM_SUCCESS
+        assert (bench.sdk.ping(bench.port, 1)[1] == COMM_SUCCESS) is is_there
+        assert bench.sdk.ping(bench.port, 2) == (1020, *OK)

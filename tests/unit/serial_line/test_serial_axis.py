@@ -5,7 +5,7 @@ import math
 import pytest
 from friction_hil_drivers.serial_line import codes
 from friction_hil_drivers.serial_line.axis import SerialAxis, make_scales
-from friction_hil_drivers.serial_line.description import Description, Signal, Step
+from friction_hil_drivers.serial_line.description import Signal, Step
 from friction_hil_drivers.serial_line.protocol import Image
 from friction_hil_drivers.serial_line.units import AxisUnits
 from hypothesis import given
@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import UsageError
+from tests import serial_bench
 
 UNITS = AxisUnits(counts_per_unit=1000.0, rated_torque=0.5, torque_constant=0.1)
 ENABLED, FAULT, DISABLED = DriveState.OPERATION_ENABLED, DriveState.FAULT, DriveState.SWITCH_ON_DISABLED
@@ -27,10 +28,8 @@ class Counter(Signal):
         return 16
 
 
-class Bench(Description):
+class Bench(serial_bench.TinyDescription):
     """A description without any protocol."""
-
-    signals: dict[str, Signal]
 
     def units(self):
         return {**self.signals, "position": Counter(**self.signals["position"].model_dump())}
@@ -62,11 +61,10 @@ OWN = {
     "errors": {7: "over-temperature"},
 }
 CIA402 = {
-    "version": 1,
-    "name": "a drive",
-    "sources": ["its manual"],
-    "signals": {"position": {"unit": "count"}, "status": {}, "control": {}, "torque_command": {"unit": "per_mille"}},
-    "state_machine": "cia402",
+    **{key: value for key, value in serial_bench.CIA402.items() if key != "watchdog"},
+    "signals": {
+        name: serial_bench.CIA402["signals"][name] for name in ("position", "status", "control", "torque_command")
+    },
     "modes": {"cst": {"commands": ["torque_command"]}},
 }
 

@@ -11,12 +11,6 @@ from friction_hil.errors import DriveError
 from tests.serial_rig import KINDS, Rig
 
 
-def drive_of(bench):
-    (line,) = bench.simulated.lines
-    (drive,) = line.drives
-    return drive
-
-
 def served(bench, method):
     (found,) = getattr(bench.driver, method)(bench.config, bench.config.axes).stops
     return found
@@ -32,17 +26,18 @@ def without_reset(folder, source):
 
 def test_a_servo_whose_fault_needs_a_reboot_is_rebooted(tmp_path):
     with Rig("dynamixel", tmp_path, description=without_reset(tmp_path, DESCRIPTIONS / "xl330.yaml")) as bench:
-        drive_of(bench).fail()
+        bench.there.fail()
         found = served(bench, "reset_axes")
         assert (found.result, found.before, found.after) == ("reset", DriveState.FAULT, DriveState.SWITCH_ON_DISABLED)
         assert found.fault
-        assert drive_of(bench).is_on
+        assert bench.there.is_on
+        assert bench.there.read("watchdog") == 0.0, "it would be the servo's next fault"
 
 
 def test_a_fault_that_nothing_resets_is_reported_with_what_to_do(tmp_path):
     source = DESCRIPTIONS.parents[1] / "ascii/descriptions/odrive.yaml"
     with Rig("odrive", tmp_path, description=without_reset(tmp_path, source)) as bench:
-        drive_of(bench).fail()
+        bench.there.fail()
         found = served(bench, "reset_axes")
         assert (found.result, found.after, found.is_proved) == ("fault", DriveState.FAULT, False)
         assert "watchdog timer expired" in found.fault
@@ -55,18 +50,11 @@ def test_a_drive_that_does_not_give_up_its_power_is_not_called_stopped(kind, tmp
         raise RefusedError("not this one")
 
     with Rig(kind, tmp_path) as bench:
-        drive_of(bench).enter(DriveState.OPERATION_ENABLED)
+        bench.there.enter(DriveState.OPERATION_ENABLED)
         monkeypatch.setattr(SimulatedDrive, "write", refuse)
         found = served(bench, "stop_axes")
         assert (found.result, found.after, found.is_proved) == ("powered", DriveState.OPERATION_ENABLED, False)
         assert "refuses" in found.detail or "unknown command" in found.detail
-
-
-def test_a_servo_is_not_left_with_a_watchdog_that_would_be_its_next_fault(tmp_path):
-    with Rig("dynamixel", tmp_path) as bench:
-        drive_of(bench).fail()
-        assert served(bench, "reset_axes").result == "reset"
-        assert drive_of(bench).read("watchdog") == 0.0
 
 
 READABLE = ("rtu", "rtu, function 23", "tcp", "dynamixel")  # odrive's torque can only be written
@@ -74,7 +62,7 @@ READABLE = ("rtu", "rtu, function 23", "tcp", "dynamixel")  # odrive's torque ca
 
 def pushed(bench):
     bench.begin().enable().cycle(Request.ENABLE, 0.2, count=5)
-    assert drive_of(bench).read("torque_command") != 0.0
+    assert bench.there.read("torque_command") != 0.0
     return bench
 
 
@@ -82,11 +70,10 @@ def pushed(bench):
 def test_a_stop_clears_the_torque_that_a_killed_run_left(kind, tmp_path):
     with Rig(kind, tmp_path) as bench:
         pushed(bench)
-        (bus,) = bench.drives.buses
-        bus.scheduler.line.close()  # as the kernel does
+        bench.bus.scheduler.line.close()  # as the kernel does
         found = served(bench, "stop_axes")
         assert (found.result, found.is_proved, found.reason) == ("stopped", True, "")
-        assert drive_of(bench).read("torque_command") == 0.0
+        assert bench.there.read("torque_command") == 0.0
 
 
 @pytest.mark.parametrize("kind", READABLE)
@@ -100,7 +87,7 @@ def test_a_drive_that_keeps_its_torque_command_is_told_by_the_run_and_by_the_sto
     with Rig(kind, tmp_path) as bench:
         pushed(bench)
         monkeypatch.setattr(SimulatedDrive, "write", keep)
-        held = drive_of(bench).read("torque_command")
+        held = bench.there.read("torque_command")
         bench.drives.close()
         expected = f"torque_command of the drive stays {held:g} [FH-128]"
         assert bench.drives.leftovers == [f"x: {expected}"]

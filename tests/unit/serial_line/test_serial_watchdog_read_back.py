@@ -20,6 +20,7 @@ from tests.serial_rig import Rig
 
 READ, ILLEGAL_ADDRESS = 3, 2  # function and exception of Modbus
 WATCHDOG = 0x0107  # its register in generic_cia402
+UNREAD = {"read_watchdog": None, "read_watchdog_enabled": None}
 WATCHED = ("rtu, function 23", "tcp", "dynamixel", "odrive")
 
 
@@ -69,14 +70,8 @@ def test_a_drive_that_drops_its_watchdog_without_a_word_is_refused(kind, tmp_pat
 @pytest.mark.parametrize("error_replies", [{}, {"error [0-9]+": "something else"}])
 def test_a_refusal_that_the_description_does_not_list_is_a_refusal(error_replies, tmp_path, monkeypatch):
     """Without a line that reads the watchdog, the drive's unknown line is all that tells of it."""
-    messages = {"read_watchdog": None, "read_watchdog_enabled": None}
-    description = odrive(
-        tmp_path,
-        refusal="what do you mean?",
-        error_replies=error_replies,
-        messages=messages,
-        watchdog={"signal": "watchdog"},
-    )
+    keys = {"error_replies": error_replies, "messages": UNREAD, "watchdog": {"signal": "watchdog"}}
+    description = odrive(tmp_path, refusal="what do you mean?", **keys)
     treat(monkeypatch, "watchdog", refuse)
     words = rf"watchdog of x .*what do you mean\?.*{codes.SETUP_REFUSED}"
     with Rig("odrive", tmp_path, description=description) as bench, pytest.raises(DriveError, match=words):
@@ -84,9 +79,7 @@ def test_a_refusal_that_the_description_does_not_list_is_a_refusal(error_replies
 
 
 def test_a_watchdog_that_cannot_be_read_is_not_claimed(tmp_path):
-    description = odrive(
-        tmp_path, messages={"read_watchdog": None, "read_watchdog_enabled": None}, watchdog={"signal": "watchdog"}
-    )
+    description = odrive(tmp_path, messages=UNREAD, watchdog={"signal": "watchdog"})
     with Rig("odrive", tmp_path, description=description).begin() as bench:
         (note,) = [note for note in bench.facts.notes if "without a command" in note]
         assert "not read back" in note
@@ -145,9 +138,7 @@ def test_a_drive_whose_watchdog_stays_off_gets_no_power(tmp_path, monkeypatch):
     [
         ("lifetime", 0.1, 0.1, True),
         ("lifetime", 0.1, 0.104, True),  # a drive that counts in steps of 8 ms
-        ("lifetime", 0.1, 0.2, False),
-        ("lifetime", 0.1, 0.0, False),
-        ("lifetime", 0.1, -1.0, False),
+        *(("lifetime", 0.1, read, False) for read in (0.2, 0.0, -1.0)),
         ("lifetime", 0.0, 0.0, True),
         ("lifetime", 0.0, 0.1, False),
         ("key", 1.0, 1.0, True),
