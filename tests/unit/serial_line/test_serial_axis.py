@@ -62,9 +62,7 @@ OWN = {
 }
 CIA402 = {
     **{key: value for key, value in serial_bench.CIA402.items() if key != "watchdog"},
-    "signals": {
-        name: serial_bench.CIA402["signals"][name] for name in ("position", "status", "control", "torque_command")
-    },
+    "signals": {**{name: OWN["signals"][name] for name in ("position", "status", "torque_command")}, "control": {}},
     "modes": {"cst": {"commands": ["torque_command"]}},
 }
 
