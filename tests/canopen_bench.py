@@ -2,16 +2,18 @@
 
 import queue
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import can
 from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO
 from friction_hil_drivers.canopen.drives import CanopenDrives
+from friction_hil_drivers.canopen.sdo.client import SdoNetwork
 from friction_hil_drivers.canopen.simulated.eds_dictionary import eds_dictionary
 from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.node import SimulatedNode
+from friction_hil_drivers.canopen.wire.frames import FrameBus
 from friction_hil_drivers.cia402.simulated.drive import SimulatedCia402Drive
 
 from friction_hil.daemon.realtime import SteppedClock
@@ -71,11 +73,15 @@ class Bench:
             self.node.poll()
         return self.sent[before:]
 
+    def send_remote(self, can_id: int) -> list[Frame]:
+        """Give the node a remote frame; return its answers."""
+        before = len(self.sent)
+        self.node.receive_remote(can_id)
+        return self.sent[before:]
+
     def guard(self) -> list[Frame]:
         """Send the remote frame of node guarding; return what the node sends in answer."""
-        before = len(self.sent)
-        self.node.receive_remote(0x700 + NODE)
-        return self.sent[before:]
+        return self.send_remote(0x700 + NODE)
 
     def at(self, time_ms: float) -> list[Frame]:
         """Let real time come to ``time_ms``; return what the node sends meanwhile."""
@@ -233,6 +239,33 @@ class BenchBus(can.BusABC):
             return None, True
 
 
+class SlowBus(FrameBus):
+    """A server whose answers come in order, each after a time; the time passes while somebody waits for a frame.
+
+    ``answers_to`` takes a request and returns frames; ``delay`` says how long their answers take, None: they are lost.
+    """
+
+    def __init__(self, answers_to: Callable[[bytes], list[Frame]], delay: Callable[[bytes], float | None]) -> None:
+        self.answers_to, self.delay = answers_to, delay
+        self.now_s = 0.0
+        self.waiting: list[tuple[float, Frame]] = []
+        self.client = SdoNetwork(self, now=lambda: self.now_s).client(NODE, "x", "node 5 on a slow bus")
+
+    def send(self, can_id: int, data: bytes) -> None:
+        delay_s = self.delay(bytes(data))
+        if delay_s is not None:
+            after = max([self.now_s + delay_s, *(due_s for due_s, _ in self.waiting)])
+            self.waiting += [(after, frame) for frame in self.answers_to(bytes(data))]
+
+    def receive(self, timeout: float) -> Frame | None:
+        if self.waiting and self.waiting[0][0] <= self.now_s + timeout:
+            due_s, frame = self.waiting.pop(0)
+            self.now_s = max(self.now_s, due_s)
+            return frame
+        self.now_s += timeout
+        return None
+
+
 class Driven:
     """Axis x of a daemon on a bus of the bench, in stepped time."""
 
@@ -289,8 +322,7 @@ class TimedBus(can.BusABC):
         super().__init__(channel="timed")
         self.benches, self.answer_ms, self.now_ms = benches, answer_ms, 0.0
         self.waiting, self.sent, self.gone, self.refused = [], [], set(), []
-        self.lost = ()  # identifiers of frames that nobody hears
-        self.slow = {}  # milliseconds for the answers about some objects, by index
+        self.lost, self.slow = (), {}  # identifiers that nobody hears; ms for the answers about objects, by index
 
     def put(self, frames):
         for can_id, data in frames:
@@ -303,19 +335,13 @@ class TimedBus(can.BusABC):
         self.waiting.sort(key=lambda one: one[0])
 
     def send(self, msg, timeout=None):
-        if (msg.arbitration_id, bytes(msg.data)) in self.refused:
+        can_id, data = msg.arbitration_id, bytes(msg.data)
+        if (can_id, data) in self.refused:
             raise can.CanOperationError("the interface is down")
-        self.sent.append((self.now_ms, msg.arbitration_id, bytes(msg.data)))
+        self.sent.append((self.now_ms, can_id, data))
         for bench in self.benches:
-            if bench.node.number in self.gone:
-                continue
-            if msg.is_remote_frame:
-                if msg.arbitration_id == 0x700 + bench.node.number:
-                    before = len(bench.sent)
-                    bench.node.receive_remote(msg.arbitration_id)
-                    self.put(bench.sent[before:])
-            else:
-                self.put(bench.send(msg.arbitration_id, bytes(msg.data)))
+            if bench.node.number not in self.gone:
+                self.put(bench.send_remote(can_id) if msg.is_remote_frame else bench.send(can_id, data))
 
     def recv(self, timeout=None):
         end = self.now_ms + 1e3 * (timeout or 0.0)

@@ -53,20 +53,17 @@ class VendorDrive:
     ) -> None:
         for number in range(4):
             mapping = f"{mappings + number:X}"
-            for position in range(1, 9):
-                if pdos and number < len(pdos):
-                    words = pdos[number]
-                    eds[f"{mapping}sub{position}"]["DefaultValue"] = hex(
-                        words[position - 1] if position <= len(words) else 0
-                    )
+            if pdos and number < len(pdos):
+                words = pdos[number]
+                eds[f"{mapping}sub0"]["DefaultValue"] = str(len(words))
+                for position in range(1, 9):
+                    word = words[position - 1] if position <= len(words) else 0
+                    eds[f"{mapping}sub{position}"]["DefaultValue"] = hex(word)
+            for position in range(9):
                 if position > self.most_entries:
                     _remove(eds, f"{mapping}sub{position}")
                 elif self.is_fixed:
                     eds[f"{mapping}sub{position}"]["AccessType"] = "ro"
-            if pdos and number < len(pdos):
-                eds[f"{mapping}sub0"]["DefaultValue"] = str(len(pdos[number]))
-            if self.is_fixed:
-                eds[f"{mapping}sub0"]["AccessType"] = "ro"
             if pdos and number >= len(pdos):
                 _remove(eds, parameters + number)
                 _remove(eds, mappings + number)

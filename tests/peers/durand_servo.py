@@ -56,9 +56,6 @@ class Manners:
     timer_at_sync_only: bool = False  # event timers of synchronous RPDOs are looked at when a SYNC comes
     has_rpdo_timers: bool = True  # 1400h:05 ...
     missing: tuple[int, ...] = ()  # objects that the drive lacks
-    operational_at_start: bool = False
-    inertia: float = 2e-4
-    friction: float = 0.02
 
 
 class Agenda(AbstractScheduler):
@@ -159,7 +156,7 @@ class DurandServo:
         self._wire = Wire(send)
         self._watches = Watches()
         self.servo = Servo(self._on_servo, self.manners.rated_torque)
-        self.servo.mechanics.inertia, self.servo.mechanics.friction = self.manners.inertia, self.manners.friction
+
         set_scheduler(self._agenda)
         self.od = ObjectDictionary()
         # durand would swallow what goes wrong in here
@@ -168,8 +165,6 @@ class DurandServo:
         self._add_communication()
         self._add_profile()
         self.node.nmt.state_callbacks.add(self._on_nmt)
-        if self.manners.operational_at_start:
-            self.node.nmt.set_state(OPERATIONAL)
 
     # The bus
 

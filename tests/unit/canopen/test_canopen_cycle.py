@@ -356,10 +356,9 @@ def test_each_guarded_node_is_asked_in_its_own_period():
     cycles.cycle(Request.LISTEN, Request.LISTEN, count=3)
     assert not cycles.wire.times(0x705)
     cycles.cycle(count=25)
-    remote = [(at // MS, can_id, length) for at, can_id, length in cycles.wire.sent if can_id in (0x705, 0x706)]
-    assert [at for at, can_id, _ in remote if can_id == 0x705] == [3, 7, 11, 15, 19, 23, 27]
-    assert [at for at, can_id, _ in remote if can_id == 0x706] == [3, 9, 15, 21, 27]
-    assert {length for *_, length in remote} == {1}
+    assert [at // MS for at in cycles.wire.times(0x705)] == [3, 7, 11, 15, 19, 23, 27]
+    assert [at // MS for at in cycles.wire.times(0x706)] == [3, 9, 15, 21, 27]
+    assert {length for _, can_id, length in cycles.wire.sent if can_id in (0x705, 0x706)} == {1}
     assert len(cycles.wire.times(MASTER)) == 1
 
 
@@ -460,17 +459,19 @@ def test_another_master_is_the_message_of_each_axis_or_told_once_beside_its_own(
 
 
 def test_axes_of_one_node_share_its_heartbeats_and_emergencies():
-    one, other = Node(5), Node(5, first_tpdo=0x190)
-    cycles = Cycles(one, other)
-    cycles.heard(5, OPERATIONAL)
-    assert [feedback.is_reachable for feedback in cycles.cycle()] == [True, True]
-    one.is_answering = other.is_answering = False
-    cycles.heard(5, PRE_OPERATIONAL)
-    assert [feedback.is_reachable for feedback in cycles.cycle()] == [False, False]
+    cycles = Cycles(Node(5), Node(5, first_tpdo=0x190))
+    for state, is_answering in ((OPERATIONAL, True), (PRE_OPERATIONAL, False)):
+        cycles.heard(5, state)
+        for node in cycles.nodes:
+            node.is_answering = is_answering
+        assert [feedback.is_reachable for feedback in cycles.cycle()] == [is_answering] * 2
 
 
-@pytest.mark.parametrize(("is_real", "requests", "is_some"), [(True, 1, True), (True, 0, False), (False, 1, False)])
-def test_drives_are_left_with_their_watchdogs_fed_where_they_have_begun_to_watch(is_real, requests, is_some):
+@pytest.mark.parametrize(
+    ("is_real", "request_", "is_some"),
+    [(True, Request.ENABLE, True), (True, Request.LISTEN, False), (False, Request.ENABLE, False)],
+)
+def test_drives_are_left_with_their_watchdogs_fed_where_they_have_begun_to_watch(is_real, request_, is_some):
     cycles = Cycles(is_real=is_real)
-    cycles.cycle(*[Request.ENABLE if requests else Request.LISTEN] * 2)
+    cycles.cycle(request_, request_)
     assert (cycles.exchange.last_frames() is not None) is is_some

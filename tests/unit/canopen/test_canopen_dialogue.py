@@ -16,28 +16,30 @@ def give(transfer: Transfer, *answers: str) -> list[str]:
     return requests
 
 
-def test_an_expedited_upload_has_sign_and_width() -> None:
-    upload = Upload(objects.MODE_DISPLAY)
-    assert give(upload, "4f616000f8000000") == ["4061600000000000"]
-    assert upload.is_accepted
-    assert upload.value == -8
+@pytest.mark.parametrize(
+    ("entry", "request_", "answer", "data", "value"),
+    [
+        (objects.MODE_DISPLAY, "4061600000000000", "4f616000f8000000", b"\xf8", -8),
+        (objects.TORQUE_OFFSET, "40b2600000000000", "42b26000fbff0000", b"\xfb\xff", -5),  # no size: that of its type
+    ],
+)
+def test_an_expedited_upload_has_sign_and_width(entry, request_, answer, data, value) -> None:
+    upload = Upload(entry)
+    assert give(upload, answer) == [request_]
+    assert (upload.is_accepted, upload.data, upload.value) == (True, data, value)
 
 
-def test_a_download_and_its_abort() -> None:
-    download = Download(objects.CONTROLWORD, 2)
-    assert give(download, "6040600000000000") == ["2b40600002000000"]
-    assert download.is_accepted
-    download = Download(objects.MODE, -3)
-    assert give(download, "8060600022000008") == ["2f606000fd000000"]
-    assert download.is_done
-    assert not download.is_accepted
-    assert download.abort_code == 0x08000022
-
-
-def test_an_answer_without_a_size_has_that_of_its_type() -> None:
-    upload = Upload(objects.TORQUE_OFFSET)
-    give(upload, "42b26000fbff0000")
-    assert (upload.data, upload.value) == (b"\xfb\xff", -5)
+@pytest.mark.parametrize(
+    ("download", "request_", "answer", "abort"),
+    [
+        (Download(objects.CONTROLWORD, 2), "2b40600002000000", "6040600000000000", None),
+        (Download(objects.MODE, -3), "2f606000fd000000", "8060600022000008", 0x08000022),
+    ],
+)
+def test_a_download_and_its_abort(download, request_, answer, abort) -> None:
+    assert give(download, answer) == [request_]
+    assert (download.is_done, download.is_accepted) == (True, abort is None)
+    assert download.abort_code == abort or abort is None
 
 
 def test_a_server_that_lost_a_transfer_ends_it_without_its_object() -> None:
@@ -67,11 +69,7 @@ def test_a_server_that_sends_segments_without_end_is_given_up() -> None:
     upload = Upload(objects.DEVICE_NAME)
     upload.first()
     request = upload.take(bytes.fromhex("4008100000000000"))  # no size announced
-    count = 0
-    while request is not None:
-        request = upload.take(bytes([request[0] & 0x10]) + b"abcdefg")
-        count += 1
-        assert count < 20_000
-    assert upload.is_done
-    assert not upload.is_accepted
-    assert upload.abort_code == Abort.OUT_OF_MEMORY
+    for _ in range(20_000):
+        if request is not None:
+            request = upload.take(bytes([request[0] & 0x10]) + b"abcdefg")
+    assert (upload.is_done, upload.is_accepted, upload.abort_code) == (True, False, Abort.OUT_OF_MEMORY)

@@ -11,7 +11,7 @@ from friction_hil_drivers.canopen.wire.frames import FrameBus
 
 from friction_hil.config.bus import BusConfig
 from friction_hil.errors import DriveError
-from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.canopen_bench import NODE, BenchBus
 
 NOBODY = 65534
 
@@ -22,29 +22,38 @@ def bus(tmp_path):
     return BusConfig(interface="socketcan", channel=f"can-{os.getpid()}-{tmp_path.name}")
 
 
-def hold(bus, user=None):
-    """Take the lock of node 5 in another process; return its number."""
-    read_end, write_end = os.pipe()
-    pid = os.fork()
-    if pid == 0:
-        try:
-            if user is not None:
-                os.setuid(user)
-            lock = AxisLock(bus, 5, "x")
-            os.write(write_end, b"taken")
-            signal.pause()
-            lock.release()
-        finally:
-            os._exit(1)
-    os.close(write_end)
-    with os.fdopen(read_end, "rb") as answer:
-        assert answer.read(5) == b"taken"
-    return pid
+@pytest.fixture
+def hold():
+    """Take the lock of node 5 in another process; return its number and how to kill it."""
+    left = []
 
+    def kill():
+        pid = left.pop()
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
 
-def kill(pid):
-    os.kill(pid, signal.SIGKILL)
-    os.waitpid(pid, 0)
+    def take(bus, user=None):
+        read_end, write_end = os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            try:
+                if user is not None:
+                    os.setuid(user)
+                lock = AxisLock(bus, 5, "x")
+                os.write(write_end, b"taken")
+                signal.pause()
+                lock.release()
+            finally:
+                os._exit(1)
+        left.append(pid)
+        os.close(write_end)
+        with os.fdopen(read_end, "rb") as answer:
+            assert answer.read(5) == b"taken"
+        return pid, kill
+
+    yield take
+    while left:
+        kill()
 
 
 def refusal(bus, node=5):
@@ -54,11 +63,11 @@ def refusal(bus, node=5):
     return str(caught.value)
 
 
-def test_the_lock_belongs_to_who_runs_and_ends_with_it(bus):
-    pid = hold(bus)
+def test_the_lock_belongs_to_who_runs_and_ends_with_it(bus, hold):
+    pid, kill = hold(bus)
     assert f"node 5 on socketcan {bus.channel} belongs to another daemon already (process {pid});" in refusal(bus)
     AxisLock(bus, 6, "y").release()
-    kill(pid)
+    kill()
     lock = AxisLock(bus, 5, "x")
     assert f"(process {os.getpid()})" in refusal(bus)
     lock.release()
@@ -68,61 +77,61 @@ def test_the_lock_belongs_to_who_runs_and_ends_with_it(bus):
 
 def test_no_daemon_can_begin_while_a_fault_is_reset(bus):
     """It would enable the drive that has just been left without power."""
-    refused = []
 
     class Asked(BenchBus):
-        def send(self, msg, timeout=None):
-            with pytest.raises(DriveError, match=f"process {os.getpid()}"):
-                AxisLock(bus, NODE, "x")
-            refused.append(msg)
-            super().send(msg, timeout)
+        def loses(self, can_id, data):
+            assert f"process {os.getpid()}" in refusal(bus)
+            return False
 
-    own = Asked(Bench())
+    own = Asked()
     inventory = CanopenInventory(bus, FrameBus(own, "bench"))
     (stop,) = inventory.reset_axes({"x": (NODE, 0)}).stops
     assert stop.result == "unpowered"
-    assert refused
+    assert own.sent
     inventory.close()
     own.shutdown()
     AxisLock(bus, NODE, "x").release()
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
-def test_a_killed_daemon_of_one_user_shuts_out_nobody(bus):
-    pid = hold(bus, NOBODY)
+def test_a_killed_daemon_of_one_user_shuts_out_nobody(bus, hold):
+    pid, kill = hold(bus, NOBODY)
     assert f"(process {pid} of user {NOBODY})" in refusal(bus)
-    kill(pid)
-    kill(hold(bus))  # root
-    kill(hold(bus, NOBODY - 1))
-    kill(hold(bus, NOBODY))
+    kill()
+    for user in (None, NOBODY - 1, NOBODY):  # None: root
+        _, kill = hold(bus, user)
+        kill()
 
 
-def test_the_folder_for_temporary_files_does_not_matter(bus, tmp_path, monkeypatch):
+def test_the_folder_for_temporary_files_does_not_matter(bus, hold, tmp_path, monkeypatch):
     """Neither one of its own (TMPDIR, PrivateTmp of systemd) nor a link in the way."""
     for name in ("lock", "pid"):
         os.symlink(tmp_path / "victim", tmp_path / f"friction_hil-socketcan-{bus.channel}-5.{name}")
-    pid = hold(bus)
+    pid, kill = hold(bus)
     for folder in (tmp_path, tmp_path / "missing"):
         monkeypatch.setattr(tempfile, "tempdir", str(folder))
         assert f"process {pid}" in refusal(bus)
-    kill(pid)
+    kill()
     AxisLock(bus, 5, "x").release()
     assert not (tmp_path / "victim").exists()
 
 
-def test_the_same_bus_has_one_lock_however_it_is_written(tmp_path):
-    group = "239.74.163.177"
+MULTICAST = {"interface": "udp_multicast", "channel": "239.74.163.177"}
+
+
+@pytest.mark.parametrize(
+    ("written", "other"),
+    [
+        (MULTICAST, MULTICAST | {"port": 43113}),
+        ({"interface": "slcan", "channel": "/dev/null"}, {"interface": "slcan", "channel": "{folder}/by-id@115200"}),
+    ],
+)
+def test_the_same_bus_has_one_lock_however_it_is_written(tmp_path, written, other):
     (tmp_path / "by-id").symlink_to("/dev/null")
-    for written, other in (
-        (
-            {"interface": "udp_multicast", "channel": group},
-            {"interface": "udp_multicast", "channel": group, "port": 43113},
-        ),
-        ({"interface": "slcan", "channel": "/dev/null"}, {"interface": "slcan", "channel": f"{tmp_path}/by-id@115200"}),
-    ):
-        lock = AxisLock(BusConfig(**written), 77, "x")
-        assert f"process {os.getpid()}" in refusal(BusConfig(**other), 77)
-        lock.release()
+    lock = AxisLock(BusConfig(**written), 77, "x")
+    other = other | {"channel": other["channel"].format(folder=tmp_path)}
+    assert f"process {os.getpid()}" in refusal(BusConfig(**other), 77)
+    lock.release()
 
 
 @pytest.mark.parametrize(
@@ -146,10 +155,9 @@ def test_other_buses_have_other_locks(other, bus):
         AxisLock(each, 78, "x").release()
 
 
-def test_a_virtual_bus_does_not_leave_its_process():
+def test_a_virtual_bus_does_not_leave_its_process(hold):
     virtual = BusConfig(interface="virtual", channel="test-lock")
-    pid = hold(virtual)
+    hold(virtual)
     lock = AxisLock(virtual, 5, "x")
     assert f"process {os.getpid()}" in refusal(virtual)
     lock.release()
-    kill(pid)

@@ -43,26 +43,28 @@ def interface(root, name="can0", *, is_up=True, kind="280"):
 
 
 def test_each_can_interface_is_reported_and_no_other(tmp_path):
-    interface(tmp_path)
-    interface(tmp_path, "can1", is_up=False)
-    interface(tmp_path, "eth0", kind="1")
     asked = []
 
-    def ask(name):
-        asked.append(name)
-        return GOOD
+    def check(link=GOOD):
+        asked.clear()
+        return [
+            (one.check, one.result, one.detail, one.fix)
+            for one in check_machine(tmp_path, lambda name: asked.append(name) or link)
+        ]
 
-    up, down = check_machine(tmp_path, ask)
+    [(checked, result, _, fix)] = check()
+    assert (checked, result) == ("CAN interfaces", "warn")
+    assert fix.endswith("modprobe vcan && ip link add dev vcan0 type vcan && ip link set vcan0 up")
+    interface(tmp_path)
+    assert check(Link("can", 500_000, "BUS-OFF"))[0][1] == "warn", "no configuration needs it yet"
+    interface(tmp_path, "can1", is_up=False)
+    interface(tmp_path, "eth0", kind="1")
+    up, down = check()
     assert asked == ["can0", "can1"] == interfaces.can_interfaces(tmp_path)
-    assert (up.check, up.result, up.detail) == ("CAN interface can0", "pass", "up, 500000 bit/s, ERROR-ACTIVE")
-    assert (down.check, down.result) == ("CAN interface can1", "warn")
-    assert down.fix == "ip link set can1 up type can bitrate 500000"
-
-
-def test_a_machine_without_any_is_a_warning_with_a_remedy(tmp_path):
-    (found,) = check_machine(tmp_path, lambda name: GOOD)
-    assert (found.check, found.result) == ("CAN interfaces", "warn")
-    assert found.fix.endswith("modprobe vcan && ip link add dev vcan0 type vcan && ip link set vcan0 up")
+    assert up[:3] == ("CAN interface can0", "pass", "up, 500000 bit/s, ERROR-ACTIVE")
+    assert (*down[:2], down[3]) == ("CAN interface can1", "warn", "ip link set can1 up type can bitrate 500000")
+    found = check_interface("vcan3", Link("vcan"), None, interface(tmp_path, "vcan3", is_up=False))
+    assert (found.result, found.fix) == ("warn", "ip link set vcan3 up"), "brought up, not made"
 
 
 @pytest.mark.parametrize(
@@ -82,16 +84,6 @@ def test_an_interface_beside_its_configuration(tmp_path, link, bitrate, result, 
     assert found.result == result
     assert text in found.detail
     assert bool(found.fix) == (result != "pass")
-
-
-def test_an_interface_that_no_configuration_needs_yet_does_not_fail(tmp_path):
-    (found,) = check_machine(interface(tmp_path), lambda name: Link("can", 500_000, "BUS-OFF"))
-    assert found.result == "warn"
-
-
-def test_an_interface_that_is_down_is_brought_up_not_made(tmp_path):
-    found = check_interface("vcan3", Link("vcan"), None, interface(tmp_path, "vcan3", is_up=False))
-    assert (found.result, found.fix) == ("warn", "ip link set vcan3 up")
 
 
 @pytest.mark.parametrize(

@@ -86,20 +86,20 @@ def test_python_cans_reader_survives_what_is_no_frame(config: BusConfig, sender:
     assert [message.arbitration_id for message in heard] == [0x585]
 
 
-def test_a_process_does_not_hear_itself_but_is_heard_by_others_of_this_machine(config: BusConfig) -> None:
-    with contextlib.closing(open_frame_bus(config)) as bus, contextlib.closing(open_frame_bus(config)) as other:
-        assert not bus.is_echoing
+@pytest.mark.parametrize("hop_limit", [0, 1])
+def test_a_process_hears_itself_only_where_frames_leave_this_machine(config: BusConfig, hop_limit: int) -> None:
+    """Another machine may send from the same port: then nothing may be dropped for it."""
+    with (
+        contextlib.closing(open_frame_bus(config.model_copy(update={"hop_limit": hop_limit}))) as bus,
+        contextlib.closing(open_frame_bus(config)) as other,
+    ):
+        assert bus.is_echoing is bool(hop_limit)
         bus.send(0x181, b"\x01")
+        if hop_limit:
+            assert bus.receive(5.0) == (0x181, b"\x01")
+            return
         bus.send_remote(0x701, 1)
         assert other.receive(5.0) == (0x181, b"\x01")
         other.send(0x182, b"\x02")
         assert bus.receive(5.0) == (0x182, b"\x02")
         assert bus.receive(0.0) is None
-
-
-def test_beyond_this_machine_a_process_hears_itself(config: BusConfig) -> None:
-    """Another machine may send from the same port: nothing may be dropped for it."""
-    with contextlib.closing(open_frame_bus(config.model_copy(update={"hop_limit": 1}))) as bus:
-        assert bus.is_echoing
-        bus.send(0x181, b"\x01")
-        assert bus.receive(5.0) == (0x181, b"\x01")

@@ -13,50 +13,42 @@ from friction_hil_drivers.cia402.journal import Found
 from friction_hil_drivers.cia402.objects import DataType, Object
 
 
-def entry(index, subindex, kind=DataType.UNSIGNED32):
-    return Object(index, "", kind, subindex)
+def found(index, subindex, data, kind=DataType.UNSIGNED32):
+    return Found(Object(index, "", kind, subindex), None if data is None else bytes.fromhex(data))
+
+
+def told(pairs):
+    return [(f"{entry.index:X}:{entry.subindex}", data.hex()) for entry, data in pairs]
 
 
 def test_a_mapping_is_restored_in_the_order_of_the_standard():
-    found = [
-        Found(entry(0x1400, 1), bytes.fromhex("05020000")),
-        Found(entry(0x1600, 0, DataType.UNSIGNED8), b"\x02"),
-        Found(entry(0x1600, 1), b"\x10\x00\x40\x60"),
-        Found(entry(0x1600, 2), b"\x08\x00\x60\x60"),
-        Found(entry(0x1600, 3), b"\x10\x00\x71\x60"),  # behind the number of entries
-        Found(entry(0x1400, 2, DataType.UNSIGNED8), b"\xff"),
-        Found(entry(0x605A, 0), b"\x02\x00"),
-        Found(entry(0x6007, 0), None),
+    groups = restoration(
+        [
+            found(0x1400, 1, "05020000"),
+            found(0x1600, 0, "02", DataType.UNSIGNED8),
+            found(0x1600, 1, "10004060"),
+            found(0x1600, 2, "08006060"),
+            found(0x1600, 3, "10007160"),  # behind the number of entries
+            found(0x1400, 2, "ff", DataType.UNSIGNED8),
+            found(0x605A, 0, "0200"),
+            found(0x6007, 0, None),
+        ]
+    )
+    assert [told(pairs) for pairs in groups] == [
+        [("605A:0", "0200")],
+        [
+            ("1400:1", "05020080"),
+            ("1600:0", "00"),
+            ("1600:1", "10004060"),
+            ("1600:2", "08006060"),
+            ("1600:3", "10007160"),
+            ("1600:0", "02"),
+            ("1400:2", "ff"),
+            ("1400:1", "05020000"),
+        ],
     ]
-    (option,), pdo = restoration(found)
-    assert option == (found[6].entry, b"\x02\x00")
-    assert [(f"{one.index:X}:{one.subindex}", data.hex()) for one, data in pdo] == [
-        ("1400:1", "05020080"),
-        ("1600:0", "00"),
-        ("1600:1", "10004060"),
-        ("1600:2", "08006060"),
-        ("1600:3", "10007160"),
-        ("1600:0", "02"),
-        ("1400:2", "ff"),
-        ("1400:1", "05020000"),
-    ]
-
-
-def test_a_pdo_that_was_only_switched_off_is_switched_on():
-    found = [Found(entry(0x1402, 1), bytes.fromhex("05040000"))]
-    assert restoration(found) == [[(found[0].entry, found[0].found)]]
-
-
-class Shown:
-    """Access to a drive of which only the identity and one setting matter."""
-
-    axis, where = "x", "node 5 on can0"
-
-    def peek(self, entry):
-        return b"\x07\0\0\0"
-
-    def download(self, entry, data):
-        raise AssertionError("nothing is written here")
+    only_switched_off = restoration([found(0x1402, 1, "05040000")])
+    assert [told(pairs) for pairs in only_switched_off] == [[("1402:1", "05040000")]]
 
 
 KEPT = """{"version": 1, "entries": [
@@ -76,10 +68,8 @@ class Node:
 
     def __init__(self):
         self.taken = []
-        self.values = {
-            (each["index"], each["subindex"]): bytes.fromhex(each["written"][-1])
-            for each in json.loads(KEPT)["entries"]
-        }
+        entries = json.loads(KEPT)["entries"]
+        self.values = {(each["index"], each["subindex"]): bytes.fromhex(each["written"][-1]) for each in entries}
 
     def peek(self, entry):
         return self.values.get(entry.address)
@@ -88,7 +78,7 @@ class Node:
         if entry.index == 0x1017:
             raise RefusedError("refused")
         self.values[entry.address] = data
-        self.taken.append((entry.index, entry.subindex, data.hex()))
+        self.taken.append((entry, data))
 
 
 def test_what_an_older_version_has_kept_is_restored_in_order_and_named(tmp_path):
@@ -98,15 +88,15 @@ def test_what_an_older_version_has_kept_is_restored_in_order_and_named(tmp_path)
     journal.before(Object(0x605C, "disable operation option code", DataType.INTEGER16), b"\0\0")
     assert "7 objects" in journal.notes[0]
     assert journal.restore() == ["1017h producer heartbeat time was 03E8h and stays 0014h"]
-    assert node.taken == [
-        (0x1016, 1, "00000000"),
-        (0x1400, 1, "05020080"),
-        (0x1600, 0, "00"),
-        (0x1600, 1, "10004060"),
-        (0x1600, 0, "01"),
-        (0x1400, 1, "05020000"),
-        (0x6060, 0, "06"),
-        (0x605C, 0, "0100"),
+    assert told(node.taken) == [
+        ("1016:1", "00000000"),
+        ("1400:1", "05020080"),
+        ("1600:0", "00"),
+        ("1600:1", "10004060"),
+        ("1600:0", "01"),
+        ("1400:1", "05020000"),
+        ("6060:0", "06"),
+        ("605C:0", "0100"),
     ]
     assert [each["index"] for each in json.loads(path.read_text())["entries"]] == [0x1017]
 
@@ -119,7 +109,7 @@ def test_what_another_users_killed_run_has_kept_shuts_out_nobody(request):
     entry = Object(0x1017, "heartbeat", DataType.UNSIGNED16)
 
     def keep():
-        journal = CanopenJournal(Shown(), lambda identity: folder / f"can0-5-{identity}.json")
+        journal = CanopenJournal(Node(), lambda identity: folder / f"can0-5-{identity}.json")
         journal.before(entry, b"\x08\0")
         return journal.notes
 

@@ -3,44 +3,30 @@
 import struct
 
 import pytest
-from friction_hil_drivers.canopen.sdo.client import PATIENCE_S, SdoNetwork
+from friction_hil_drivers.canopen.sdo.client import PATIENCE_S
 from friction_hil_drivers.canopen.sdo.dialogue import Download, Upload
 from friction_hil_drivers.canopen.wire import cia301
-from friction_hil_drivers.canopen.wire.frames import FrameBus
 from friction_hil_drivers.cia402 import objects
 
 from friction_hil.errors import DriveError
-from tests.canopen_bench import NODE, SDO_ANSWER, Bench
+from tests.canopen_bench import SDO_ANSWER, SDO_REQUEST, Bench, SlowBus
 
 
-class SlowBus(FrameBus):
-    """Hands frames to a drive on the bench; ``delay`` says how long an answer takes, None: it never comes."""
+class Server(SlowBus):
+    """A drive on the bench; ``change`` may make something else of its answers."""
 
     def __init__(self, **settings):
         self.bench = Bench(**settings)
-        self.time_s = 0.0
-        self.delay = lambda request: 0.0
         self.change = lambda request, answer: answer
-        self.waiting = []  # (time, identifier, data)
         self.requests, self.aborts = [], []
-        self.client = SdoNetwork(self, now=lambda: self.time_s).client(NODE, "x", "node 5 on a slow bus")
+        super().__init__(self.answered, lambda request: 0.0)
 
     def send(self, can_id, data):
-        data = bytes(data)
-        (self.aborts if data[0] == 0x80 else self.requests).append(data)
-        for answer_id, answer in self.bench.send(can_id, data):
-            delay = self.delay(data)
-            if delay is not None:
-                after = max([self.time_s + delay, *(due_s for due_s, *_ in self.waiting)])  # a server answers in order
-                self.waiting.append((after, answer_id, self.change(data, answer)))
+        (self.aborts if data[0] == 0x80 else self.requests).append(bytes(data))
+        super().send(can_id, data)
 
-    def receive(self, timeout):
-        if self.waiting and self.waiting[0][0] <= self.time_s + timeout:
-            due_s, can_id, data = self.waiting.pop(0)
-            self.time_s = max(self.time_s, due_s)
-            return can_id, data
-        self.time_s += timeout
-        return None
+    def answered(self, data):
+        return [(can_id, self.change(data, answer)) for can_id, answer in self.bench.send(SDO_REQUEST, data)]
 
 
 def asks(request, index, subindex=0):
@@ -54,7 +40,7 @@ def abort(index, subindex, code):
 @pytest.mark.parametrize("delay_s", [0.7, 0.9, 1.7, 2.9])
 def test_a_late_abort_is_not_taken_for_the_next_answer(delay_s):
     """A drive that was slow once was believed to have no 60A9h, and turned at three times its limit."""
-    bus = SlowBus(missing=[0x60C2])
+    bus = Server(missing=[0x60C2])
     bus.delay = lambda request: delay_s if asks(request, 0x60C2, 1) else 0.0
     assert bus.client.find(objects.INTERPOLATION_PERIOD) is None
     assert bus.client.find(objects.VELOCITY_UNIT) == bus.bench.read(0x60A9)
@@ -62,7 +48,7 @@ def test_a_late_abort_is_not_taken_for_the_next_answer(delay_s):
 
 
 def test_an_answer_that_comes_after_the_request_was_given_up_is_dropped_and_told():
-    bus = SlowBus()
+    bus = Server()
     bus.delay = lambda request: PATIENCE_S + 0.2 if asks(request, 0x608F, 1) else 0.0
     with pytest.raises(DriveError, match=r"608Fh:01.*FH-206"):
         bus.client.find(objects.ENCODER_INCREMENTS)
@@ -72,15 +58,15 @@ def test_an_answer_that_comes_after_the_request_was_given_up_is_dropped_and_told
 
 
 def test_a_lost_request_for_an_object_only_costs_time():
-    bus = SlowBus()
+    bus = Server()
     bus.delay = lambda request: None if len(bus.requests) == 1 else 0.0
     assert [bus.client.read(objects.STATUSWORD) for _ in range(2)] == [bus.bench.statusword] * 2
-    assert bus.time_s < 1.5 * PATIENCE_S
+    assert bus.now_s < 1.5 * PATIENCE_S
 
 
 @pytest.mark.parametrize("code", [0x06020000, 0x06090011, 0x08000000, 0x06010001, 0x08000022])
 def test_an_optional_object_that_is_refused_is_absent(code):
-    bus = SlowBus(missing=[0x60A9])
+    bus = Server(missing=[0x60A9])
     bus.change = lambda request, answer: abort(0x60A9, 0, code) if asks(request, 0x60A9) else answer
     assert bus.client.find(objects.VELOCITY_UNIT) is None
     is_plain = code in (0x06020000, 0x06090011)
@@ -90,7 +76,7 @@ def test_an_optional_object_that_is_refused_is_absent(code):
 
 
 def test_a_drive_that_stops_answering_has_no_absent_object():
-    bus = SlowBus()
+    bus = Server()
     bus.client.read(objects.STATUSWORD)
     bus.delay = lambda request: None
     for ask in (bus.client.find, bus.client.width, lambda entry: bus.client.try_write(entry, 0)):
@@ -99,7 +85,7 @@ def test_a_drive_that_stops_answering_has_no_absent_object():
 
 
 def test_writing_may_take_seconds():
-    bus = SlowBus()
+    bus = Server()
     bus.delay = lambda request: 2.5
     bus.client.write(cia301.PRODUCER_HEARTBEAT, 50)
     assert len(bus.requests) == 1  # and is asked for once
@@ -108,11 +94,11 @@ def test_writing_may_take_seconds():
 
 
 def test_the_abort_after_a_time_out_names_the_object():
-    bus = SlowBus()
+    bus = Server()
     bus.delay = lambda request: None
     with pytest.raises(DriveError, match="no drive answers"):
         bus.client.read(objects.VELOCITY_UNIT)
-    assert bus.time_s == pytest.approx(PATIENCE_S)
+    assert bus.now_s == pytest.approx(PATIENCE_S)
     assert bus.aborts == [abort(0x60A9, 0, 0x05040000)]
 
 
@@ -154,7 +140,7 @@ def test_answers_and_their_requests(request_hex, answer_hex, belongs):
 
 def test_a_late_answer_is_not_taken_for_that_to_the_same_object():
     """Read slowly, written, read back: the read-back must be what the drive holds now."""
-    bus = SlowBus()
+    bus = Server()
     bus.delay = lambda request: 1.4 if request[0] == 0x40 else 0.0
     before = bus.client.read(cia301.PRODUCER_HEARTBEAT)  # asked again after a second: two answers come
     assert len(bus.requests) == 2
@@ -164,7 +150,7 @@ def test_a_late_answer_is_not_taken_for_that_to_the_same_object():
 
 
 def test_a_segmented_transfer_takes_the_segment_with_its_toggle_bit():
-    bus = SlowBus()
+    bus = Server()
     name = bus.client.bytes_of(objects.DEVICE_NAME)
     assert len(name) > 14
     repeated = []
@@ -172,7 +158,7 @@ def test_a_segmented_transfer_takes_the_segment_with_its_toggle_bit():
     def repeat_first_segment(request, answer):
         if request[0] >> 5 == 3 and not repeated:
             repeated.append(answer)
-            bus.waiting.append((bus.time_s, SDO_ANSWER, answer))
+            bus.waiting.append((bus.now_s, (SDO_ANSWER, answer)))
         return answer
 
     bus.change = repeat_first_segment

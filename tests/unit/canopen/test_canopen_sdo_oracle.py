@@ -5,15 +5,14 @@ from types import SimpleNamespace
 
 import canopen
 from canopen.sdo import SdoClient, SdoServer
-from friction_hil_drivers.canopen.sdo.client import SdoNetwork
 from friction_hil_drivers.canopen.sdo.dialogue import Download, Transfer, Upload, abort
-from friction_hil_drivers.canopen.wire.frames import FrameBus
 from friction_hil_drivers.cia402.access import Abort
 from friction_hil_drivers.cia402.objects import DataType, Object
 from hypothesis import given
 from hypothesis import strategies as st
 
-NODE = 5
+from tests.canopen_bench import NODE, SlowBus
+
 OBJECTS = [Object(0x2000 + n, f"object {n}", DataType.VISIBLE_STRING, n) for n in range(3)]
 contents = st.binary(min_size=1, max_size=200)
 
@@ -101,36 +100,17 @@ def test_strays_and_doubled_and_late_answers_never_give_a_wrong_value(data, cont
     assert upload.data == other
 
 
-class SlowBus(FrameBus):
-    """A server whose answers come in order, each after a time; the time passes while somebody waits for a frame."""
-
-    def __init__(self, library, delays_s):
-        self.library, self.delays_s = library, delays_s
-        self.now_s, self.waiting = 0.0, []
-
-    def send(self, can_id, data):
-        due_s = max([self.now_s + next(self.delays_s), *(due_s for due_s, _ in self.waiting)])
-        self.waiting += [(due_s, answer) for answer in self.library.answers_to(data)]
-
-    def receive(self, timeout):
-        if self.waiting and self.waiting[0][0] <= self.now_s + timeout:
-            due_s, answer = self.waiting.pop(0)
-            self.now_s = max(self.now_s, due_s)
-            return 0x580 + NODE, answer
-        self.now_s += timeout
-        return None
-
-
 @given(st.data())
 def test_a_blocking_client_reads_what_was_written_last_however_late_answers_come(data):
     """Requests are repeated, and answers come to those that were answered already; the patience is kept."""
-    delays_s = iter(lambda: data.draw(st.sampled_from((0.0, 0.0, 0.3, 1.1, 1.9, 2.9))), None)
-    bus = SlowBus(Library(), delays_s)
-    client = SdoNetwork(bus, now=lambda: bus.now_s).client(NODE, "x", "node 5 on a slow bus")
-    held = {}
+    library, held = Library(), {}
+    bus = SlowBus(
+        lambda request: [(0x580 + NODE, answer) for answer in library.answers_to(request)],
+        lambda _: data.draw(st.sampled_from((0.0, 0.0, 0.3, 1.1, 1.9, 2.9))),
+    )
     for _ in range(data.draw(st.integers(2, 8))):
         entry = data.draw(st.sampled_from(OBJECTS))
         if entry not in held or data.draw(st.booleans()):
             held[entry] = data.draw(contents)
-            client.download(entry, held[entry])
-        assert client.peek(entry) == held[entry]
+            bus.client.download(entry, held[entry])
+        assert bus.client.peek(entry) == held[entry]

@@ -2,7 +2,6 @@
 
 import struct
 
-import can
 import pytest
 from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.sdo.conversation import Conversation
@@ -11,11 +10,11 @@ from friction_hil_drivers.canopen.wire.frames import FrameBus
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
-from tests.canopen_bench import NODE, Bench, BenchBus
+from friction_hil.errors import ConfigurationError
+from tests.canopen_bench import NODE, SDO_REQUEST, Bench, BenchBus
 from tests.servo_drives import axis_dict, configuration
 from tests.vendor_drives import VendorDrive
 
-SDO_REQUEST, SDO_ANSWER = 0x600 + NODE, 0x580 + NODE
 OWN_OF_NODE = range(0x700, 0x780)  # heartbeats
 CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
 RECORDS = (0x1400, 0x1600, 0x1800, 0x1A00)
@@ -45,28 +44,20 @@ class TwoAxes(BenchBus):
     """One node made of two simulated drives."""
 
     def __init__(self, second_eds):
-        super().__init__(Bench())
+        super().__init__()
         self.second = Bench(eds=second_eds)
 
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        can_id, data = msg.arbitration_id, bytes(msg.data)
-        self.sent.append((can_id, data))
+    def answers_of(self, can_id, data):
         if can_id == SDO_REQUEST and is_of_second(struct.unpack_from("<H", data, 1)[0]):
-            frames = [(i, translate(d, +1)) for i, d in self.second.send(can_id, translate(data, -1))]
-        elif can_id == SDO_REQUEST:
-            frames = self.bench.send(can_id, data)
-        else:
-            others = [frame for frame in self.second.send(can_id, data) if frame[0] not in OWN_OF_NODE]
-            frames = [*self.bench.send(can_id, data), *others]
-        for answer_id, answer in frames:
-            self.answers.put(can.Message(arbitration_id=answer_id, data=answer, is_extended_id=False))
+            return [(i, translate(d, +1)) for i, d in self.second.send(can_id, translate(data, -1))]
+        others = [] if can_id == SDO_REQUEST else self.second.send(can_id, data)
+        return [*self.bench.send(can_id, data), *(frame for frame in others if frame[0] not in OWN_OF_NODE)]
 
 
 @pytest.fixture
 def bus(tmp_path):
     # as delivered, the PDOs of the second axis have no identifier
-    values = {(f"{0x1400 + n:X}sub1", "DefaultValue"): "0x80000000" for n in range(4)}
-    values |= {(f"{0x1800 + n:X}sub1", "DefaultValue"): "0x80000000" for n in range(4)}
+    values = {(f"{base + n:X}sub1", "DefaultValue"): "0x80000000" for base in (0x1400, 0x1800) for n in range(4)}
     one = TwoAxes(VendorDrive(values=values).write(tmp_path / "second.eds"))
     yield one
     one.shutdown()
@@ -77,40 +68,35 @@ def test_two_axes_of_a_node_are_driven_independently(bus):
     config = configuration(x=axis_dict(**keys), y=axis_dict(**keys, axis_number=1))
     clock = SteppedClock()
     drives = CanopenDrives(config, config.axes, clock, dry_run=False, bus=bus)
+    benches, feedback = (bus.bench, bus.second), [Feedback(), Feedback()]
+
+    def cycle(*torques, request=Request.ENABLE, count=20):
+        for _ in range(count):
+            clock.sleep_until(clock.now_ns() + 1_000_000)
+            drives.receive(feedback, 0)
+            drives.send([Command(request, torque=torque) for torque in torques])
+
     try:
-        facts = drives.connect()
-        assert [one.name for one in facts] == ["x", "y"]
+        assert [one.name for one in drives.connect()] == ["x", "y"]
         assert bus.second.read(0x6060, 0, "b") == 10
         drives.start()
-        feedback, commands = [Feedback(), Feedback()], [Command(), Command()]
-
-        def cycle(torques, request=Request.ENABLE, count=1):
-            for _ in range(count):
-                clock.sleep_until(clock.now_ns() + 1_000_000)
-                drives.receive(feedback, 0)
-                for command, torque in zip(commands, torques, strict=True):
-                    command.request, command.torque = request, torque
-                drives.send(commands)
-
-        cycle((0.0, 0.0), count=20)
+        cycle(0.0, 0.0)
         assert [one.state for one in feedback] == [DriveState.OPERATION_ENABLED] * 2
-        cycle((0.3, -0.2), count=20)
-        assert feedback[0].torque == pytest.approx(0.3, abs=5e-3)
-        assert feedback[1].torque == pytest.approx(-0.2, abs=5e-3)
-        assert feedback[0].position == pytest.approx(bus.bench.servo.position, abs=0.05)
-        assert feedback[1].position == pytest.approx(bus.second.servo.position, abs=0.05)
+        cycle(0.3, -0.2)
+        assert [one.torque for one in feedback] == pytest.approx([0.3, -0.2], abs=5e-3)
+        assert [one.position for one in feedback] == pytest.approx([one.servo.position for one in benches], abs=0.05)
         assert feedback[0].velocity > 0.0 > feedback[1].velocity
-        cycle((0.0, 0.0), Request.DISABLE, count=300)
+        cycle(0.0, 0.0, request=Request.DISABLE, count=300)
         assert not any(one.state.is_powered for one in feedback)
     finally:
         drives.close()
-    assert [bench.statusword & 0x6F for bench in (bus.bench, bus.second)] == [0x40, 0x40]
+    assert [bench.statusword & 0x6F for bench in benches] == [0x40, 0x40]
 
 
 def test_each_axis_of_a_node_is_configured_once():
-    keys = {"node": NODE, "mode": "csp"}
-    with pytest.raises(Exception, match=r"node 5 \(axis_number 1\) is axis 'x' already"):
-        configuration(x=axis_dict(**keys, axis_number=1), y=axis_dict(**keys, axis_number=1))
+    one = axis_dict(node=NODE, axis_number=1)
+    with pytest.raises(ConfigurationError, match=r"node 5 \(axis_number 1\) is axis 'x' already"):
+        configuration(x=one, y=one)
 
 
 def test_stopping_a_node_stops_both_of_its_axes(bus):

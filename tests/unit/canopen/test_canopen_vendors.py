@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 
 import pytest
-from friction_hil_drivers.canopen.connect.eds import SIMULATED_SERVO, load_eds
+from friction_hil_drivers.canopen.connect.eds import load_eds
 from friction_hil_drivers.canopen.connect.eds_check import compare_eds, necessary_keys
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.cia402 import objects
@@ -75,12 +75,6 @@ def test_the_reasons_against_an_eds_are_named(tmp_path, drive, mode, options, ex
     if expected == [WITHOUT_60B2H]:  # cst is recommended only to a drive that has it
         assert ("mode cst does without it" in found[0]) is (drive is EYOU)
         assert ("compensation: {enabled: false}" in found[0]) is (drive is not EYOU)
-
-
-def test_an_eds_may_begin_with_a_byte_order_mark(tmp_path):
-    path = tmp_path / "windows.eds"
-    path.write_bytes(b"\xef\xbb\xbf" + SIMULATED_SERVO.read_bytes())
-    assert 0x6040 in load_eds(path, 1)
 
 
 # --- drives with these EDS, on a bus that hands every frame over at once

@@ -30,7 +30,7 @@ class RealTimeBus(BenchBus):
     def send(self, msg, timeout=None):
         if msg.is_remote_frame:
             self.sent.append((msg.arbitration_id, None))
-            self.bench.node.receive_remote(msg.arbitration_id)
+            self.bench.send_remote(msg.arbitration_id)
         else:
             super().send(msg, timeout)
 

@@ -204,12 +204,6 @@ def test_position_limits(bench: Bench) -> None:
 # Description
 
 
-def test_what_the_drive_says_of_its_motor() -> None:
-    bench = Bench({"motor": {"rated_torque": 1.234, "peak_torque": 2.468}, "encoder": {"counts": 1000.5}})
-    assert (bench.read(0x6076), bench.read(0x6072, 0, "H"), bench.read(0x60A9)) == (1234, 2000, 0x00B50300)
-    assert bench.read(0x608F, 1) / bench.read(0x608F, 2) == 1000.5
-
-
 def test_a_drive_with_an_encoder_at_the_load_reports_the_load() -> None:
     mechanics = {"inertia": 1e-4, "load": {"inertia": 1e-4, "stiffness": 1.0, "damping": 1e-2}}
     bench = Bench(PLAIN | {"mechanics": mechanics, "encoder": {"at": "both", "load_counts": 40000}})

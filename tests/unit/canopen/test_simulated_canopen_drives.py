@@ -64,15 +64,6 @@ def test_all_nodes_answer_a_sync_in_order_and_a_remote_frame_reaches_its_node(ma
     assert one.run(5) == [(0x704, "7f"), *written, (0x183, "5002"), (0x184, "5002")]
 
 
-def test_without_sync_no_time_passes(make: Any) -> None:
-    one = make("sync")
-    one.drives.open()
-    one.send(0x603, "2b17100002000000")
-    for can_id in (0x080, 0x080, *[0x300] * 5):
-        one.send(can_id)
-    assert one.run(8)[2:] == [(0x583, "6017100000000000"), (0x703, "7f")]
-
-
 def test_period_must_fit_the_integration(make: Any) -> None:
     with pytest.raises(UsageError, match="whole number of integration steps"):
         make("sync", period_s=1.2345e-4).drives.open()

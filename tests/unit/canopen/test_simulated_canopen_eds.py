@@ -80,45 +80,6 @@ def test_simulated_drive_serves_exactly_the_eds(eds: Any) -> None:
 
 # Foreign EDS files
 
-FOREIGN = """
-[Comments]
-Lines1=2
-Line1=a sloppy file, as vendors ship them
-[FileInfo]
-FileName=foreign.eds
-[DeviceInfo]
-VendorName=somebody
-[1000]
-ParameterName=Device Type
-ObjectType=0x7
-DataType=0x0007
-AccessType=ro
-DefaultValue=0x12345678
-[6040]
-ParameterName=Controlword
-DataType=0x0006
-AccessType=rww
-PDOMapping=1
-[60B2]
-ParameterName=Torque offset
-DataType=0x0004
-AccessType=rww
-DefaultValue=0xFFFFFFFF
-PDOMapping=1
-"""
-
-
-def test_drive_with_a_foreign_eds(tmp_path: Path) -> None:
-    path = tmp_path / "foreign.eds"
-    path.write_text(FOREIGN)
-    bench = Bench(eds=path)
-    assert bench.read(0x1000) == 0x12345678
-    assert bench.read(0x60B2, 0, "i") == -1, "an INTEGER32 here"
-    assert bench.try_write(0x60B2, 0, "h", 1) == 0x06070010
-    assert bench.try_write(0x6041, 0, "H", 1) == 0x06020000, "its EDS has no 6041h"
-    bench.write(0x6040, 0, "H", 0x06)
-    assert bench.node.drive.state.name == "READY_TO_SWITCH_ON", "what it lacks it works with nevertheless"
-
 
 @pytest.mark.parametrize(
     ("name", "text", "message"),

