@@ -156,11 +156,7 @@ def modifiers(draw: Any, name: str, values: dict[str, Any], *, allowed: tuple[st
 
 @st.composite
 def models(
-    draw: Any,
-    names: tuple[str, ...] = NAMES,
-    *,
-    allowed: tuple[str, ...] = MODIFIERS,
-    is_bounded: bool = False,
+    draw: Any, names: tuple[str, ...] = NAMES, *, allowed: tuple[str, ...] = MODIFIERS, is_bounded: bool = False
 ) -> fh.models.FrictionModel:
     """A model, plain or with some of the ``allowed`` modifiers."""
     name = draw(st.sampled_from(names))

@@ -136,9 +136,7 @@ def test_the_level_stays_on_the_side_of_the_reference_velocity(velocity):
 
 @checked
 @given(
-    st.sampled_from(list(MODELS)),
-    st.sampled_from([-1.0, 1.0]),
-    st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=20),
+    st.sampled_from(list(MODELS)), st.sampled_from([-1.0, 1.0]), st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=20)
 )
 def test_with_a_demand_in_one_direction_no_deviation_turns_the_compensation(name, sign, deviations):
     one = compensator(MODELS[name], position_resolution=1e-5, gain=0.9)

@@ -303,8 +303,7 @@ def test_from_a_saved_state_it_goes_on_with_the_same_bits(kind, limit, rows, cut
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
 @pytest.mark.parametrize(
-    ("kind", "what"),
-    [(kind, "position") for kind in KINDS] + [("drive", "drive"), ("kalman", "torque")],
+    ("kind", "what"), [(kind, "position") for kind in KINDS] + [("drive", "drive"), ("kalman", "torque")]
 )
 def test_what_is_not_finite_is_as_if_nothing_came(kind, what, wrong):
     position = 0.01 * np.sin(0.1 * np.arange(60))

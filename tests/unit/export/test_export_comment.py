@@ -13,13 +13,7 @@ import friction_hil as fh
 from friction_hil.models.files import load_model_file
 
 BREAKS = "a\nb\r\nc\td\u2028e"
-HOSTILE = [
-    'runs/*.csv */ int x; /* (* x *) <!-- --> -- "q" \\ ??/',
-    BREAKS,
-    "ends with -",
-    "ends with \\",
-    "äöü 轴",
-]
+HOSTILE = ['runs/*.csv */ int x; /* (* x *) <!-- --> -- "q" \\ ??/', BREAKS, "ends with -", "ends with \\", "äöü 轴"]
 LINE = {"c": " *", "st": "   ", "csv": "#", "ax8000": "#"}
 
 

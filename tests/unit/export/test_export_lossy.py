@@ -273,10 +273,7 @@ def test_the_formats_share_no_file(tmp_path, capsys, monkeypatch):
         (["--to", "urdf", "--speed", "1e200"], "too wide a range"),
         (["--to", "c", "--config", CONFIG, "--resolution", "1e-300"], "--resolution 1e-300"),
         (["--to", "c", "--config", with_kalman, "--resolution", "1e-5"], "kalman needs mechanics.inertia"),
-        (
-            ["--to", "c", "--config", LINEAR, "--resolution", "1e-5"],
-            "is for a rotary axis, and",
-        ),
+        (["--to", "c", "--config", LINEAR, "--resolution", "1e-5"], "is for a rotary axis, and"),
         (["--to", "urdf", "--axis", "x"], "--axis belongs to --recording"),
         (["--to", "urdf", "--config", "a.yaml"], "does not hold"),
         (["--to", "c", "--speed", "1"], "loses none"),

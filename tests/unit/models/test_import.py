@@ -235,12 +235,7 @@ BOMB = """<!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;
         ('{"model": "m1", "friction_base": -1, "friction_viscous": 0}', "bam", None, "makes no model"),
         ('{"model": "m1"}', "bam", "x", "one actuator"),
         ('{"model": "m1", "friction_base": 1' + 400 * "0" + "}", "bam", None, "friction_base must be a finite number"),
-        (
-            '{"model": "m2", "friction_base": 1, "friction_viscous": 0}',
-            "bam",
-            None,
-            "friction_stribeck must be",
-        ),
+        ('{"model": "m2", "friction_base": 1, "friction_viscous": 0}', "bam", None, "friction_stribeck must be"),
         ("{}", "sdf", None, "no source 'sdf'"),
     ],
 )

@@ -13,17 +13,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
 
 import friction_hil as fh
-from tests.friction_models import (
-    DYNAMIC,
-    NAMES,
-    STATIC_MAPS,
-    again,
-    decades,
-    level_of,
-    models,
-    motions,
-    speeds,
-)
+from tests.friction_models import DYNAMIC, NAMES, STATIC_MAPS, again, decades, level_of, models, motions, speeds
 
 checked = settings(max_examples=30, deadline=None)  # the first example may compile
 parts = st.floats(0.0, 1.0)

@@ -141,11 +141,7 @@ def test_what_is_done_is_said_and_text_is_an_error_where_it_is_wanted(tmp_path: 
     path = tmp_path / "x.csv"
     path.write_text(text)
     problems = fh.recordings.read(path, columns=columns).problems
-    for part in (
-        "text are left out: mode ('RUN')",
-        "timestamp holds dates",
-        "position is in deg in the file",
-    ):
+    for part in ("text are left out: mode ('RUN')", "timestamp holds dates", "position is in deg in the file"):
         assert any(part in problem for problem in problems), problems
     with pytest.raises(UsageError, match=r"column 'mode' holds text \('RUN'\), no numbers"):
         fh.recordings.read(path, columns=columns | {"torque": "mode"})

@@ -210,10 +210,7 @@ BODY = struct.pack("<2d", 0.5, 2.0)
 def test_foreign_flat_messages_are_read(tmp_path: Path, compression: CompressionType) -> None:
     foreign(
         tmp_path / "x.mcap",
-        [
-            ("/joint", FLAT, "cdr", b"\0\1\0\0" + BODY),
-            ("/imu", "float64[3] gyro\n", "cdr", b"\0\1\0\0" + bytes(24)),
-        ],
+        [("/joint", FLAT, "cdr", b"\0\1\0\0" + BODY), ("/imu", "float64[3] gyro\n", "cdr", b"\0\1\0\0" + bytes(24))],
         compression=compression,
     )
     read = fh.recordings.read(tmp_path / "x.mcap")

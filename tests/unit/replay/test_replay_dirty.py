@@ -219,11 +219,7 @@ def test_segments_are_the_rows_between_gaps_each_by_itself(lowpass_hz: float | N
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
-@given(
-    turns=st.floats(0.6, 20.0),
-    bits=st.integers(8, 16),
-    start=st.floats(-1.0, 1.0),
-)
+@given(turns=st.floats(0.6, 20.0), bits=st.integers(8, 16), start=st.floats(-1.0, 1.0))
 @settings(max_examples=50, deadline=None)
 def test_unwrapping_gives_back_any_smooth_motion(turns: float, bits: int, start: float) -> None:
     """Counts of an encoder of one turn, up to a twentieth of a turn between two rows."""

@@ -18,13 +18,7 @@ from tools.benchmarks.compensation.machine import TRACE
 from tools.benchmarks.compensation.methods import METHODS
 from tools.benchmarks.compensation.motions import GridMotion
 from tools.benchmarks.compensation.report import as_json
-from tools.benchmarks.compensation.simulation import (
-    Case,
-    CaseResult,
-    Error,
-    Simulation,
-    simulate,
-)
+from tools.benchmarks.compensation.simulation import Case, CaseResult, Error, Simulation, simulate
 
 pytestmark = pytest.mark.deep  # of the tools, not of the product
 
