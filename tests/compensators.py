@@ -57,9 +57,6 @@ def field(one: Compensator, name: str) -> Any:
     return reduce(getitem, name.split("."), one.state.view(STATE)[0])
 
 
-# --- inputs
-
-
 def row(cycle: int, **given: float) -> tuple[float, ...]:
     """One cycle's inputs: at rest, no demand, fresh and enabled where nothing else is given."""
     usual = dict.fromkeys(INPUTS, 0.0) | {"cycle": float(cycle), "is_fresh": 1.0, "is_enabled": 1.0}
@@ -128,9 +125,6 @@ def wild_inputs(draw: Any, *, longest: int = 60) -> list[tuple[float, ...]]:
 def opposite(inputs: tuple[float, ...]) -> tuple[float, ...]:
     """The same cycle seen in a mirror."""
     return (inputs[0], *(-value for value in inputs[1:7]), *inputs[7:9], -inputs[9], inputs[10])
-
-
-# --- a simulated axis
 
 
 @dataclass(frozen=True)

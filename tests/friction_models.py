@@ -25,9 +25,6 @@ def decades(low: float, high: float) -> st.SearchStrategy[float]:
     return st.floats(math.log10(low), math.log10(high)).map(lambda power: float(10.0**power))
 
 
-# --- parameters
-
-
 def _level(draw: Any, name: str, level: float) -> dict[str, Any]:
     """Levels of the model, all near ``level``."""
     if name == "bouc_wen":
@@ -115,9 +112,6 @@ def level_of(name: str, values: dict[str, Any]) -> float:
         return float(values["stiffness"] * settled)
     names = ("coulomb", "static", "static_released", "static_rested")
     return float(max(values[one] for one in names if one in values))
-
-
-# --- modifiers
 
 
 @st.composite
@@ -213,9 +207,6 @@ def level_bound(model: fh.models.FrictionModel, inputs: dict[str, Any]) -> float
     curves = [model.modifiers[kind] for kind in ABSCISSA if kind in model.modifiers]
     beside = sum(max(map(abs, [*each["positive"], *each["negative"]])) for each in curves)
     return float(bound + ripple + beside)
-
-
-# --- motions
 
 
 @dataclass(frozen=True)

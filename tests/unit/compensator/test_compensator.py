@@ -61,9 +61,6 @@ def scattered(cycles=500, seed=0, **given):
     return columns(cycles, **usual | given)
 
 
-# --- what holds whatever comes in
-
-
 @checked
 @given(
     wild_inputs(),
@@ -157,9 +154,6 @@ def test_a_model_gone_wrong_gives_nothing_and_says_so():
     assert replayed(one, [row(cycle, position=0.05, velocity=1.0) for cycle in range(51, 60)])[-1] == 0.0
 
 
-# --- fading
-
-
 def test_it_fades_in_and_out_in_the_time_given():
     one = compensator(fade_s=0.1)
     rising, _ = feed(one, *even(1.0), 200, demand=even(1.0)[1])
@@ -198,9 +192,6 @@ def test_the_model_is_right_when_it_is_switched_on(source):
     feed(late, *motion, 300, demand=motion[1], is_enabled=0.0)
     torque, _ = feed(late, *motion, 200, demand=motion[1], start=300)
     np.testing.assert_array_equal(torque[10:], expected[310:])
-
-
-# --- velocity estimate, lost feedback, gaps, glitches
 
 
 @checked
@@ -294,9 +285,6 @@ def test_the_observer_stays_stable_with_much_viscous_friction(viscous):
     assert np.abs(run.error).max() < 0.01
 
 
-# --- gains, dead band, limit
-
-
 def test_gain_scales_and_the_limit_bounds():
     for gain, limit, expected in ((0.5, 10.0, 0.03), (1.0, 0.04, 0.04), (0.0, 10.0, 0.0)):
         torque, _ = feed(compensator(gain=gain, torque_limit=limit), *even(1.0), 50, demand=even(1.0)[1])
@@ -318,9 +306,6 @@ def test_the_dead_band_takes_away_in_proportion_to_the_velocity(source):
         torque, _ = feed(one, place, even(speed)[1], 100, demand=even(speed)[1], start=100 * k)
         assert torque[-1] == pytest.approx(share * (0.05 + 0.01 * speed), rel=1e-6)
         one = compensator(source=source, dead_band=0.5)
-
-
-# --- settings and checksum
 
 
 @pytest.mark.parametrize(

@@ -56,9 +56,6 @@ def slide(one, factor, seconds, *, speed=1.0, start=0, **given):
     return start + cycles
 
 
-# --- off
-
-
 @checked
 @given(wild_inputs())
 def test_it_is_off_by_default(rows):
@@ -73,9 +70,6 @@ def test_off_means_that_the_torque_counts_for_nothing():
     slide(other, 1.3, 1.0)
     assert factors(other).tolist() == [1.0, 1.0]
     assert field(one, "compensation") == field(other, "compensation")
-
-
-# --- what it learns
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -173,9 +167,6 @@ def test_on_a_slow_swing_it_finds_the_friction_of_each_direction(amplitude):
     np.testing.assert_allclose(factors(one), [1.2, 0.9], rtol=0.05)
 
 
-# --- when it does not learn
-
-
 def learned_from(motion, *, before=1.0, **given):
     """Factors before and after a motion (position and velocity over time) with a torque that is far off."""
     one = compensator(LUGRE, position_resolution=1e-5, **LEARNING)
@@ -222,9 +213,6 @@ def test_after_a_reversal_or_a_gap_it_waits_until_its_filters_have_settled():
     np.testing.assert_array_equal(factors(one), kept)
 
 
-# --- state and settings
-
-
 @pytest.mark.parametrize("cut", [50, 777, 1500])
 def test_a_saved_state_goes_on_with_the_same_bits(cut):
     t = np.arange(2000) * PERIOD_S
@@ -248,9 +236,6 @@ def test_a_time_that_is_not_slow_is_refused(time_s):
     """Shorter than a period it would forget more than all in a cycle."""
     with pytest.raises(fh.errors.UsageError, match=r"adaptation_s = .* at least 0\.1 s"):
         compensator(LUGRE, adaptation_s=time_s)
-
-
-# --- said at the end of a run
 
 
 @pytest.mark.parametrize("speed", [0.1, 1.0])

@@ -77,9 +77,6 @@ def test_most_of_the_presliding_spring_is_left_to_the_axis(source, share):
     assert np.diff(torque)[-1] == pytest.approx(share * 10.0 * 0.2 * PERIOD_S, rel=1e-6)
 
 
-# --- lead
-
-
 def left_of_a_fast_motion(name, period_s, *, is_led=True):
     """RMS of the friction less what compensates it, over that of the friction: 5 Hz, acting two cycles late."""
     fine, cycles, rate = round(8 * period_s / PERIOD_S), round(1.6 / period_s), 2.0 * math.pi * 5.0
@@ -147,9 +144,6 @@ def test_the_observer_does_not_take_its_own_compensation_for_the_hand(name):
     assert torque < 0.6 * effort(name, 20, 5.0, 0.1, gain=0.0)[0]
 
 
-# --- waking and resting
-
-
 def stopped(source="auto", cycles=2000):
     """Compensation of an axis that is moved at 0.1 rad/s, and stopped after half a second."""
     moving = np.where(np.arange(cycles) < 500, 0.1, 0.0)
@@ -191,9 +185,6 @@ def test_the_noise_of_an_axis_at_rest_does_not_wake_it():
     for model in MODELS.values():
         one = compensator(model, position_resolution=resolution(14))
         assert (one.replay(columns(3000, position=flicker))[0] == 0.0).all()
-
-
-# --- letting go
 
 
 def let_go(name, bits, duration_s):

@@ -41,9 +41,6 @@ def steps(run):
     return run.t[1:][ratios != 1.0]
 
 
-# --- an axis that swings by itself
-
-
 def on_a_spring(strength, stiffness, duration_s):
     """Run of an axis whose friction is over-estimated, moved by nothing but a push and a spring without damping."""
     one = compensator(scaled(LUGRE, strength), position_resolution=resolution(20), lead_s=1.5e-3, torque_limit=0.5)
@@ -97,9 +94,6 @@ def test_a_swing_without_a_demand_is_seen_within_a_second(frequency_hz, source, 
     assert one.gain_factor < 1.0
 
 
-# --- what it does about it
-
-
 def tripped():
     """Compensator that has seen a swing, and the number of its next cycle."""
     one = compensator(VISCOUS)
@@ -127,9 +121,6 @@ def test_the_gain_factor_is_part_of_the_state():
     first, _ = feed(one, *even(1.0), 100, start=cycle)
     second, _ = feed(other, *even(1.0), 100, start=cycle)
     np.testing.assert_array_equal(first, second)
-
-
-# --- what is none
 
 
 @pytest.mark.parametrize("bits", [14, 20])

@@ -38,9 +38,6 @@ def state_velocity(demand, speed, **given):
     return np.diff(torque)[-1] / 10.0 / PERIOD_S
 
 
-# --- sources
-
-
 @checked
 @given(st.sampled_from([0.1, 0.3, 0.5, 0.77, 1.0]), st.sampled_from(["difference", "drive"]), st.floats(0.0, 5e-3))
 @pytest.mark.parametrize("source", EVERY_SOURCE)
@@ -80,9 +77,6 @@ def test_the_gate_lets_noise_pass_as_little_as_it_is_real():
     deviation = 0.1 * reference.GATE_STRIBECK_RATIO * 2.0
     torque, _ = feed(compensator(stribeck), *even(1.0 + deviation), 2000, demand=even(1.0)[1])
     assert torque[-1] - 0.05 - 1.0 == pytest.approx(0.01 * deviation, rel=0.05)
-
-
-# --- reference velocity
 
 
 @pytest.mark.parametrize("demand", [0.5, -0.5])
@@ -172,9 +166,6 @@ def test_a_coarse_encoder_does_not_make_the_compensation_chatter(name):
     assert np.ptp(torque[500:]) < 0.1 * MODELS[name].level
 
 
-# --- lead
-
-
 @every_source
 @pytest.mark.parametrize("lead_s", [0.0, 2e-3])
 def test_position_dependent_friction_is_that_of_the_place_reached(source, lead_s):
@@ -222,9 +213,6 @@ def test_the_steps_of_a_coarse_encoder_are_no_acceleration(name, speed):
         place += resolution(14) * (np.random.default_rng(0).random(2000) < 0.1)  # flickers
         torques.append(one.replay(columns(2000, position=place, velocity=speed))[0])
     np.testing.assert_allclose(*torques, atol=1e-3 * MODELS[name].level)
-
-
-# --- lost feedback, and demands that come and go
 
 
 def _stale(name):
@@ -284,9 +272,6 @@ def test_a_deviation_that_changes_its_sign_makes_no_jump(name):
     assert np.abs(np.diff(torque[200:])).max() < 0.02 * MODELS[name].level
 
 
-# --- an axis that rests under its demand
-
-
 @pytest.mark.deep
 @pytest.mark.parametrize("strength", [1.0, 1.2])
 @pytest.mark.parametrize("bits", [14, 20])
@@ -303,9 +288,6 @@ def test_at_rest_the_compensation_stays_and_does_not_hunt(strength, bits, veloci
     assert np.ptp(run.compensation) < 0.02 * LUGRE.level
     assert np.ptp(run.position) <= np.ptp(plain.position) + 0.05 * resolution(bits) + 2e-6
     assert one.gain_factor == 1.0
-
-
-# --- the deviation when the torque acts
 
 
 @pytest.mark.parametrize("frequency", [60.0, 110.0, 150.0])

@@ -74,8 +74,6 @@ class Estimate:
         return estimate
 
 
-# --- what is told: delay, noise, gains
-
 SIZES = [(2e-4, 1e-3, 6e-6), (2e-6, 125e-6, 1e-9), (2e-1, 10e-3, 1e-2), (2e-6, 10e-3, 1e-9), (2e-1, 125e-6, 1e-4)]
 
 
@@ -203,9 +201,6 @@ def test_the_tracking_bandwidth_has_the_least_error(acceleration):
     assert chosen <= 1.1 * min(map(error, others))
 
 
-# --- what it does with motions
-
-
 @every_kind
 @pytest.mark.parametrize("speed", [0.0, -3.7, 250.0])
 def test_an_even_motion_is_found_exactly_and_rest_without_drift(kind, speed):
@@ -264,8 +259,6 @@ def test_a_kalman_filter_that_knows_the_torque_does_not_lag():
     assert np.max(np.abs(blind - true)[100:]) > 0.02
 
 
-# --- whatever comes in
-
 wild = st.one_of(st.floats(-1e3, 1e3), st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308]))
 rows = st.lists(st.tuples(st.integers(-2, 14), wild, wild, wild, st.booleans()), min_size=1, max_size=60)
 limits = st.sampled_from([math.inf, LIMIT, 1e-6])
@@ -323,9 +316,6 @@ def test_what_an_estimator_does_not_use_may_be_missing(kind):
     np.testing.assert_array_equal(Estimate(kind).feed(position, torque=math.nan, drive=math.inf), expected)
 
 
-# --- gaps
-
-
 @checked
 @given(st.sampled_from(KINDS), st.lists(st.integers(1, MAX_GAP_CYCLES), min_size=3, max_size=30), st.booleans())
 def test_gaps_leave_an_even_motion_alone(kind, gaps, are_announced):
@@ -364,9 +354,6 @@ def test_after_a_long_gap_it_starts_anew(kind, drive):
     estimate = one.feed([50.0], drive=None if unknown else drive, cycle=np.array([99.0 + MAX_GAP_CYCLES + 1]))
     assert estimate[0] == drive
     assert (one["position"], one["offset"]) == (50.0, 0.0)
-
-
-# --- glitches
 
 
 @from_position
@@ -443,9 +430,6 @@ def test_without_a_limit_every_position_counts(kind):
     assert one["position"] == 1.0
 
 
-# --- counters that wrap
-
-
 @checked
 @given(st.integers(16, 64), st.integers(-(2**80), 2**80), st.data())
 def test_unwrap_follows_any_motion_below_half_the_range(bits, start, data):
@@ -463,9 +447,6 @@ def test_every_width_wraps_at_both_ends():
         assert unwrap(top, -top - 1, bits) == top + 1
         assert unwrap(-top - 1, top, bits) == -top - 2
         assert unwrap(2 * top + 1, 0, bits) == 2 * top + 2
-
-
-# --- mistakes
 
 
 @pytest.mark.parametrize(

@@ -55,9 +55,6 @@ def curve(parameters, v):
     return parameters["coulomb"] + (parameters["static"] - parameters["coulomb"]) * fall
 
 
-# --- static maps
-
-
 @checked
 @given(models(("coulomb", "stribeck")), st.floats(-1e4, 1e4))
 def test_a_static_map_at_rest_balances_the_applied_torque_up_to_break_away(model, applied):
@@ -92,9 +89,6 @@ def test_feedforward_smooths_the_jump_and_nothing_else(model, epsilon):
     smooth = np.array([runner.step(v, 1e-3) for v in inner]) - model.parameters["viscous"] * inner
     level = model.parameters["coulomb"] if model.name == "coulomb" else curve(model.parameters, inner)
     np.testing.assert_allclose(smooth / level, np.tanh(inner / epsilon), rtol=1e-9, atol=1e-12)
-
-
-# --- dynamic models against other solutions of their equations
 
 
 def bristle(t, z, p, v):
@@ -168,9 +162,6 @@ def test_dahl_has_its_closed_form():
         model = fh.models.create("dahl", sigma0=50.0, coulomb=0.8, exponent=exponent)
         torque = model.simulate(np.full(1000, 0.1), 1e-3)
         np.testing.assert_allclose(torque, 0.8 * (1.0 - rest(50.0 * x / 0.8)), rtol=1e-9, atol=1e-12)
-
-
-# --- parameters and the registry
 
 
 def test_registry_lists_what_it_describes():

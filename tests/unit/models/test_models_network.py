@@ -127,9 +127,6 @@ def test_presliding_stiffness_is_the_slope_of_a_creeping_motion():
     assert alone(random_network("static")).presliding_stiffness == 0.0
 
 
-# --- beside a model
-
-
 def test_a_residual_adds_to_its_model_and_fades_out_beyond_its_range():
     network = random_network(is_residual=True)
     lugre = fh.models.create("lugre", **fh.models.describe("lugre").example)
@@ -167,9 +164,6 @@ def test_what_a_network_needs_is_asked_for():
         model.simulate_with_gradient([0.1], 1e-3)
 
 
-# --- in the compensator
-
-
 @pytest.mark.parametrize("make", [alone, beside])
 @pytest.mark.parametrize("velocity", ["difference", "kalman"])
 def test_a_compensator_replays_a_network_step_for_step(make, velocity):
@@ -201,9 +195,6 @@ def test_an_opposite_level_velocity_does_not_reverse_the_direction():
     assert seen_velocity(p, -0.5, 0.3) == -0.003
     assert seen_velocity(p, 1e-4, 0.0) == 1e-4
     assert seen_velocity(p, 0.0, 0.0) == 0.0
-
-
-# --- in a model file
 
 
 @every_structure

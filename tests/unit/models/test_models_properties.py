@@ -24,9 +24,6 @@ def test_the_strategies_know_every_model():
     assert all(fh.models.describe(name).is_static == (name in STATIC_MAPS) for name in NAMES)
 
 
-# --- boundedness
-
-
 @checked
 @given(st.floats(0.0, 1.0), st.sampled_from([1.0, 1.5, 2.0]), arrays(float, 30, elements=speeds()), decades(1e-9, 1e3))
 def test_bouc_wen_is_bounded_whatever_its_gamma(fraction, exponent, v, dt):
@@ -74,9 +71,6 @@ def test_viscous_parts_only_add_what_they_say(data):
     assert np.all(np.abs(motion.simulate(model) - expected)[moving] <= 1e-12 * scale[moving])
 
 
-# --- steady state
-
-
 @checked
 @given(st.data(), st.booleans(), decades(1e-3, 1e3), st.sampled_from([-1.0, 1.0]))
 def test_each_settles_on_its_steady_curve(data, is_loaded, speed, sign):
@@ -103,9 +97,6 @@ def test_each_settles_on_its_steady_curve(data, is_loaded, speed, sign):
     assert torque[-1] == pytest.approx(expected, rel=tolerance)
 
 
-# --- one step at a time
-
-
 @settings(max_examples=25, deadline=None)
 @given(st.data())
 def test_many_at_once_are_the_same_bits_as_each_alone(data):
@@ -116,9 +107,6 @@ def test_many_at_once_are_the_same_bits_as_each_alone(data):
     for workers in (1, 2):
         together = fh.models.simulate_many(several, motion.velocity, motion.dt, workers=workers, **motion.inputs)
         np.testing.assert_array_equal(together, each)
-
-
-# --- dissipation
 
 
 @checked
@@ -162,9 +150,6 @@ def test_closed_cycles_dissipate(name, ratio, vd, v):
     # the cycle closes where the last two agree
     assume(np.abs(torque[3] - torque[2]).max() < 1e-9 * level)
     assert np.sum(torque[3] * fine) >= 0.0
-
-
-# --- consistency over the step (fact 11)
 
 
 def is_exact(model):
@@ -245,8 +230,6 @@ def test_bouc_wen_is_of_second_order_over_the_path(exponent, fraction):
     assert errors[1] / errors[2] > 3.0
     assert error(1) < 1e-2
 
-
-# --- determinism
 
 _DIGEST = """
 import hashlib
