@@ -2,8 +2,8 @@
 
 Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Transactions on Automatic Control 40(3), 1995: 1 kg on a plane.
 The other models get parameters of the same axis: 1 N Coulomb, 1.5 N break-away, 100 N/mm stiffness. The mass is
-integrated here, step by step, with the friction that `Runner.step` gives. Fact 11, consistency over the step, is
-tested in test_models_properties.py.
+integrated here, step by step, with the friction that `Runner.step` gives. Facts 10, oddness, and 11,
+consistency over the step, are those of tests/contract/friction_families.py and test_models_properties.py.
 """
 
 import itertools
@@ -16,14 +16,8 @@ from scipy.integrate import quad
 
 import friction_hil as fh
 
-REFERENCE = {
-    "sigma0": 1e5,
-    "sigma1": math.sqrt(1e5),
-    "sigma2": 0.4,
-    "coulomb": 1.0,
-    "static": 1.5,
-    "stribeck_velocity": 1e-3,
-}
+REFERENCE = {"sigma0": 1e5, "sigma1": math.sqrt(1e5), "sigma2": 0.4}
+REFERENCE |= {"coulomb": 1.0, "static": 1.5, "stribeck_velocity": 1e-3}
 STRIBECK = {"coulomb": 1.0, "static": 1.5, "stribeck_velocity": 1e-3, "viscous": 0.4}
 BREAK_POINTS = np.array([2e-6, 5e-6, 12e-6, 30e-6])  # of GMS at Coulomb level
 WEIGHTS = np.array([0.1, 0.2, 0.3, 0.4])
@@ -34,7 +28,6 @@ AXIS = {
     "armstrong": {"coulomb": 1.0, "viscous": 0.4, "static_released": 1.2, "static_rested": 1.5}
     | {"stribeck_velocity": 1e-3, "lag_s": 2e-3, "rise_s": 0.3, "stiffness": 1e5},
     "power_law": {"coulomb": 1.0, "factor": 0.4, "exponent": 0.5},
-    "table": {"points": [[0.0, 1.5], [1e-3, 1.2], [5e-3, 1.0], [1.0, 1.4]]},
     "dahl": {"sigma0": 1e5, "coulomb": 1.0, "viscous": 0.4},
     "bouc_wen": {"stiffness": 1e5, "beta": 6e4, "gamma": 4e4, "viscous": 0.4},
     "lugre": REFERENCE,
@@ -86,11 +79,6 @@ CURVES = {
     "elasto_plastic": gaussian,
     "gms": gaussian,
 }
-
-
-def test_every_model_is_here():
-    assert sorted(AXIS) == fh.models.names()
-    assert sorted({*CURVES, *STATIC_MAPS}) == fh.models.names()
 
 
 @pytest.mark.parametrize("name", sorted(CURVES))
@@ -149,20 +137,15 @@ def test_fact_3_friction_lags_and_the_loop_widens_with_the_rate(name):
         torque = on_axis(name).simulate(v, t[1])
         last = slice(2 * n // 3, n)
         v, torque, rate = v[last], torque[last], np.cos(w * t[last])
-        rising, falling = (np.interp(1.5e-3, v[side], torque[side]) for side in _branches(v, rate))
+        sides = (np.flatnonzero(sign * rate > 0.0) for sign in (1.0, -1.0))  # of rising and falling velocity
+        by_velocity = (rows[np.argsort(v[rows])] for rows in sides)
+        rising, falling = (np.interp(1.5e-3, v[rows], torque[rows]) for rows in by_velocity)
         widths.append(rising - falling)
     if name == "stribeck":  # a static map knows no lag
         np.testing.assert_allclose(widths, 0.0, atol=1e-9)
     else:
         assert 0.0 < widths[0] < widths[1] < widths[2]
         assert widths[2] > 1e-3
-
-
-def _branches(v, rate):
-    """Indices of rising and falling velocity, each by growing velocity."""
-    for side in (rate > 0.0, rate < 0.0):
-        rows = np.flatnonzero(side)
-        yield rows[np.argsort(v[rows])]
 
 
 def test_armstrong_lags_by_its_dead_time():
@@ -225,17 +208,8 @@ def test_armstrong_starts_from_the_level_at_which_the_last_slip_ended():
 
 @pytest.mark.parametrize(
     ("name", "sticks"),
-    [
-        ("lugre", True),
-        ("elasto_plastic", True),
-        ("gms", True),
-        ("stribeck", True),
-        ("karnopp", True),
-        ("armstrong", True),
-        ("dahl", False),
-        ("bouc_wen", False),
-        ("coulomb", False),
-    ],
+    [(name, True) for name in ("lugre", "elasto_plastic", "gms", "stribeck", "karnopp", "armstrong")]
+    + [(name, False) for name in ("dahl", "bouc_wen", "coulomb")],
 )
 def test_fact_5_stick_slip_needs_a_falling_curve(name, sticks):
     mass, dt = mass_on(name), 4e-4
@@ -353,16 +327,6 @@ def test_fact_9_an_integral_hunts_and_compensation_ends_it(name, gain):
         assert np.ptp(off[-75_000:]) > 0.1
     else:
         assert np.abs(off[-50_000:]).max() < 1e-3
-
-
-@pytest.mark.parametrize("name", sorted(AXIS))
-def test_fact_10_oddness_is_exact_on_a_long_rough_history(name):
-    random = np.random.default_rng(1)
-    v = np.cumsum(random.normal(size=20_000)) * 1e-4
-    v[random.integers(0, v.size, 2000)] = 0.0
-    force = random.normal(size=v.size)
-    back, forth = (on_axis(name).simulate(s * v, 1e-3, applied_torque=s * force) for s in (-1.0, 1.0))
-    np.testing.assert_array_equal(back, -forth)
 
 
 @pytest.mark.parametrize("name", ["coulomb", "karnopp", "power_law", "stribeck"])

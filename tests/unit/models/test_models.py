@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
@@ -13,40 +13,11 @@ import friction_hil as fh
 from friction_hil.errors import ConfigurationError, UsageError
 from friction_hil.friction.parameters import Choice
 from friction_hil.models import InvalidParameterError
+from tests.friction_models import models
 
 LUGRE = dict(fh.models.describe("lugre").example)
-checked = settings(max_examples=30, deadline=None)  # the first example may compile
-NAMES = ("coulomb", "dahl", "lugre", "stribeck")
-
-levels = st.floats(1e-3, 1e3)
-stiffnesses = st.floats(1.0, 1e6)
-dampings = st.floats(0.0, 10.0)
-speeds = st.floats(1e-4, 10.0)
-shapes = st.sampled_from([0.5, 0.9, 1.0 + 1e-13, 1.0, 1.5, 2.0, 3.0])
 velocities = st.floats(-1e3, 1e3, allow_subnormal=False)
 histories = arrays(float, st.integers(1, 40), elements=velocities)
-
-
-@st.composite
-def models(draw, names=NAMES):
-    name = draw(st.sampled_from(names))
-    coulomb = draw(levels)
-    parameters = {"coulomb": coulomb}
-    if name != "dahl":
-        parameters["static"] = coulomb * draw(st.floats(0.5, 3.0))
-    if name in ("coulomb", "dahl", "stribeck"):
-        parameters["viscous"] = draw(dampings)
-    if name == "stribeck":
-        parameters |= {"stribeck_velocity": draw(speeds), "stribeck_exponent": draw(st.sampled_from([0.5, 1.0, 2.0]))}
-    if name == "dahl":
-        parameters |= {"sigma0": draw(stiffnesses), "exponent": draw(shapes)}
-    if name == "lugre":
-        parameters |= {"sigma0": draw(stiffnesses), "sigma1": draw(dampings), "sigma2": draw(dampings)}
-        parameters |= {
-            "stribeck_velocity": draw(speeds),
-            "damping_velocity": draw(st.sampled_from([0.1, 10.0, math.inf])),
-        }
-    return fh.models.create(name, **parameters)
 
 
 def curve(parameters, v):
@@ -55,16 +26,14 @@ def curve(parameters, v):
     return parameters["coulomb"] + (parameters["static"] - parameters["coulomb"]) * fall
 
 
-@checked
-@given(models(("coulomb", "stribeck")), st.floats(-1e4, 1e4))
+@given(models(("coulomb", "stribeck"), allowed=()), st.floats(-1e4, 1e4))
 def test_a_static_map_at_rest_balances_the_applied_torque_up_to_break_away(model, applied):
     held = model.simulate([0.0], 1e-3, applied_torque=applied)[0]
     static = model.parameters["static"]
     assert held == (applied if abs(applied) <= static else math.copysign(static, applied))
 
 
-@checked
-@given(models(("coulomb", "stribeck")), histories.map(lambda v: v[v != 0.0]))
+@given(models(("coulomb", "stribeck"), allowed=()), histories.map(lambda v: v[v != 0.0]))
 def test_a_static_map_in_motion_has_its_textbook_formula(model, v):
     p = model.parameters
     level = p["coulomb"] if model.name == "coulomb" else curve(p, v)
@@ -73,18 +42,14 @@ def test_a_static_map_in_motion_has_its_textbook_formula(model, v):
     np.testing.assert_array_equal(model.simulate(v, 1e-3), model.steady_state(v))
 
 
-@checked
-@given(models(("coulomb", "stribeck")), st.floats(1e-4, 1.0))
+@given(models(("coulomb", "stribeck"), allowed=()), st.floats(1e-4, 1.0))
 def test_feedforward_smooths_the_jump_and_nothing_else(model, epsilon):
     runner = model.start("feedforward", velocity_epsilon=epsilon)
     assert runner.step(0.0, 1e-3, applied_torque=1e3) == 0.0
     for v in (20.0 * epsilon, -50.0 * epsilon):
         assert runner.step(v, 1e-3) == pytest.approx(model.steady_state([v])[0], rel=1e-12)
-    assert (
-        0.0
-        < runner.step(0.1 * epsilon, 1e-3)
-        < 0.11 * (model.parameters["static"] + model.parameters["coulomb"] + 10.0)
-    )
+    most = sum(model.parameters[name] for name in ("static", "coulomb", "viscous"))
+    assert 0.0 < runner.step(0.1 * epsilon, 1e-3) < 0.11 * most
     inner = np.linspace(0.0, epsilon, 50)
     smooth = np.array([runner.step(v, 1e-3) for v in inner]) - model.parameters["viscous"] * inner
     level = model.parameters["coulomb"] if model.name == "coulomb" else curve(model.parameters, inner)
@@ -152,20 +117,7 @@ def test_dahl_agrees_with_an_ode_solver_over_the_path(exponent):
         assert force == pytest.approx(expected, abs=1e-8)
 
 
-def test_dahl_has_its_closed_form():
-    x = np.linspace(1e-4, 0.1, 1000)
-    for exponent, rest in (
-        (1.0, lambda u: np.exp(-u)),
-        (2.0, lambda u: 1.0 / (1.0 + u)),
-        (0.5, lambda u: np.maximum(1.0 - 0.5 * u, 0.0) ** 2),
-    ):
-        model = fh.models.create("dahl", sigma0=50.0, coulomb=0.8, exponent=exponent)
-        torque = model.simulate(np.full(1000, 0.1), 1e-3)
-        np.testing.assert_allclose(torque, 0.8 * (1.0 - rest(50.0 * x / 0.8)), rtol=1e-9, atol=1e-12)
-
-
 def test_registry_lists_what_it_describes():
-    assert set(NAMES) < set(fh.models.names())
     assert fh.models.names() == sorted(fh.models.names())
     for name in fh.models.names():
         family = fh.models.describe(name)
@@ -173,7 +125,7 @@ def test_registry_lists_what_it_describes():
         assert len({p.name for p in family.parameters}) == len(family.parameters)
         assert all(p.meaning and (p.unit or isinstance(p, Choice)) for p in family.parameters)
         assert fh.models.create(name, **family.example).level > 0.0
-    with pytest.raises(UsageError, match="did you mean 'lugre'\\? There are: armstrong, bouc_wen, coulomb"):
+    with pytest.raises(UsageError, match=r"'lugre'.*armstrong, bouc_wen, coulomb"):
         fh.models.create("lugree")
 
 
@@ -217,37 +169,25 @@ def test_defaults_follow_other_parameters():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (([0.0, math.nan], 1e-3), "velocity must be finite; element 1 is nan"),
-        (([0.0, 1.0], -1e-3), "dt must be above zero, in s; its smallest value is -0.001"),
-        (([0.0, 1.0], [1e-3]), None),
-        (([0.0, 1.0], [1e-3, 1e-3, 1e-3]), "dt must be a number or have shape"),
+        (([0.0, math.nan], 1e-3), "velocity .* element 1 is nan"),
+        (([0.0, 1.0], -1e-3), "dt .* -0.001"),
+        (([0.0, 1.0], [1e-3, 1e-3, 1e-3]), "dt .* shape"),
         (([0.0, 1.0], math.inf), "dt must be finite"),
         (([[0.0, 1.0]], 1e-3), "one dimension"),
-        ((["a"], 1e-3), "velocity must be an array of numbers"),
-        (([0.0], "a"), "dt must be a number or an array of numbers"),
-        (([], 1e-3), None),
+        ((["a"], 1e-3), "velocity .* numbers"),
+        (([0.0], "a"), "dt .* numbers"),
     ],
 )
 def test_what_is_no_velocity_record_is_refused(arguments, words):
     model = fh.models.create("coulomb", coulomb=1.0)
-    if words is None:
-        assert model.simulate(*arguments).size == len(arguments[0])
-        return
     with pytest.raises(UsageError, match=words):
         model.simulate(*arguments)
+    assert (model.simulate([0.0, 1.0], [1e-3]).size, model.simulate([], 1e-3).size) == (2, 0)
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("fit",), "not 'fit'"),
-        (("simulation", 1e-3), "belongs to the purpose 'feedforward'"),
-        (("feedforward", 0.0), "finite and above zero, in rad/s"),
-        (("feedforward", math.nan), "finite and above zero, in rad/s"),
-    ],
-)
-def test_a_start_without_sense_is_refused(words, message):
-    with pytest.raises(UsageError, match=message):
+@pytest.mark.parametrize("words", [("fit",), ("simulation", 1e-3), ("feedforward", 0.0), ("feedforward", math.nan)])
+def test_a_start_without_sense_is_refused(words):
+    with pytest.raises(UsageError, match="'fit'" if len(words) == 1 else "'feedforward'|rad/s"):
         fh.models.create("coulomb", coulomb=1.0).start(*words)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -11,7 +11,6 @@ import friction_hil as fh
 DT = 1e-3
 REVERSAL = {"distance": [1e-4, 5e-4, 2e-3], "positive": [0.03, -0.01, 0.02], "negative": [0.01, 0.04, 0.0]}
 SPEED = {"velocity": [0.1, 0.5], "positive": [0.02, -0.03], "negative": [-0.01, 0.01]}
-checked = settings(max_examples=30, deadline=None)
 velocities = arrays(float, st.integers(1, 60), elements=st.floats(-1.0, 1.0).map(lambda v: 0.0 if abs(v) < 0.1 else v))
 
 
@@ -25,7 +24,6 @@ def on_curve(x, abscissa, torques):
     return float(np.interp(x, [0.0, *abscissa], [0.0, *torques]))
 
 
-@checked
 @given(velocities)
 def test_the_torque_is_that_of_the_distance_since_the_last_reversal(velocity):
     """Once the distance of the first point is behind, nothing is left of what was before the reversal."""
@@ -39,7 +37,6 @@ def test_the_torque_is_that_of_the_distance_since_the_last_reversal(velocity):
             assert torque == pytest.approx(sign * on_curve(distance, REVERSAL["distance"], side), abs=1e-12)
 
 
-@checked
 @given(velocities)
 def test_no_reversal_makes_the_torque_jump_and_it_is_bounded(velocity):
     fine = np.repeat(0.01 * velocity, 10)  # steps of at most 1e-5
@@ -51,7 +48,6 @@ def test_no_reversal_makes_the_torque_jump_and_it_is_bounded(velocity):
     assert np.all(np.diff(torque, prepend=0.0)[fine == 0.0] == 0.0)  # at rest nothing changes
 
 
-@checked
 @given(arrays(float, 20, elements=st.floats(-1.0, 1.0)))
 def test_the_torque_over_the_speed_is_interpolated(velocity):
     expected = [

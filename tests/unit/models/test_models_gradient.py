@@ -10,15 +10,14 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import friction_hil as fh
 from friction_hil.errors import UsageError
-from tests.friction_models import again, level_of, models, motions
+from tests.friction_models import level_of, models, motions
 
-checked = settings(max_examples=40, deadline=None)
 NAMES = fh.models.names()
 MODIFIERS = {
     "load": {"motoring": 0.1, "driven": 0.05},
@@ -142,36 +141,26 @@ def is_inside(value, flat, model):
 
 @pytest.mark.parametrize("is_modified", [False, True], ids=["plain", "modified"])
 @pytest.mark.parametrize("name", NAMES)
-def test_gradient_agrees_with_differences(name, is_modified):
+def test_every_parameter_has_a_gradient_that_agrees_with_differences(name, is_modified):
+    """None is zero throughout: from that, nothing could be identified."""
     model = example(name, is_modified=is_modified)
     v, dt, inputs = servo_motion(model)
     torque, gradient = model.simulate_with_gradient(v, dt, **inputs)
-    np.testing.assert_allclose(
-        torque, model.simulate(v, dt, **inputs), rtol=0.0, atol=1e-12 * level_of(name, model.parameters)
-    )
+    plain, level = model.simulate(v, dt, **inputs), level_of(name, model.parameters)
+    np.testing.assert_allclose(torque, plain, rtol=0.0, atol=1e-12 * level)
     assert gradient.shape == (v.size, len(model.free))
+    assert np.all(np.isfinite(gradient))
     column = {flat: gradient[:, i] for i, flat in enumerate(model.free)}
+    for flat, values in column.items():
+        if flat not in WITHOUT_GRADIENT and math.isfinite(value_of(model, flat)):
+            assert np.abs(values).max() > 0.0, flat
     for directions in directions_of(model):
         derivative = sum(sign * column[flat] for flat, sign in directions)
         size = abs(value_of(model, directions[0][0])) or 1e-3
-        fraction, wrong = compare_column(
-            model, directions, derivative, lambda other: other.simulate(v, dt, **inputs), size
-        )
+        run = lambda other: other.simulate(v, dt, **inputs)  # noqa: E731
+        fraction, wrong = compare_column(model, directions, derivative, run, size)
         assert wrong == ""
         assert fraction > 0.9, directions
-
-
-@pytest.mark.parametrize("is_modified", [False, True], ids=["plain", "modified"])
-@pytest.mark.parametrize("name", NAMES)
-def test_every_parameter_has_a_gradient(name, is_modified):
-    """Dynamic ones too: where a gradient is zero, nothing can be identified."""
-    model = example(name, is_modified=is_modified)
-    v, dt, inputs = servo_motion(model)
-    gradient = model.simulate_with_gradient(v, dt, **inputs)[1]
-    assert np.all(np.isfinite(gradient))
-    for i, flat in enumerate(model.free):
-        if flat not in WITHOUT_GRADIENT and math.isfinite(value_of(model, flat)):
-            assert np.abs(gradient[:, i]).max() > 0.0, flat
     scalars = {one.name for one in fh.models.describe(name).parameters if isinstance(model.parameters[one.name], float)}
     assert scalars - WITHOUT_GRADIENT <= {flat.split(".")[-1] for flat in model.free}
 
@@ -208,14 +197,9 @@ def test_a_direction_is_the_weighted_sum_of_columns():
     np.testing.assert_allclose(found[:, 0], columns["sigma0"], rtol=1e-12)
     np.testing.assert_allclose(found[:, 1], 2.0 * columns["coulomb"] - 0.5 * columns["static"], rtol=1e-9, atol=1e-12)
     assert not found[:, 2].any()
-    with pytest.raises(UsageError, match="no free parameter 'statik'"):
-        model.simulate_with_gradient(v, 1e-3, free=[{"coulomb": 1.0, "statik": 1.0}])
-
-
-def test_what_is_not_free_is_refused_by_name():
-    model = example("lugre")
-    with pytest.raises(UsageError, match=r"sigma9.*did you mean"):
-        model.simulate_with_gradient([0.1], 1e-3, free=["sigma9"])
+    for wrong in ({"coulomb": 1.0, "statik": 1.0}, "statik"):
+        with pytest.raises(UsageError, match=r"'statik'.*did you mean"):
+            model.simulate_with_gradient(v, 1e-3, free=[wrong])
 
 
 def test_gradient_has_its_closed_form_for_lugre_and_coulomb():
@@ -263,7 +247,6 @@ def test_gradient_over_points_of_either_direction():
     np.testing.assert_allclose(gradient, [[0.5, 0.5, 0.0], [0.0, 0.0, 1.0]], rtol=1e-12)
 
 
-@checked
 @given(st.data())
 def test_torque_beside_a_gradient_is_that_of_simulate_for_any_model(data):
     model = data.draw(models())
@@ -276,36 +259,18 @@ def test_torque_beside_a_gradient_is_that_of_simulate_for_any_model(data):
     assert np.all(np.isfinite(gradient))
 
 
-@checked
 @given(st.data())
 def test_gradient_of_any_model_agrees_with_differences(data):
     model = data.draw(models())
     motion = data.draw(motions(model, fastest=10.0))
     inside = [one for one in directions_of(model) if is_inside(value_of(model, one[0][0]), one[0][0], model)]
     directions = data.draw(st.sampled_from(inside))
-    gradient = model.simulate_with_gradient(
-        motion.velocity, motion.dt, free=[flat for flat, _ in directions], **motion.inputs
-    )[1]
+    free = [flat for flat, _ in directions]
+    gradient = model.simulate_with_gradient(motion.velocity, motion.dt, free=free, **motion.inputs)[1]
     derivative = gradient @ [sign for _, sign in directions]
     size = abs(value_of(model, directions[0][0])) or level_of(model.name, model.parameters)
     _, wrong = compare_column(model, directions, derivative, motion.simulate, size)
     assert wrong == ""
-
-
-@checked
-@given(st.data())
-def test_levels_act_alike_in_every_model_that_slides(data):
-    """Torque is homogeneous: all torques of a model times c give c times its torque, whence Euler's relation."""
-    names = ("coulomb", "stribeck", "power_law", "dahl", "lugre", "elasto_plastic", "gms")
-    model = data.draw(models(names, allowed=()))
-    motion = data.draw(motions(model))
-    is_torque = re.compile(r"coulomb|static|viscous|factor|sigma|stiffness|attraction")
-    torques = [flat for flat in model.free if is_torque.match(flat)]
-    torque, gradient = model.simulate_with_gradient(motion.velocity, motion.dt, free=torques)
-    euler = gradient @ [value_of(model, flat) for flat in torques]
-    scale = level_of(model.name, model.parameters) + np.abs(torque)
-    assert np.all(np.abs(euler - torque) <= 1e-9 * scale)
-    assert again(model).free == model.free
 
 
 def test_bouc_wen_where_the_way_back_is_almost_straight():

@@ -73,12 +73,10 @@ def test_a_number_that_is_not_finite_is_found_anywhere_in_a_long_record(index):
     v = np.zeros(100_000)
     for name in fh.models.names():
         model = fh.models.create(name, **fh.models.describe(name).example)
-        for wrong in (-math.inf, math.nan):
-            v[index] = wrong
-            with pytest.raises(UsageError, match=f"velocity must be finite; element {index} is {wrong}"):
-                model.simulate(v, 1e-3)
-    with pytest.raises(UsageError, match=f"velocity must be finite; element {index} is nan"):
-        model.simulate(v, np.full(v.size, 1e-3))  # one dt per sample selects another kernel
+        for wrong, dt in ((-math.inf, 1e-3), (math.nan, 1e-3), (math.nan, np.full(v.size, 1e-3))):
+            v[index] = wrong  # one dt per sample selects another kernel
+            with pytest.raises(UsageError, match=f"velocity .* element {index} is {wrong}"):
+                model.simulate(v, dt)
 
 
 def test_read_only_input_uses_the_kernels_that_are_compiled_already():
@@ -140,12 +138,8 @@ def test_a_table_interpolates_without_overshoot_as_scipy_does():
 
 
 def test_without_a_jump_the_purposes_agree():
-    for model in (
-        fh.models.create("power_law", coulomb=0.0, factor=0.1, exponent=0.5),
-        fh.models.create("table", points=[[0.0, 0.0], [1.0, 0.1]]),
-        fh.models.create("coulomb", coulomb=0.0, viscous=0.1),
-    ):
-        v = np.array([-0.5, -1e-4, 1e-5, 0.3])
+    v, table = np.array([-0.5, -1e-4, 1e-5, 0.3]), {"points": [[0.0, 0.0], [1.0, 0.1]]}
+    for model in (fh.models.create("coulomb", coulomb=0.0, viscous=0.1), fh.models.create("table", **table)):
         runner = model.start("feedforward", velocity_epsilon=1e-2)
         assert [runner.step(one, 1e-3) for one in v] == pytest.approx(model.simulate(v, 1e-3), rel=1e-12)
 

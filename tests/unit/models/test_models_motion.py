@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from friction_hil import models
@@ -20,11 +20,9 @@ def first(name: str = "lugre") -> dict[str, models.FrictionModel]:
     return {name: models.create(name, **models.describe(name).example)}
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.sampled_from(sorted(KINDS)), st.floats(0.01, 100.0), st.integers(1, 4))
 def test_a_motion_is_its_velocity_and_goes_from_rest(kind, frequency, periods) -> None:
     motion = make_motion(kind, {"frequency": frequency, "periods": float(periods)}, first())
-
     start = motion.position[0] - motion.velocity[0] * motion.dt
     np.testing.assert_allclose(start + np.cumsum(motion.velocity) * motion.dt, motion.position, atol=1e-9)
     assert len(motion.velocity) == 4000 * periods
@@ -46,9 +44,7 @@ def test_a_network_is_drawn_at_the_period_of_its_training(tmp_path) -> None:
     narx = alone(random_network("narx", period_s=2e-3))
     chosen = {**first(), "net": narx}
     motion = make_motion("sine", {"amplitude": 0.1, "periods": 1.0}, chosen)
-
     left = draw_motion(chosen, motion, tmp_path / "net.png", "net")
-
     wanted = chosen["lugre"].simulate(motion.velocity, motion.dt)
     error = narx.simulate(motion.velocity, 2e-3) - wanted
     assert left["net"] == pytest.approx(np.sqrt(np.mean(error**2) / np.mean(wanted**2)))
@@ -59,12 +55,10 @@ def test_the_command_draws_models_beside_each_other(tmp_path, capsys) -> None:
     picture, log = tmp_path / "both.png", tmp_path / "log.csv"
     time = np.arange(2000) * 1e-3
     np.savetxt(log, np.column_stack([time, 1e-3 * np.sin(time)]), header="time_s,position", delimiter=",", comments="")
-
     assert main(["models", DAHL, "--beside", LUGRE, "--motion", str(log), "--draw", str(picture), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["picture"] == str(picture)
     assert 0.2 < found["differences"][LUGRE] < 1.0
-
     assert main(["models", DAHL, "--beside", "coulomb:coulomb=0.08", "--draw", str(tmp_path / "steady.svg")]) == 0
     assert (tmp_path / "steady.svg").exists()
 
@@ -72,27 +66,22 @@ def test_the_command_draws_models_beside_each_other(tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--motion", "sine"], "--motion and --beside belong to --draw"),
-        (["--draw", "a.png", "--motion", "sin"], "did you mean 'sine'?"),
-        (["--draw", "a.png", "--motion", "sine:amplitud=1"], "did you mean 'amplitude'?"),
-        (["--draw", "a.png", "--motion", "sine:amplitude=0"], "amplitude is 0, but must be finite and above zero"),
-        (["--draw", "a.png", "--motion", "sine:amplitude=x"], "is not KEY=NUMBER"),
+        (["--motion", "sine"], "--draw"),
+        (["--draw", "a.png", "--motion", "sin"], "'sine'?"),
+        (["--draw", "a.png", "--motion", "sine:amplitud=1"], "'amplitude'?"),
+        (["--draw", "a.png", "--motion", "sine:amplitude=0"], "amplitude is 0"),
+        (["--draw", "a.png", "--motion", "sine:amplitude=x"], "KEY=NUMBER"),
         (["--draw", "a.png", "--motion", "sine:periods=1e9"], "samples of"),
         (["--draw", "gone/a.png", "--motion", "sine"], "there is no folder gone"),
     ],
 )
 def test_mistakes_are_reported_in_a_sentence(words, message, capsys, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-
     assert main(["models", DAHL, *words]) == 2
-
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_motion_without_friction_has_no_difference_to_name(tmp_path) -> None:
     still = Motion(1e-3, np.zeros(10), np.zeros(10))
-
-    left = draw_motion({**first(), **first("dahl")}, still, tmp_path / "still.png", "still")
-
-    assert left == {"dahl": 0.0}
+    assert draw_motion({**first(), **first("dahl")}, still, tmp_path / "still.png", "still") == {"dahl": 0.0}

@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import friction_hil as fh
@@ -42,7 +42,6 @@ def test_a_runner_goes_on_after_pickling():
     assert [runner.step(v, 1e-3) for v in motion(50, 2)] == [other.step(v, 1e-3) for v in motion(50, 2)]
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.sampled_from(sorted(STRUCTURES)), st.integers(0, 99), st.floats(0.1, 50.0), st.floats(1e-6, 1.0))
 def test_no_weights_and_no_input_take_it_beyond_its_bound(name, seed, size, dt):
     network = random_network(name, seed, size)
@@ -84,20 +83,15 @@ def test_a_long_sample_is_steps_of_the_trained_period(name, count):
         np.testing.assert_allclose(ends[0], ends[1], rtol=1e-10)
 
 
-def test_steady_state_is_where_a_long_motion_ends():
-    model = alone(random_network())
-    speeds = np.array([-1.5, -0.02, 0.3])
-    ends = [model.simulate(np.full(4000, speed), 1e-2)[-1] for speed in speeds]
-    np.testing.assert_allclose(model.steady_state(speeds), ends, rtol=1e-9)
-    assert model.steady_state([0.0])[0] == 0.0
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_steady_state_of_a_narx_is_where_a_long_motion_at_its_own_period_ends(seed):
-    model = alone(random_network("narx", seed, period_s=2e-3))
-    speeds = np.array([-1.5, -0.02, 0.3])
-    ends = [model.simulate(np.full(25_000, speed), 2e-3)[-1] for speed in speeds]
-    np.testing.assert_allclose(model.steady_state(speeds), ends, rtol=1e-6)
+@pytest.mark.parametrize(
+    ("name", "seed", "dt", "count", "tolerance"),
+    [("gated", 0, 1e-2, 4000, 1e-9), *(("narx", seed, 2e-3, 25_000, 1e-6) for seed in range(3))],
+)
+def test_steady_state_is_where_a_long_motion_ends(name, seed, dt, count, tolerance):
+    """That of a narx at its own period."""
+    model, speeds = alone(random_network(name, seed, period_s=2e-3)), np.array([-1.5, -0.02, 0.3])
+    ends = [model.simulate(np.full(count, speed), dt)[-1] for speed in speeds]
+    np.testing.assert_allclose(model.steady_state(speeds), ends, rtol=tolerance)
     assert model.steady_state([0.0])[0] == 0.0
 
 
@@ -138,29 +132,25 @@ def test_a_residual_adds_to_its_model_and_fades_out_beyond_its_range():
 
 
 def test_alone_it_stays_beyond_its_range_what_it_is_at_its_end():
-    model = alone(random_network("static"))
-    ends = model.simulate([2.0, 2.1, 1e3, 1e9], 1e-3)
-    assert len(set(ends)) == 1
+    assert len(set(alone(random_network("static")).simulate([2.0, 2.1, 1e3, 1e9], 1e-3))) == 1
 
 
 def test_modifiers_of_the_model_beside_it_stay_what_they_are():
-    network = random_network(is_residual=True)
+    network, velocity = random_network(is_residual=True), motion(400)
     modifiers = {"ripple": [{"order": 3, "cosine": 0.01, "sine": 0.02}], "load": {"motoring": 0.1}}
-    velocity, inputs = motion(400), {"position": np.cumsum(motion(400)) * 1e-3, "load_torque": 0.2}
+    inputs = {"position": np.cumsum(velocity) * 1e-3, "load_torque": 0.2}
     with_both = beside(network, "lugre", modifiers).simulate(velocity, 1e-3, **inputs)
-    family = fh.models.describe("lugre")
-    without = fh.models.create("lugre", modifiers=modifiers, **family.example).simulate(velocity, 1e-3, **inputs)
-    learned = alone(random_network(is_residual=True)).simulate(velocity, 1e-3)
-    np.testing.assert_allclose(with_both, without + learned, atol=1e-12)
+    example = fh.models.describe("lugre").example
+    without = fh.models.create("lugre", modifiers=modifiers, **example).simulate(velocity, 1e-3, **inputs)
+    np.testing.assert_allclose(with_both, without + alone(network).simulate(velocity, 1e-3), atol=1e-12)
 
 
 def test_what_a_network_needs_is_asked_for():
     model = alone(random_network("every_input"))
-    with pytest.raises(fh.errors.UsageError, match="position"):
-        model.simulate([0.1], 1e-3)
-    with pytest.raises(fh.errors.UsageError, match="load_torque"):
-        model.simulate([0.1], 1e-3, position=0.0)
-    with pytest.raises(fh.errors.UsageError, match="trained, not fitted"):
+    for known, missing in (({}, "position"), ({"position": 0.0}, "load_torque")):
+        with pytest.raises(fh.errors.UsageError, match=missing):
+            model.simulate([0.1], 1e-3, **known)
+    with pytest.raises(fh.errors.UsageError, match="trained"):
         model.simulate_with_gradient([0.1], 1e-3)
 
 
@@ -216,46 +206,37 @@ def test_a_residual_comes_with_its_model(tmp_path):
     np.testing.assert_array_equal(fh.models.load(path).values, beside(random_network(is_residual=True)).values)
 
 
-def without(name):
-    def change(content):
-        del content["friction"]["network"][name]
-
-    return change
-
-
-def setting(name, value):
-    def change(content):
-        content["friction"]["network"][name] = value
-
-    return change
-
-
 @pytest.mark.parametrize(
-    ("change", "field", "words"),
+    ("changed", "field", "words"),
     [
-        (without("weights"), "friction.network.weights", "is missing"),
-        (setting("weights", [0.1] * 7), "friction.network.weights", "7 numbers; this structure has"),
-        (setting("weights", [1e5] * COUNT), "friction.network.weights", "within"),
-        (setting("weights", [".nan"] * COUNT), "friction.network.weights", "number"),
-        (setting("structure", "lstm"), "friction.network.structure", "gated"),
-        (setting("hidden", [0]), "friction.network", "1 to 64 units"),
-        (setting("hidden", [4, 4, 4]), "friction.network", "one or two layers"),
-        (setting("states", 0), "friction.network", "1 to 5 states"),
-        (setting("speeds", [0.1, 0.2]), "friction.network.speeds", "three"),
-        (setting("speed_limit", -1.0), "friction.network.speed_limit", "above zero"),
-        (without("stroke"), "friction.network.stroke", "trained again"),
-        (setting("stroke", -1e-3), "friction.network.stroke", "above zero"),
-        (setting("inputs", ["position"]), "friction.network.ranges", "position"),
-        (setting("color", "red"), "friction.network.color", "not a key here"),
-        (lambda c: c["friction"].pop("network"), "friction.network", "is missing"),
-        (lambda c: c["friction"].update(parameters={"a": 1.0}), "friction.parameters", "a network has no parameters"),
-        (lambda c: c["friction"].update(modifiers={"load": {"motoring": 0.1}}), "friction.modifiers.load", "no level"),
-        (lambda c: c["friction"].update(model="lugre"), "friction.network", "belongs to the model network"),
+        ({"weights": None}, "friction.network.weights", "is missing"),
+        ({"weights": [0.1] * 7}, "friction.network.weights", "7 numbers"),
+        ({"weights": [1e5] * COUNT}, "friction.network.weights", "within"),
+        ({"weights": [".nan"] * COUNT}, "friction.network.weights", "number"),
+        ({"structure": "lstm"}, "friction.network.structure", "gated"),
+        ({"hidden": [0]}, "friction.network", "1 to 64 units"),
+        ({"hidden": [4, 4, 4]}, "friction.network", "one or two layers"),
+        ({"states": 0}, "friction.network", "1 to 5 states"),
+        ({"speeds": [0.1, 0.2]}, "friction.network.speeds", "three"),
+        ({"speed_limit": -1.0}, "friction.network.speed_limit", "above zero"),
+        ({"stroke": None}, "friction.network.stroke", "trained again"),
+        ({"stroke": -1e-3}, "friction.network.stroke", "above zero"),
+        ({"inputs": ["position"]}, "friction.network.ranges", "position"),
+        ({"color": "red"}, "friction.network.color", "not a key here"),
+        ({"/network": None}, "friction.network", "is missing"),
+        ({"/parameters": {"a": 1.0}}, "friction.parameters", "no parameters"),
+        ({"/modifiers": {"load": {"motoring": 0.1}}}, "friction.modifiers.load", "no level"),
+        ({"/model": "lugre"}, "friction.network", "belongs to the model network"),
     ],
 )
-def test_a_mistake_in_the_file_is_reported_with_its_field_and_line(change, field, words, tmp_path):
+def test_a_mistake_in_the_file_is_reported_with_its_field_and_line(changed, field, words, tmp_path):
+    """Keys of the network, or with a stroke of the friction; None takes one away."""
     content = model_file(random_network())
-    change(content)
+    ((name, value),) = changed.items()
+    section = content["friction"] if name.startswith("/") else content["friction"]["network"]
+    section[name.strip("/")] = value
+    if value is None:
+        del section[name.strip("/")]
     path = tmp_path / "net.yaml"
     path.write_text(yaml.safe_dump(content))
     with pytest.raises(fh.errors.ConfigurationError) as caught:

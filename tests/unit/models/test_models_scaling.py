@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import friction_hil as fh
@@ -17,7 +17,6 @@ def scaled(model: fh.models.FrictionModel, factor: float) -> fh.models.FrictionM
     return fh.models.create(model.name, modifiers=modifiers, **parameters)
 
 
-@settings(max_examples=40)
 @given(data=st.data(), factor=st.floats(0.2, 5.0))
 def test_the_torque_of_a_scaled_model_is_a_multiple(data: Any, factor: float) -> None:
     # one family of each kind of parameters: plain, lists of elements, points, power of the velocity
