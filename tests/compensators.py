@@ -30,21 +30,17 @@ Course = Callable[[float], float]  # of time
 
 def compensator(model: fh.models.FrictionModel = VISCOUS, **changes: Any) -> Compensator:
     """Compensator of gain 1 that knows the inertia and fades in at once, with other settings as given."""
-    given = {
-        "period_s": PERIOD_S,
-        "position_resolution": 1e-6,
-        "torque_limit": 10.0,
-        "inertia": INERTIA,
-        "acceleration": 30.0,
-        "gain": 1.0,
-        "fade_s": 0.01,
-    }
+    given = {"period_s": PERIOD_S, "position_resolution": 1e-6, "torque_limit": 10.0, "inertia": INERTIA}
+    given |= {"acceleration": 30.0, "gain": 1.0, "fade_s": 0.01}
     return Compensator(model, CompensatorSettings(**given | changes))
 
 
 def resolution(bits: int) -> float:
     """Smallest step of an encoder, rad."""
     return 2.0 * math.pi / 2.0**bits
+
+
+FINE = resolution(20)
 
 
 def quantised(position: Any, step: float) -> Any:
@@ -73,17 +69,7 @@ def columns(cycles: int, start: int = 0, **given: Any) -> list[Array]:
     return [np.array(np.broadcast_to(one, cycles), dtype=float) for one in (usual | given).values()]
 
 
-def feed(
-    one: Compensator,
-    position: Course,
-    velocity: Course,
-    cycles: int,
-    *,
-    demand: Course | None = None,
-    lead_s: float = 0.0,
-    start: int = 0,
-    **given: Any,
-) -> tuple[Array, Array]:
+def feed(one, position, velocity, cycles, *, demand=None, lead_s=0.0, start=0, **given):
     """Feed a motion and its demanded velocity, all courses of time; return compensations and velocity estimates.
 
     The demanded position is not known, unless it is given.
@@ -149,62 +135,25 @@ class Axis:
 
     Semi-implicit Euler, a static friction map stops the axis where its velocity would change sign. The drive is a
     position P over a velocity PI with feed-forward of velocity and acceleration, or, where no demand is given,
-    gives no torque of its own.
-
-    Attributes
-    ----------
-    friction : FrictionModel
-        The true one.
-    velocity_gain : float
-        Of the drive, N m s/rad; 0.06 is a soft one, 0.2 a stiff one.
-    resolution : float
-        Of the encoder, for drive and compensator, rad.
-    load : float
-        Constant torque against positive motion, N m.
+    gives no torque of its own. Its ``velocity_gain`` of 0.06 N m s/rad is a soft one, 0.2 a stiff one; the encoder's
+    ``resolution`` is that of drive and compensator; ``load`` acts against positive motion.
     """
 
     STEPS, SAMPLES = 4, 8  # of integration in a sample of the drive; samples of the drive in a cycle
     LAG_S, POSITION_GAIN, INTEGRAL_HZ = 3e-4, 100.0, 100.0
 
-    def __init__(
-        self,
-        friction: fh.models.FrictionModel,
-        *,
-        inertia: float = INERTIA,
-        velocity_gain: float = 0.06,
-        resolution: float = resolution(20),
-        load: float = 0.0,
-    ) -> None:
+    def __init__(self, friction, *, inertia=INERTIA, velocity_gain=0.06, resolution=FINE, load=0.0):
         self.friction, self.inertia, self.load = friction, inertia, load
         self.velocity_gain, self.resolution = velocity_gain, resolution
         self.runner = friction.start(purpose="simulation")
         self.position = self.velocity = self.torque = self.friction_torque = self.integral = 0.0
         self.cycle = 0
 
-    def run(
-        self,
-        one: Compensator | None,
-        duration_s: float,
-        *,
-        demand: Course | None = None,
-        hand: Callable[[float, float, float], float] | None = None,
-        is_telling: bool = True,
-        change: Callable[[tuple[float, ...]], tuple[float, ...]] | None = None,
-    ) -> Run:
-        """Go on for a time.
+    def run(self, one, duration_s, *, demand=None, hand=None, is_telling=True, change=None):
+        """Go on for a time with a compensator, or None.
 
-        Parameters
-        ----------
-        one : Compensator or None
-            None: no compensation.
-        duration_s : float
-        demand : course of the demanded position, optional
-        hand : function of t, position and velocity, optional
-            Torque that acts from outside, N m.
-        is_telling : bool
-            Whether the compensator is told of the demand.
-        change : function of a row of inputs, optional
-            Returns what the compensator gets in place of it.
+        ``demand`` is the course of the position, of which the compensator is told or not (``is_telling``); ``hand``
+        gives the torque from outside for time, position and velocity; ``change`` what the compensator gets for a row.
         """
         rows = []
         compensation = 0.0
@@ -212,9 +161,7 @@ class Axis:
             t = self.cycle * PERIOD_S
             position = float(quantised(self.position, self.resolution))
             acting, compensation = compensation, 0.0
-            wanted = math.nan
-            if demand is not None:
-                wanted = demand(t)
+            wanted = math.nan if demand is None else demand(t)
             if one is not None:
                 told = {}
                 if demand is not None and is_telling:

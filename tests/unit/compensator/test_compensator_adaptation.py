@@ -1,17 +1,17 @@
 """Adaptation: off, exact, per direction, bounded, frozen, undisturbed by load and acceleration."""
 
 import math
+import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import friction_hil as fh
 from friction_hil.daemon.notices import adaptation_notice
 from tests.compensators import (
     EVERY_VELOCITY,
-    INERTIA,
     LUGRE,
     MODELS,
     PERIOD_S,
@@ -29,7 +29,6 @@ from tests.compensators import (
 )
 
 LEARNING = {"adaptation_s": 0.3, "adaptation_bound": 0.3}
-checked = settings(max_examples=30, deadline=None)
 
 
 def factors(one):
@@ -56,20 +55,13 @@ def slide(one, factor, seconds, *, speed=1.0, start=0, **given):
     return start + cycles
 
 
-@checked
-@given(wild_inputs())
-def test_it_is_off_by_default(rows):
-    one = compensator(LUGRE)
-    replayed(one, rows)
-    assert factors(one).tolist() == [1.0, 1.0]
-
-
-def test_off_means_that_the_torque_counts_for_nothing():
+def test_it_is_off_by_default_and_then_the_torque_counts_for_nothing():
     one, other = compensator(LUGRE), compensator(LUGRE)
     slide(one, 1.0, 1.0)
     slide(other, 1.3, 1.0)
     assert factors(other).tolist() == [1.0, 1.0]
     assert field(one, "compensation") == field(other, "compensation")
+    assert adaptation_notice("x", "rad", other) is None
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -140,7 +132,6 @@ def test_it_stays_between_its_bounds(factor, expected):
     assert 0.7 <= factors(one)[0] <= 1.3
 
 
-@checked
 @given(wild_inputs(), st.sampled_from([LUGRE, VISCOUS]))
 def test_no_input_takes_it_beyond_its_bounds(rows, model):
     one = compensator(model, adaptation_s=0.1, adaptation_bound=0.3)
@@ -167,75 +158,45 @@ def test_on_a_slow_swing_it_finds_the_friction_of_each_direction(amplitude):
     np.testing.assert_allclose(factors(one), [1.2, 0.9], rtol=0.05)
 
 
-def learned_from(motion, *, before=1.0, **given):
+def learned_from(motion, **given):
     """Factors before and after a motion (position and velocity over time) with a torque that is far off."""
     one = compensator(LUGRE, position_resolution=1e-5, **LEARNING)
-    start = slide(one, 1.1, before)
+    start = slide(one, 1.1, 1.0)
     kept = factors(one)
-    t = np.arange(3000) * PERIOD_S
-    position, velocity = motion(t)
+    position, velocity = motion(np.arange(3000) * PERIOD_S)
+    position = position + (start - 1) * PERIOD_S  # from where it was last
     course = {"velocity_demand": velocity, "velocity_demand_ahead": velocity, "torque": 0.5}
-    stopped = (start - 1) * PERIOD_S  # from where it was last
-    one.replay(columns(3000, start=start, position=stopped + position, velocity=velocity, **course | given))
+    one.replay(columns(3000, start=start, position=position, velocity=velocity, **course | given))
     return kept, factors(one)
 
 
+ALONG = lambda t: (t, 1.0 + 0.0 * t)  # noqa: E731
+
+
 @pytest.mark.parametrize(
-    "motion",
+    ("motion", "missing"),
     [
-        pytest.param(lambda t: (0.0 * t, 0.0 * t), id="rest"),
-        pytest.param(lambda t: (2e-5 * np.sin(3.0 * t), 6e-5 * np.cos(3.0 * t)), id="presliding"),
-        pytest.param(lambda t: (0.01 * np.sin(40.0 * t), 0.4 * np.cos(40.0 * t)), id="reversals"),
+        pytest.param(lambda t: (0.0 * t, 0.0 * t), {}, id="rest"),
+        pytest.param(lambda t: (2e-5 * np.sin(3.0 * t), 6e-5 * np.cos(3.0 * t)), {}, id="presliding"),
+        pytest.param(lambda t: (0.01 * np.sin(40.0 * t), 0.4 * np.cos(40.0 * t)), {}, id="reversals"),
+        pytest.param(ALONG, {"torque": math.nan}, id="unknown torque"),
+        pytest.param(ALONG, {"torque": math.inf}, id="infinite torque"),
+        pytest.param(ALONG, {"is_fresh": 0.0}, id="no feedback"),
     ],
 )
-def test_it_is_frozen_without_steady_sliding(motion):
-    before, after = learned_from(motion)
-    np.testing.assert_array_equal(before, after)
-
-
-@pytest.mark.parametrize("missing", [{"torque": math.nan}, {"torque": math.inf}, {"is_fresh": 0.0}])
-def test_it_is_frozen_without_what_it_needs(missing):
-    before, after = learned_from(lambda t: (t, 1.0 + 0.0 * t), **missing)
+def test_it_is_frozen_without_steady_sliding_and_what_it_needs(motion, missing):
+    before, after = learned_from(motion, **missing)
     np.testing.assert_array_equal(before, after)
     assert before[0] > 1.05
 
 
-def test_after_a_reversal_or_a_gap_it_waits_until_its_filters_have_settled():
+@pytest.mark.parametrize(("missed", "speed"), [(100, 1.0), (0, -1.0)])
+def test_after_a_gap_or_a_reversal_it_waits_until_its_filters_have_settled(missed, speed):
     one = compensator(LUGRE, **LEARNING)
     start = slide(one, 1.1, 1.0)
     kept = factors(one)
-    slide(one, 9.0, 0.09, start=start + 100)
+    slide(one, 9.0, 0.09, speed=speed, start=start + missed)
     np.testing.assert_array_equal(factors(one), kept)
-    one.state[:] = compensator(LUGRE, **LEARNING).state
-    start = slide(one, 1.1, 1.0)
-    kept = factors(one)
-    slide(one, 9.0, 0.09, speed=-1.0, start=start)
-    np.testing.assert_array_equal(factors(one), kept)
-
-
-@pytest.mark.parametrize("cut", [50, 777, 1500])
-def test_a_saved_state_goes_on_with_the_same_bits(cut):
-    t = np.arange(2000) * PERIOD_S
-    speed, place = np.sin(4.0 * t), (1.0 - np.cos(4.0 * t)) / 4.0
-    torque = 0.11 * np.sign(speed) + 4.0 * INERTIA * np.cos(4.0 * t)
-    known = {"velocity_demand": speed, "velocity_demand_ahead": speed, "position_demand": place}
-    inputs = columns(2000, position=place, velocity=speed, torque=torque, **known)
-    one, two = compensator(LUGRE, **LEARNING), compensator(LUGRE, **LEARNING)
-    expected, _ = one.replay(inputs)
-    first, _ = two.replay([column[:cut].copy() for column in inputs])
-    again = compensator(LUGRE, **LEARNING)
-    again.state[:] = two.state.copy()
-    second, _ = again.replay([column[cut:].copy() for column in inputs])
-    np.testing.assert_array_equal(np.concatenate([first, second]), expected)
-    np.testing.assert_array_equal(again.state, one.state)
-    assert (factors(one) != 1.0).all()
-
-
-@pytest.mark.parametrize("time_s", [1e-4, 0.05])
-def test_a_time_that_is_not_slow_is_refused(time_s):
-    """Shorter than a period it would forget more than all in a cycle."""
-    with pytest.raises(fh.errors.UsageError, match=r"adaptation_s = .* at least 0\.1 s"):
-        compensator(LUGRE, adaptation_s=time_s)
 
 
 @pytest.mark.parametrize("speed", [0.1, 1.0])
@@ -245,17 +206,11 @@ def test_a_run_says_that_nothing_was_learned_and_from_which_velocity_on_it_is(sp
     slide(one, 1.2, 2.0, speed=speed)
     notice = adaptation_notice("x", "rad", one)
     assert (notice is None) == (speed > one.slowest_learning)
-    assert notice is None or "x: compensation.adaptation learned nothing" in notice
-    assert notice is None or "faster than 0.63 rad/s" in notice
-
-
-def test_without_adaptation_nothing_is_said():
-    assert adaptation_notice("x", "rad", compensator(LUGRE)) is None
+    assert notice is None or re.match(r"x: compensation.adaptation .* 0.63 rad/s", notice)
 
 
 def test_the_reported_torque_is_divided_by_its_ratio_to_that_of_the_model():
-    one = compensator(VISCOUS, **LEARNING, torque_ratio=0.8)
-    other = compensator(VISCOUS, **LEARNING)
+    one, other = compensator(VISCOUS, **LEARNING, torque_ratio=0.8), compensator(VISCOUS, **LEARNING)
     slide(one, 0.8 * 1.1, 2.0)
     slide(other, 1.1, 2.0)
     assert factors(one) == pytest.approx(factors(other))

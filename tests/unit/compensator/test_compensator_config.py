@@ -17,41 +17,26 @@ def configured(*, inertia=2e-4, **compensation):
     return configuration(x=axis).axes["x"]
 
 
+FACTS = AxisFacts("x", "servo", 1e-5, 1e-4, 2.5e-3, 1.5e-3)
+
+
 def made(**compensation):
     axis = configured(**compensation)
-    return make_compensator(axis, axis.model, AxisFacts("x", "servo", 1e-5, 1e-4, 2.5e-3, 1.5e-3), PERIOD_S)
+    return make_compensator(axis, axis.model, FACTS, PERIOD_S).settings
 
 
 def test_the_defaults():
+    """No position needs to reach the velocity limit within a period, and what is not given is off."""
     assert configured().compensation.model_dump() == {
-        "enabled": True,
-        "gain": 0.9,
-        "gain_negative": None,
-        "source": "auto",
-        "fade_s": 0.5,
-        "baseline_s": 0.0,
-        "velocity": "difference",
-        "smoothing": 1.0,
-        "acceleration": None,
-        "max_acceleration": None,
-        "dead_band": 0.0,
-        "gravity": True,
-        "adaptation": None,
-        "transmission": None,
-        "learning": "off",
+        **{"enabled": True, "gain": 0.9, "gain_negative": None, "source": "auto", "fade_s": 0.5, "baseline_s": 0.0},
+        **{"velocity": "difference", "smoothing": 1.0, "acceleration": None, "max_acceleration": None},
+        **{"dead_band": 0.0, "gravity": True, "adaptation": None, "transmission": None, "learning": "off"},
     }
     assert configured(adaptation={}).compensation.adaptation.model_dump() == {"time_s": 20.0, "bound": 0.3}
-
-
-def test_what_is_not_given_is_off():
-    settings = made().settings
-    assert settings.gain_negative is None
-    assert (settings.dead_band, settings.adaptation_s) == (0.0, 0.0)
+    settings = made()
+    assert (settings.gain_negative, settings.dead_band, settings.adaptation_s) == (None, 0.0, 0.0)
     assert (settings.velocity, settings.smoothing, settings.inertia) == ("difference", 1.0, 2e-4)
-
-
-def test_by_default_no_position_needs_to_reach_the_velocity_limit_within_a_period():
-    assert made().settings.max_acceleration == pytest.approx(axis_dict()["limits"]["velocity"] / PERIOD_S)
+    assert settings.max_acceleration == pytest.approx(axis_dict()["limits"]["velocity"] / PERIOD_S)
 
 
 @pytest.mark.parametrize(
@@ -71,8 +56,8 @@ def test_by_default_no_position_needs_to_reach_the_velocity_limit_within_a_perio
     ],
 )
 def test_every_key_reaches_the_compensator(given, field, expected):
-    assert getattr(made(**given).settings, field) == expected
-    assert getattr(made().settings, field) != expected
+    assert getattr(made(**given), field) == expected
+    assert getattr(made(), field) != expected
 
 
 @pytest.mark.parametrize(
@@ -102,7 +87,7 @@ def test_a_mistake_is_told_with_its_place(given, field, words):
 
 @pytest.mark.parametrize("acceleration", [1e-6, 1e-3])
 def test_an_acceleration_that_makes_the_tracking_too_slow_is_told_when_the_drive_is_known(acceleration):
-    with pytest.raises(UsageError, match="let it follow a greater acceleration"):
+    with pytest.raises(UsageError, match="tracking"):
         made(velocity="tracking", acceleration=acceleration)
 
 
@@ -112,8 +97,7 @@ def test_the_lead_reaches_to_the_middle_of_the_period_in_which_the_torque_acts(m
     axis = axis_dict()
     axis["model"]["mechanics"] = {"inertia": 2e-4, "torque_lag_s": 3e-4, **mechanics}
     model = configuration(x=axis).axes["x"].model
-    facts = AxisFacts("x", "servo", 1e-5, 1e-4, 2.5e-3, 1.5e-3)
-    assert lead_s(model, facts, PERIOD_S) == pytest.approx(expected + 3e-4)
+    assert lead_s(model, FACTS, PERIOD_S) == pytest.approx(expected + 3e-4)
 
 
 CROSSING = {"backlash": 2e-3, "load": {"inertia": 1e-4, "friction": 0.03}}
@@ -127,41 +111,34 @@ def crossing(mechanics=(), **axis):
 
 def test_crossing_takes_gap_and_load_from_the_model_file():
     axis = crossing()
-    facts = AxisFacts("x", "servo", 1e-5, 1e-4, 2.5e-3, 1.5e-3)
-    settings = make_compensator(axis, axis.model, facts, PERIOD_S).settings
+    settings = make_compensator(axis, axis.model, FACTS, PERIOD_S).settings
     assert (settings.backlash, settings.load_inertia, settings.load_friction) == (2e-3, 1e-4, 0.03)
     assert (settings.offset_acceleration, settings.offset_velocity) == (300.0, math.inf)
     assert (settings.stiffness, settings.offset_limit) == (math.inf, 1e-3)
     axis = crossing({"load": CROSSING["load"] | {"stiffness": 50.0}, "gravity": {"sine": 0.03, "cosine": 0.04}})
-    settings = make_compensator(axis, axis.model, facts, PERIOD_S).settings
+    settings = make_compensator(axis, axis.model, FACTS, PERIOD_S).settings
     assert settings.stiffness == 50.0
     assert settings.offset_limit == pytest.approx(1e-3 + (0.03 + 0.05 + 1e-4 * 300.0) / 50.0)
     assert (settings.velocity_limit, settings.setpoint_delay_s) == (30.0, 2.5e-3)
 
 
+TORQUE_MODE = {"mode": "cst", "trajectory": {"kind": "none"}, "limits": {"torque": 0.3, "velocity": 30.0}}
+
+
 @pytest.mark.parametrize(
     ("mechanics", "axis", "reason"),
     [
-        (
-            {"backlash": 0.0},
-            {},
-            "needs in the model file mechanics.load with inertia and friction, and mechanics.backlash",
-        ),
-        ({"load": None}, {}, "needs in the model file mechanics.load"),
-        ({"load": {"inertia": 1e-4}}, {}, "needs in the model file mechanics.load"),
+        ({"backlash": 0.0}, {}, r"mechanics\.load .*mechanics\.backlash"),
+        ({"load": None}, {}, r"mechanics\.load"),
+        ({"load": {"inertia": 1e-4}}, {}, r"mechanics\.load"),
         ({"load": {"inertia": 1e-4, "friction": 0.0}}, {}, "floats in the gap"),
         ({"encoder": "load"}, {}, "encoder: load"),
-        ({"load": {"inertia": 3e-4, "friction": 0.03}}, {}, "is part of mechanics.inertia, 0.0002, and so below it"),
+        ({"load": {"inertia": 3e-4, "friction": 0.03}}, {}, r"mechanics\.inertia, 0\.0002"),
         ({}, {"compensation": {"transmission": {}}}, "acceleration"),
-        ({}, {"compensation": {"transmission": {"acceleration": 0.0}}}, "must be above 0"),
-        (
-            {},
-            {"mode": "cst", "trajectory": {"kind": "none"}, "limits": {"torque": 0.3, "velocity": 30.0}},
-            "needs a set-point",
-        ),
+        ({}, {"compensation": {"transmission": {"acceleration": 0.0}}}, "above 0"),
+        ({}, TORQUE_MODE, "set-point"),
     ],
 )
 def test_crossing_is_refused_where_it_makes_no_sense(mechanics, axis, reason):
-    with pytest.raises(ConfigurationError) as error:
+    with pytest.raises(ConfigurationError, match=reason):
         crossing(mechanics, **axis)
-    assert reason in str(error.value)

@@ -4,32 +4,22 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import friction_hil as fh
-from friction_hil.compensator import Compensator, CompensatorSettings
-from tests.compensators import LUGRE, columns, compensator, row
+from tests.compensators import LUGRE, columns, compensator, resolution, row
 from tests.two_masses import PERIOD_S, Side, TwoMasses, follow, sine
 
 LOADED = fh.models.create("coulomb", coulomb=0.03, modifiers={"load": {"motoring": 0.3, "driven": 0.3}})
 number = st.floats(-100.0, 100.0)
 
 
-def one(model=LOADED, **changes):
-    given = {
-        "period_s": PERIOD_S,
-        "position_resolution": 2.0 * math.pi / 2**20,
-        "torque_limit": 1.0,
-        "lead_s": 1.8e-3,
-        "inertia": 5e-4,
-        "gain": 1.0,
-        "fade_s": 0.1,
-    }
-    return Compensator(model, CompensatorSettings(**given | changes))
+def one(**changes):
+    given = {"position_resolution": resolution(20), "torque_limit": 1.0, "lead_s": 1.8e-3, "inertia": 5e-4}
+    return compensator(LOADED, **given | {"fade_s": 0.1} | changes)
 
 
-@settings(deadline=None)
 @given(number, number, number, st.tuples(*[st.floats(-2.0, 2.0)] * 3), st.one_of(st.none(), st.floats(0.0, 5e-4)))
 def test_the_load_is_weight_and_inertia_of_the_demand_when_the_torque_acts(q, v, a, gravity, inertia):
     unit = one(gravity=gravity, load_inertia=inertia)
@@ -40,7 +30,6 @@ def test_the_load_is_weight_and_inertia_of_the_demand_when_the_torque_acts(q, v,
     assert unit.load_estimate == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(number, number, number), min_size=2, max_size=20))
 def test_nothing_measured_enters_the_load_of_a_known_demand(measured):
     t = np.arange(len(measured)) * PERIOD_S

@@ -1,7 +1,6 @@
 """Offset of the motor across gap and twist: its bounds, and what it does to the load of two masses."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,32 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import friction_hil as fh
-from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.errors import UsageError
-from tests.compensators import columns
+from tests.compensators import columns, compensator, resolution
 from tests.two_masses import PERIOD_S, Side, TwoMasses, follow, sine
 
 GAP = 2e-3
 COULOMB = fh.models.create("coulomb", coulomb=0.04)
 
 
-def one(gap=GAP, **changes):
-    given = {
-        "period_s": PERIOD_S,
-        "position_resolution": 2.0 * math.pi / 2**20,
-        "torque_limit": 1.0,
-        "lead_s": 1.8e-3,
-        "setpoint_delay_s": 1e-3,
-        "inertia": 2e-4,
-        "fade_s": 0.1,
-        "load_inertia": 1e-4,
-        "load_friction": 0.02,
-        "backlash": gap,
-        "offset_limit": max(0.5 * gap, 1e-9),
-        "offset_acceleration": 300.0,
-        "velocity_limit": 30.0,
-    }
-    return Compensator(COULOMB, CompensatorSettings(**given | changes))
+def one(gap=GAP, model=COULOMB, **changes):
+    given = {"position_resolution": resolution(20), "torque_limit": 1.0, "lead_s": 1.8e-3, "setpoint_delay_s": 1e-3}
+    given |= {"gain": 0.9, "fade_s": 0.1, "load_inertia": 1e-4, "load_friction": 0.02, "backlash": gap}
+    given |= {"offset_limit": max(0.5 * gap, 1e-9), "offset_acceleration": 300.0, "velocity_limit": 30.0}
+    return compensator(model, **given | changes)
 
 
 def offsets(unit, velocity, acceleration=0.0, position=0.0, **given):
@@ -54,26 +40,22 @@ def load_errors(axis, unit, motion):
 @pytest.mark.parametrize("friction", [0.005, 0.02, 0.04])
 @pytest.mark.parametrize("motion", [(0.02, 1.0), (0.2, 2.0)])
 def test_the_error_of_the_load_falls_by_more_than_four(friction, motion):
-    def axis():
-        return TwoMasses(Side(1e-4, 0.04 - friction), Side(1e-4, friction), gap=GAP)
-
-    without = load_errors(axis(), one(0.0), sine(*motion))
-    crossed = load_errors(axis(), one(load_friction=friction), sine(*motion))
+    axes = [TwoMasses(Side(1e-4, 0.04 - friction), Side(1e-4, friction), gap=GAP) for _ in range(2)]
+    without = load_errors(axes[0], one(0.0), sine(*motion))
+    crossed = load_errors(axes[1], one(load_friction=friction), sine(*motion))
     assert crossed[0] < 0.25 * without[0]
     assert crossed[1] < 0.5 * without[1]
 
 
 @pytest.mark.parametrize("weight", [0.01, 0.03, 0.06])
 def test_a_weight_decides_whether_the_contact_changes_at_all(weight):
-    def axis():
-        return TwoMasses(Side(1e-4, 0.02), Side(1e-4, 0.02), gap=GAP, weight=lambda position: weight)
-
+    sides = ({"motor": Side(1e-4, 0.02), "load": Side(1e-4, 0.02)} for _ in range(2))
+    axes = [TwoMasses(**each, gap=GAP, weight=lambda position: weight) for each in sides]
     gravity = {"gravity": (weight, 0.0, 0.0)}
-    without = load_errors(axis(), one(0.0, **gravity), sine(0.2, 1.0))
-    crossed = load_errors(axis(), one(**gravity), sine(0.2, 1.0))
+    without = load_errors(axes[0], one(0.0, **gravity), sine(0.2, 1.0))
+    crossed = load_errors(axes[1], one(**gravity), sine(0.2, 1.0))
     assert crossed[0] < 0.4 * without[0]
-    speed = 0.3 * np.sin(np.arange(1500) * 6.0 * PERIOD_S)
-    changes = np.ptp(offsets(one(**gravity), speed)[600:])
+    changes = np.ptp(offsets(one(**gravity), 0.3 * np.sin(np.arange(1500) * 6.0 * PERIOD_S))[600:])
     assert changes == pytest.approx(GAP if weight < 0.02 else 0.0, abs=1e-9)
 
 
@@ -117,21 +99,14 @@ def test_the_offset_keeps_its_bounds_whatever_is_demanded(moves, gap, accelerati
         before = (offset, rate)
 
 
-def test_it_fades_with_the_compensation_and_is_nothing_where_that_is_off():
-    speed = np.full(1000, 0.1)
+def test_it_fades_with_the_compensation_and_is_nothing_where_that_is_off_or_without_a_demand():
+    speed, is_early = np.full(1000, 0.1), np.arange(1000) < 500
     assert not offsets(one(), speed, is_enabled=0.0).any()
-    enabled = (np.arange(1000) < 500).astype(float)
-    found = offsets(one(fade_s=0.2), speed, is_enabled=enabled)
-    assert found[499] == pytest.approx(0.5 * GAP, rel=1e-6)
+    found = offsets(one(fade_s=0.2), speed, is_enabled=is_early.astype(float))
     assert found[600] == pytest.approx(0.25 * GAP, rel=0.05)
-    assert found[-1] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_without_a_demand_the_offset_goes_back_to_zero():
-    speed = np.r_[np.full(300, 0.1), np.full(300, math.nan)]
-    found = offsets(one(), speed)
-    assert found[299] == pytest.approx(0.5 * GAP, rel=1e-6)
-    assert found[-1] == pytest.approx(0.0, abs=1e-9)
+    for each in (found, offsets(one(), np.where(is_early, speed, math.nan))):
+        assert each[499] == pytest.approx(0.5 * GAP, rel=1e-6)
+        assert each[-1] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -162,11 +137,8 @@ def test_the_twist_by_friction_at_the_load_is_taken_up(friction, motion, gap):
 
     def errors(**changes):
         axis = TwoMasses(Side(1e-4, friction[0]), Side(1e-4, friction[1]), 50.0, 5e-3, gap, velocity_gain=0.2)
-        model = fh.models.create("coulomb", coulomb=0.08)
-        settings = one(gap, load_friction=friction[1], offset_limit=0.01).settings
-        run = follow(axis, Compensator(model, replace(settings, **changes)), sine(*motion), 1.5)
-        error = (run["demand"] - run["load"])[400:]
-        return math.sqrt(np.mean(error**2)), np.abs(error).max()
+        changes |= {"load_friction": friction[1], "offset_limit": 0.01}
+        return load_errors(axis, one(gap, fh.models.create("coulomb", coulomb=0.08), **changes), sine(*motion))
 
     without, taken_up = errors(offset_acceleration=0.0), errors(stiffness=50.0)
     assert taken_up[0] < 0.25 * without[0]
@@ -176,8 +148,8 @@ def test_the_twist_by_friction_at_the_load_is_taken_up(friction, motion, gap):
 def test_weight_and_inertia_twist_the_transmission_too():
     t = np.arange(2000) * PERIOD_S
     position, speed, acceleration = 0.3 * np.sin(2.0 * t), 0.6 * np.cos(2.0 * t), -1.2 * np.sin(2.0 * t)
-    unit = one(0.0, stiffness=10.0, gravity=(0.05, 0.02, 0.01), load_friction=0.0, load_inertia=0.02, offset_limit=1.0)
-    unit = Compensator(COULOMB, replace(unit.settings, gain=1.0))
+    changes = {"load_friction": 0.0, "load_inertia": 0.02, "offset_limit": 1.0, "gain": 1.0}
+    unit = one(0.0, stiffness=10.0, gravity=(0.05, 0.02, 0.01), **changes)
     found = offsets(unit, speed, acceleration, position)
     carried = 0.05 + 0.02 * np.sin(position) + 0.01 * np.cos(position) + 0.02 * acceleration
     np.testing.assert_allclose(found[500:], carried[500:] / 10.0, atol=2e-5)
@@ -190,7 +162,7 @@ def through_a_reversal(friction, stiffness):
     given = {"velocity_demand": velocity, "velocity_demand_ahead": velocity}
     travel = PERIOD_S * np.cumsum(velocity)
     settings = {"stiffness": stiffness, "lead_s": 0.0, "gain": 1.0, "source": "demand", "offset_acceleration": 0.0}
-    unit = Compensator(friction, replace(one(gap=0.0).settings, **settings))
+    unit = one(0.0, friction, **settings)
     torque = unit.replay_all(columns(t.size, position=travel, **given))["compensation"]
     return travel[500] - travel[500:750], torque[500:750]
 

@@ -25,15 +25,9 @@ CSP = 8
 
 def friction(level, stiffness=2000.0):
     """LuGre with a falling part."""
-    return {
-        "sigma0": stiffness * level,
-        "sigma1": 0.3 * math.sqrt(stiffness * level * J),
-        "sigma2": 0.02 * level,
-        "coulomb": level,
-        "static": 1.3 * level,
-        "stribeck_velocity": 0.1,
-        "damping_velocity": 0.1,
-    }
+    levels = {"coulomb": level, "static": 1.3 * level, "stribeck_velocity": 0.1, "damping_velocity": 0.1}
+    bristles = {"sigma0": stiffness * level, "sigma1": 0.3 * math.sqrt(stiffness * level * J), "sigma2": 0.02 * level}
+    return levels | bristles
 
 
 @dataclass(frozen=True)
