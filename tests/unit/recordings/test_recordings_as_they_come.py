@@ -35,8 +35,8 @@ def rows(*columns: np.ndarray, between: str = ",", end: str = "\n", write: objec
 
 def scope() -> str:
     """As TwinCAT Scope: a header of keys, decimal commas, a slower channel that ends early."""
-    names = ("Axis.ActPos", "Axis.Torque")
-    keys = (("Name", names), ("SampleTime[ms]", ("5", "10")), ("Offset", ("0", "0")), ("Unit", ("° (Angle)", "(None)")))
+    keys = [("Name", ("Axis.ActPos", "Axis.Torque")), ("SampleTime[ms]", ("5", "10"))]
+    keys += [("Offset", ("0", "0")), ("Unit", ("° (Angle)", "(None)"))]
     head = "Name\tproject\nFile\tx.csv\n\n" + "".join("\t".join(f"{k}\t{v}" for v in vs) + "\n" for k, vs in keys)
     slow = [(comma(1e3 * t), comma(q)) for t, q in zip(TIME[::2], TORQUE[::2], strict=True)] + [("", "")] * 200
     lines = [[comma(1e3 * t), comma(q), *own] for t, q, own in zip(TIME, DEGREES, slow, strict=True)]
@@ -140,20 +140,20 @@ def test_what_is_done_is_said_and_text_is_an_error_where_it_is_wanted(tmp_path: 
     text, columns = TABLES["dates and text"]
     path = tmp_path / "x.csv"
     path.write_text(text)
-    problems = fh.recordings.read(path, columns=columns).problems
-    for part in ("text are left out: mode ('RUN')", "timestamp holds dates", "position is in deg in the file"):
-        assert any(part in problem for problem in problems), problems
-    with pytest.raises(UsageError, match=r"column 'mode' holds text \('RUN'\), no numbers"):
+    with pytest.raises(RecordingError, match=r"--column time_s=timestamp --column 'position=pos \[deg\]' --column"):
+        fh.recordings.read(path)
+    problems = "\n".join(fh.recordings.read(path, columns=columns).problems)
+    for part in ("left out: mode ('RUN')", "timestamp holds dates", "position is in deg"):
+        assert part in problems
+    with pytest.raises(UsageError, match=r"'mode' .* \('RUN'\)"):
         fh.recordings.read(path, columns=columns | {"torque": "mode"})
     path.write_text(text.replace(",RUN,0.", ",RUN,fast", 1))
-    with pytest.raises(RecordingError, match=r"x\.csv:\d+: pos \[deg\]: 'fast\d+' is not a number"):
+    with pytest.raises(RecordingError, match=r"x\.csv:\d+: pos \[deg\]: 'fast\d+'"):
         fh.recordings.read(path, columns=columns)
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_the_preview_names_a_command_that_reads_the_file(
-    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_preview_names_a_command_that_reads_the_file(tmp_path, name, capsys):
     (tmp_path / "x.csv").write_text(TABLES[name][0], newline="")
     assert main(["convert", str(tmp_path / "x.csv"), "--info", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)["axes"]["x"]
@@ -161,12 +161,6 @@ def test_the_preview_names_a_command_that_reads_the_file(
     if name not in ("a name missing", "a name twice", "durations of a controller", "trace of a controller"):
         assert facts["rate_hz"] == pytest.approx(200.0, rel=1e-3)
         fh.recordings.read(tmp_path / "x.csv", columns=facts["suggestion"]["columns"]).require("position", "torque")
-
-
-def test_a_table_that_is_not_mapped_names_the_options_in_one_step(tmp_path: Path) -> None:
-    (tmp_path / "x.csv").write_text(TABLES["dates and text"][0])
-    with pytest.raises(RecordingError, match=r"try --column time_s=timestamp --column 'position=pos \[deg\]' --column"):
-        fh.recordings.read(tmp_path / "x.csv")
 
 
 @pytest.mark.parametrize(
@@ -196,38 +190,34 @@ def test_dates_keep_their_microseconds(start_ms: int, steps_us: list[int]) -> No
     at = np.datetime64("2024-02-28T00:00:00", "us") + np.timedelta64(1000 * start_ms, "us")
     stamps = at + np.cumsum([0, *steps_us]).astype("timedelta64[us]")
     found = seconds([str(stamp) for stamp in stamps])
-    assert found is not None
     np.testing.assert_allclose(found, np.cumsum([0, *steps_us]) * 1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("time", "position", "velocity", "said"),
+    ("factors", "said"),
     [
-        (1.0, 1.0, 1.0, ""),
-        (1.0, 180.0 / np.pi, 1.0, "position is in degrees"),
-        (1.0, 1.0, 30.0 / np.pi, "revolutions per minute"),
-        (1000.0, 1.0, 1.0, "time is in milliseconds"),
-        (1.0, 1.0, 1000.0, "velocity is in thousandths"),
-        (1.0, 1.0, -1.0, "the other sign"),
-        (1.0, 3.0, 1.0, "times velocity"),
+        ({}, ""),
+        ({"position": 180.0 / np.pi}, "position is in degrees"),
+        ({"velocity": 30.0 / np.pi}, "revolutions per minute"),
+        ({"time_s": 1000.0}, "time is in milliseconds"),
+        ({"velocity": 1000.0}, "velocity is in thousandths"),
+        ({"velocity": -1.0}, "the other sign"),
+        ({"position": 3.0}, "times velocity"),
+        ({"torque": -1.0}, "--column torque=torque*-1"),
     ],
 )
-def test_a_velocity_that_is_not_the_change_of_position_is_reported_by_replay_too(
-    tmp_path: Path, time: float, position: float, velocity: float, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    columns = {
-        "time_s": time * TIME,
-        "position": position * POSITION,
-        "velocity": velocity * (VELOCITY + 0.05 * np.random.default_rng(1).normal(size=400)),
-        "torque": TORQUE,
-    }
-    found = contradictions(Recording("x", "x", columns))
-    assert len(found) == bool(said)
-    assert said in "".join(found)
-    fh.recordings.write(tmp_path / "x.csv", Recording("x", "x", columns))
+def test_columns_that_contradict_each_other_are_reported_by_replay_too(tmp_path, capsys, factors, said) -> None:
+    velocity = VELOCITY + 0.05 * np.random.default_rng(1).normal(size=400)
+    columns = {"time_s": TIME, "position": POSITION, "velocity": velocity, "torque": TORQUE}
+    recording = Recording("x", "x", {name: factors.get(name, 1.0) * values for name, values in columns.items()})
+    if "torque" not in factors:
+        found = contradictions(recording)
+        assert len(found) == bool(said)
+        assert said in "".join(found)
+    fh.recordings.write(tmp_path / "x.csv", recording)
     main(["replay", str(tmp_path / "x.csv"), "--model", "coulomb:coulomb=0.3", "--json"])
     problems = json.loads(capsys.readouterr().out)["recordings"][0]["problems"]
-    assert any("velocity" in each and said in each for each in problems if said) == bool(said)
+    assert any(said in each for each in problems if said) == bool(said)
 
 
 @pytest.mark.parametrize("step", [1.0, 2.69, 0.1])
@@ -252,9 +242,7 @@ def test_a_register_that_was_scaled_without_its_sign_is_found_and_read_back(tmp_
     has_velocity=st.booleans(),
     seed=st.integers(0, 99),
 )
-def test_a_torque_with_the_sign_turned_is_found_and_no_other(
-    friction: float, inertia: float, pull: float, noise: float, has_velocity: bool, seed: int
-) -> None:
+def test_a_torque_with_the_sign_turned_is_found_and_no_other(friction, inertia, pull, noise, has_velocity, seed):
     """Whatever pulls to one side, accelerates the axis, or disturbs the torque."""
     time_s = 0.01 * np.arange(1000)
     velocity = np.sin(2.0 * time_s) + 0.3 * np.sin(5.0 * time_s)
@@ -271,14 +259,6 @@ def test_a_torque_with_the_sign_turned_is_found_and_no_other(
     assert turned_torque(Recording("x", "x", columns)) == ""
 
 
-def test_replay_names_a_torque_with_the_sign_turned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    columns = {"time_s": TIME, "position": POSITION, "velocity": VELOCITY, "torque": -0.3 * np.sign(VELOCITY)}
-    fh.recordings.write(tmp_path / "x.csv", Recording("x", "x", columns))
-    main(["replay", str(tmp_path / "x.csv"), "--model", "coulomb:coulomb=0.3", "--json"])
-    problems = json.loads(capsys.readouterr().out)["recordings"][0]["problems"]
-    assert any("its sign is turned; give --column torque=torque*-1" in each for each in problems)
-
-
 def test_another_quantity_is_refused_in_place_of_the_position(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("time_s,velocity,torque\n" + rows(TIME, VELOCITY, TORQUE))
     with pytest.raises(UsageError, match=r"velocity is in rad/s, position in rad; .* integrated from the velocity"):
@@ -286,9 +266,7 @@ def test_another_quantity_is_refused_in_place_of_the_position(tmp_path: Path) ->
 
 
 @given(st.integers(10, 24), st.integers(4, 10), st.floats(-1.0, 1.0), st.booleans())
-def test_the_steps_of_an_encoder_are_found_behind_rounding(
-    bits: int, digits: int, start: float, in_degrees: bool
-) -> None:
+def test_the_steps_of_an_encoder_are_found_behind_rounding(bits, digits, start, in_degrees):
     """As long as a step is clearly more than the last digit; a finer encoder is as coarse as that digit."""
     step = (360.0 if in_degrees else 2.0 * np.pi) / 2.0**bits
     assume(step >= 5.0 * 10.0**-digits or step <= 0.2 * 10.0**-digits)
@@ -306,12 +284,8 @@ def test_numbers_of_no_encoder_have_no_steps(seed: int) -> None:
     assert resolution(np.cumsum(random.normal(size=2000))) is None
 
 
-def test_an_axis_that_stands_still_contradicts_nothing() -> None:
-    random = np.random.default_rng(2)
-    for size in (1.0, 1e-6):
-        columns = {
-            "time_s": TIME,
-            "position": size * random.normal(size=400),
-            "velocity": size * random.normal(size=400),
-        }
-        assert contradictions(Recording("x", "x", columns)) == []
+@pytest.mark.parametrize("size", [1.0, 1e-6])
+def test_an_axis_that_stands_still_contradicts_nothing(size: float) -> None:
+    position, velocity = size * np.random.default_rng(2).normal(size=(2, 400))
+    columns = {"time_s": TIME, "position": position, "velocity": velocity}
+    assert contradictions(Recording("x", "x", columns)) == []

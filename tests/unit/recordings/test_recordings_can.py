@@ -3,7 +3,6 @@
 import json
 import struct
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import can
@@ -88,10 +87,8 @@ def session(mode: Mode, *, start: int = 2**31 - 700) -> tuple[list[can.Message],
         at = 1.0 + cycle * PERIOD
         counts = (start + cycle * 37 + 2**31) % 2**32 - 2**31  # through the end of the counter
         feedback, command = Feedback(), Command(Request.ENABLE, 0.1 * cycle, -0.2 * cycle, 0.003 * cycle)
-        data = [
-            axis.drive.tpdos[0].layout.pack(0x27, counts, 5 * cycle - 100),
-            axis.drive.tpdos[1].layout.pack(-11 * cycle, mode),
-        ]
+        first, second = (pdo.layout for pdo in axis.drive.tpdos)
+        data = [first.pack(0x27, counts, 5 * cycle - 100), second.pack(-11 * cycle, mode)]
         axis.begin_cycle(0)
         for pdo, content in zip(axis.drive.tpdos, data, strict=True):
             axis.handlers[pdo.cob_id](content)
@@ -150,26 +147,18 @@ def test_a_log_cut_anywhere_is_reported(suffix: str, tmp_path: Path) -> None:
         assert "cut off" in sentence or "no frame of an axis" in sentence or data[cut - 1 : cut] == b"\n", cut
 
 
-def lines(path: Path) -> Iterator[str]:
-    yield from path.read_text().splitlines(keepends=True)
-
-
 def test_lines_that_are_no_frames_cost_only_themselves(tmp_path: Path) -> None:
+    """In a time proportional to their number: with its square, very many would take minutes."""
     configuration = load(machine(tmp_path, Mode.CSP))
     path = write(tmp_path / "x.log", session(Mode.CSP)[0])
-    content = list(lines(path))
+    text = path.read_text()
+    content = text.splitlines(keepends=True)
     content[20:20] = ["# a remark\n", "(1.0) can0 zzz#00\n"]
     path.write_text("".join(content))
     read = fh.recordings.read(path, configuration=configuration)
-    assert len(read) == CYCLES
-    assert read.problems == ["2 lines are no frames (line 21, 22): left out"]
-
-
-def test_very_many_lines_that_are_no_frames(tmp_path: Path) -> None:
-    """In a time proportional to their number: with its square, this would take minutes."""
-    path = write(tmp_path / "x.log", session(Mode.CSP)[0])
-    path.write_text("(1.0) can0 zzz#00\n" * 20_000 + path.read_text())
-    read = fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP)))
+    assert (len(read), read.problems) == (CYCLES, ["2 lines are no frames (line 21, 22): left out"])
+    path.write_text("(1.0) can0 zzz#00\n" * 20_000 + text)
+    read = fh.recordings.read(path, configuration=configuration)
     assert read.problems == ["20000 lines are no frames (line 1, 2, 3, 4, 5, ...): left out"]
 
 
@@ -180,7 +169,7 @@ def test_a_blf_that_expands_without_end_is_refused(tmp_path: Path, monkeypatch: 
     packed = zlib.compress(bytes(10**6))
     container = struct.pack("<4sHHIIH6xI4x", b"LOBJ", 16, 1, 32 + len(packed), 10, 2, 10**6) + packed
     path.write_bytes(path.read_bytes() + container)
-    with pytest.raises(RecordingError, match=r"compressed parts hold more than .* split it into shorter logs"):
+    with pytest.raises(RecordingError, match=r"hold more than .* split it"):
         fh.recordings.read(path, configuration=configuration)
     path.write_bytes(path.read_bytes().replace(container, container[:8] + bytes(4) + container[12:]))
     with pytest.raises(RecordingError, match=r"the object at byte \d+ claims 0 bytes"):
@@ -194,10 +183,8 @@ def test_lost_frames_are_holes(tmp_path: Path) -> None:
     lost = {at[5] + 1, at[9] + 2, at[12] + 3, at[20] + 1}  # TPDO 1, TPDO 2, RPDO, TPDO 1
     short = frames[at[30] + 1]
     short.data, short.dlc = short.data[:6], 6
-    read = fh.recordings.read(
-        write(tmp_path / "x.log", [frame for i, frame in enumerate(frames) if i not in lost]),
-        configuration=configuration,
-    )
+    path = write(tmp_path / "x.log", [frame for i, frame in enumerate(frames) if i not in lost])
+    read = fh.recordings.read(path, configuration=configuration)
     assert np.setdiff1d(np.arange(CYCLES), read["cycle"]).tolist() == [5, 20, 30]
     assert np.flatnonzero(np.isnan(read.columns["velocity"])).tolist() == [8]
     assert "1 of 58 frames of TPDO 1 have fewer bytes than its objects, 8: left out" in read.problems[0]
@@ -217,9 +204,9 @@ def test_without_sync_a_cycle_begins_with_its_first_frame(tmp_path: Path) -> Non
 def test_scales_come_from_the_configuration_first(tmp_path: Path) -> None:
     frames = [frame for frame in session(Mode.CSP)[0] if frame.arbitration_id != 0x581]
     path = write(tmp_path / "x.log", frames)
-    with pytest.raises(RecordingError, match=r"node 1 in .*x\.log does not report its encoder .* give counts_per_unit"):
+    with pytest.raises(RecordingError, match=r"node 1 in .*x\.log .* counts_per_unit"):
         fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP)))
-    with pytest.raises(RecordingError, match=r"does not report its rated torque .* give rated_torque"):
+    with pytest.raises(RecordingError, match="rated_torque"):
         fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP, "counts_per_unit: 100.0")))
     keys = ("counts_per_unit: 100.0", "rated_torque: 2.0", "is_inverted: true")
     read = fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP, *keys)))
@@ -229,10 +216,10 @@ def test_scales_come_from_the_configuration_first(tmp_path: Path) -> None:
 
 def test_a_log_needs_a_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write(tmp_path / "x.log", session(Mode.CSP)[0])
-    with pytest.raises(UsageError, match=r"need the configuration of the machine: --config machine\.yaml"):
+    with pytest.raises(UsageError, match=r"--config machine\.yaml"):
         fh.recordings.read(path)
     config = machine(tmp_path, Mode.CSP, "node: 7")
-    with pytest.raises(RecordingError, match=r"Wanted: 187h \(x\); there are: 080h, 181h, 201h, 281h, 581h, 701h"):
+    with pytest.raises(RecordingError, match=r"187h \(x\); .* 080h, 181h, 201h, 281h, 581h, 701h"):
         fh.recordings.read(path, configuration=load(config))
     config = machine(tmp_path, Mode.CSP)
     assert main(["convert", str(path), str(tmp_path / "x.csv"), "--config", str(config)]) == 0
@@ -305,12 +292,8 @@ def moving(*pdos: tuple[int, tuple[Object, ...]], told: bool = False) -> list[ca
     return frames
 
 
-STATUS, ACTUAL, SPEED, TORQUE = (
-    objects.STATUSWORD,
-    objects.POSITION_ACTUAL,
-    objects.VELOCITY_ACTUAL,
-    objects.TORQUE_ACTUAL,
-)
+STATUS, ACTUAL = objects.STATUSWORD, objects.POSITION_ACTUAL
+SPEED, TORQUE = objects.VELOCITY_ACTUAL, objects.TORQUE_ACTUAL
 OF_OTHERS = {
     "profile": ((0x181, (STATUS,)), (0x381, (STATUS, ACTUAL)), (0x481, (STATUS, SPEED))),
     "position first": ((0x181, (ACTUAL, STATUS, TORQUE)), (0x281, (SPEED, objects.MODE_DISPLAY))),
@@ -340,9 +323,7 @@ def test_the_mapping_of_another_master_is_used_where_stated_and_never_guessed(tm
     np.testing.assert_allclose(read["position"], truth, atol=1.0 / UNITS.counts_per_unit)
     tpdos[0]["entries"] = [0x6041, 0x6064, 0x6061]  # seven bytes, which no frame has
     path.write_text(SIDECAR.format(tpdos=json.dumps(tpdos[:1])))
-    with pytest.raises(
-        RecordingError, match=r"181h carries \d bytes, and not the 7 of 6041h .* \(the mapping of sidecar in"
-    ):
+    with pytest.raises(RecordingError, match=r"181h carries \d bytes, .* 7 of 6041h .*sidecar"):
         fh.recordings.read(tmp_path / "x.log", configuration=load(path))
 
 
@@ -431,8 +412,5 @@ def test_the_mapping_of_an_eds_is_used_and_commands_of_another_length_are_left_o
     truth = 40_000.0 * np.sin(3.0 * np.arange(400) * 5e-3) / UNITS.counts_per_unit
     np.testing.assert_allclose(read["position"], truth, atol=1.0 / UNITS.counts_per_unit)
     assert "command" not in read.columns
-    for part in (
-        "by the mapping of the EDS",
-        "201h carries 8 bytes, and not the 2 of 6040h controlword: these commands",
-    ):
+    for part in ("by the mapping of the EDS", "201h carries 8 bytes, and not the 2 of 6040h"):
         assert any(part in problem for problem in read.problems), read.problems

@@ -135,13 +135,10 @@ def test_a_mapping_beside_the_file_has_products(log: Path) -> None:
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        (
-            "load:int16*volt",
-            "--column torque=load:int16*volt: no column 'volt'; did you mean 'volts'? There are: angle,",
-        ),
-        ("lod:int16", "no column 'lod'; did you mean 'load'?"),
+        ("load:int16*volt", "--column torque=load:int16*volt: no column 'volt'; did you mean 'volts'?"),
+        ("lod:int16", "did you mean 'load'?"),
         ("load:int12", "'int12' is no type of register; there are int8, int16, int32, uint8, uint16, uint32"),
-        ("load:int16*", "'load:int16*': a column or a number is missing beside a *"),
+        ("load:int16*", "'load:int16*': a column or a number is missing"),
         ("load*0*volts", "'load*0*volts': a factor is finite and not zero"),
         ("angle:int16", "angle is no register of 16 bits: it holds 0.1"),
         ("load:int8", "load is no register of 8 bits: it holds 65535"),
@@ -167,43 +164,27 @@ def test_info_shows_what_came_of_it(log: Path, capsys: pytest.CaptureFixture[str
 
 @pytest.mark.parametrize(
     "command",
-    [
-        ["identify", "servo.csv"],
-        ["train", "servo.csv"],
-        ["convert", "servo.csv", "out.csv"],
-        ["replay", "servo.csv", "--model", "coulomb:coulomb=1"],
-    ],
+    [["identify"], ["train"], ["convert", "out.csv"], ["replay", "--model", "coulomb:coulomb=1"]],
     ids=lambda words: words[0],
 )
-def test_every_command_refuses_a_condition_that_is_none(
-    command: list[str], log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_refuses_a_condition_that_is_none(command, log, monkeypatch, capsys):
     monkeypatch.chdir(log.parent)
-    words = [*command, "--column", "time_s=t", "--column", "position=angle"]
+    words = [command[0], "servo.csv", *command[1:], "--column", "time_s=t", "--column", "position=angle"]
     assert main([*words, "--column", "torque=volts", "--where", "is_onn"]) == 2
     assert "--where is_onn: did you mean 'is_on'? There are: " in " ".join(capsys.readouterr().err.split())
     assert main([*words, "--where", "is_on"]) == 2
     assert "no column torque to count" in " ".join(capsys.readouterr().err.split())
-
-
-def test_a_torque_that_counts_nowhere(log: Path) -> None:
     log.write_text("time_s,torque,is_on\n0,1,0\n1,2,0\n", encoding="utf-8")
-    with pytest.raises(RecordingError, match="is_on is zero in all rows: the torque counts nowhere"):
+    with pytest.raises(RecordingError, match="is_on is zero in all rows"):
         fh.recordings.read(log, where="is_on")
 
 
-def test_replay_counts_only_where_the_servo_pulls(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_counts_only_where_the_servo_pulls(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     time: np.ndarray = np.arange(3000) * 1e-3
     velocity = np.sin(2.0 * np.pi * time) + 0.01
     is_on = (time < 1.0) | (time > 2.0)
-    columns: dict[str, np.ndarray] = {
-        "velocity": velocity,
-        "position": np.cumsum(velocity) * 1e-3,
-        "is_on": is_on.astype(float),
-    }
+    columns = {"velocity": velocity, "position": np.cumsum(velocity) * 1e-3, "is_on": is_on.astype(float)}
     columns["pwm"] = np.mod(np.where(is_on, 100.0 * np.sign(velocity), 3000.0), 65536.0)
     fh.recordings.write(Path("x.csv"), Recording("x", "x", {"time_s": time, **columns}))
 

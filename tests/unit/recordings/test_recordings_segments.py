@@ -25,10 +25,8 @@ def test_replay_and_identification_see_the_same_motion(lowpass_hz: float | None,
     recording = swing()
     if not has_velocity:
         del recording.columns["velocity"]
-
     [seen_by_replay], _, problems = replay_segments(recording, lowpass_hz)
     [seen_by_identification] = prepare(recording, lowpass_hz=lowpass_hz)
-
     for name in ("time_s", "position", "velocity", "acceleration", "encoder"):
         np.testing.assert_array_equal(getattr(seen_by_replay, name), getattr(seen_by_identification, name))
     assert seen_by_replay.lowpass_hz == seen_by_identification.lowpass_hz
@@ -41,7 +39,6 @@ def test_a_recorded_velocity_is_used_as_it_is_unless_a_low_pass_is_asked_for() -
     assert signals.lowpass_hz is None
     assert signals.settling_rows == 0
     np.testing.assert_array_equal(signals.segment(signals.grid.segments[0]).velocity, swing()["velocity"])
-
     signals = even_signals(swing(), lowpass_hz=50.0)
     assert signals.problems == ()
     assert signals.settling_rows == 99
@@ -52,10 +49,8 @@ def test_a_recorded_velocity_is_used_as_it_is_unless_a_low_pass_is_asked_for() -
 def test_the_torque_is_moved_back_by_the_delay_that_the_driver_stated() -> None:
     recording = swing()
     recording.metadata["facts"] = [{"name": "y", "torque_delay_s": 0.5}, {"name": "x", "torque_delay_s": 3e-3}]
-
     as_recorded = even_signals(recording)
     moved = even_signals(recording, is_torque_delay_removed=True)
-
     np.testing.assert_array_equal(as_recorded.grid.columns["torque"], recording["torque"])
     np.testing.assert_allclose(moved.grid.columns["torque"][:-3], recording["torque"][3:], atol=1e-12)
     assert as_recorded.problems == ()

@@ -127,6 +127,8 @@ def test_what_numpy_writes_is_read_bit_for_bit(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "x.txt", np.column_stack([TIME, JOINTS]), header="time_s a b c")
     read = fh.recordings.read(tmp_path / "x.txt")
     np.testing.assert_array_equal(np.column_stack([read[name] for name in "abc"]), JOINTS)
+    (tmp_path / "x.txt").write_text("motor angle\n1\n2\n")  # the name of one column may have blanks
+    np.testing.assert_array_equal(fh.recordings.read(tmp_path / "x.txt", rate_hz=2.0)["motor angle"], [1.0, 2.0])
 
 
 @pytest.mark.parametrize(
@@ -143,11 +145,6 @@ def test_text_that_is_no_table_says_where(tmp_path: Path, text: str, message: st
     (tmp_path / "x.txt").write_text(text)
     with pytest.raises(RecordingError, match=message):
         fh.recordings.read(tmp_path / "x.txt", rate_hz=10.0)
-
-
-def test_one_column_may_have_a_name_with_blanks(tmp_path: Path) -> None:
-    (tmp_path / "x.txt").write_text("motor angle\n1\n2\n")
-    np.testing.assert_array_equal(fh.recordings.read(tmp_path / "x.txt", rate_hz=2.0)["motor angle"], [1.0, 2.0])
 
 
 def test_a_rate_takes_the_place_of_time_stamps(tmp_path: Path) -> None:
@@ -239,21 +236,15 @@ def test_a_gap_in_a_file_beside_is_not_bridged(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("source", "error", "message"),
     [
-        ("none.csv:u", UsageError, "there is no file none.csv beside the recording or in the current folder"),
+        ("none.csv:u", UsageError, "no file none.csv"),
         ("short.csv:v", UsageError, "short.csv: there is no column 'v'; there are: u"),
-        ("short.csv:u", RecordingError, "short.csv has 2 rows and .*x.csv has 3: without a column of time stamps t in"),
-        (
-            "late.csv:u",
-            RecordingError,
-            "late.csv: its times do not overlap with those of .*: t is 9 to 11 there, 0 to 2",
-        ),
+        ("short.csv:u", RecordingError, "short.csv has 2 rows and .*x.csv has 3: .* time stamps t"),
+        ("late.csv:u", RecordingError, "late.csv: .* t is 9 to 11 there, 0 to 2"),
         ("short.exe:u", UsageError, "there are: q, t"),
         ("broken.csv:u", RecordingError, "broken.csv:2: u: 'fast' is not a number"),
     ],
 )
-def test_mistakes_with_a_file_beside_are_one_sentence(
-    tmp_path: Path, source: str, error: type[Exception], message: str
-) -> None:
+def test_mistakes_with_a_file_beside_are_one_sentence(tmp_path, source, error, message):
     for name, text in {
         "x.csv": "t,q\n0,1\n1,1\n2,1\n",
         "short.csv": "u\n1\n2\n",
@@ -265,9 +256,7 @@ def test_mistakes_with_a_file_beside_are_one_sentence(
         fh.recordings.read(tmp_path / "x.csv", columns={"time_s": "t", "torque": source})
 
 
-def test_commands_take_a_rate_and_a_file_beside(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_take_a_rate_and_a_file_beside(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     time = np.arange(3000) * 2e-3
     velocity = np.cos(2.0 * np.pi * 0.9 * time) + 0.4 * np.cos(2.0 * np.pi * 2.3 * time + 1.0)
