@@ -7,7 +7,7 @@ import numpy as np
 
 import friction_hil as fh
 from friction_hil.compensator import ThermalObserver
-from tests.compensators import MODELS, compensator
+from tests.compensators import LUGRE, MODELS, compensator
 from tests.networks import alone, beside, random_network
 
 MODIFIERS = {
@@ -40,26 +40,15 @@ COMPENSATORS = {
     "tracking": compensator(MODELS["gms"], velocity="tracking", source="demand", max_acceleration=1e3, **_GIVEN),
     "kalman": compensator(
         modified("lugre"),
-        velocity="kalman",
-        gravity=(0.01, 0.02, 0.03),
-        thermal=ThermalObserver(50.0, 2.0, 20.0, 25.0, 1.0),
+        **{"velocity": "kalman", "gravity": (0.01, 0.02, 0.03), "thermal": ThermalObserver(50.0, 2.0, 20.0, 25.0, 1.0)},
         **_GIVEN,
     ),
     "drive": compensator(MODELS["stribeck"], velocity="drive", smoothing=0.3, dead_band=0.01, **_GIVEN),
-    "adapting": compensator(
-        MODELS["lugre"], adaptation_s=1.0, gain_negative=0.7, torque_slew=5.0, torque_limit=0.1, **_GIVEN
-    ),
+    "adapting": compensator(LUGRE, adaptation_s=1.0, gain_negative=0.7, torque_slew=5.0, torque_limit=0.1, **_GIVEN),
     "geared": compensator(
         modified("lugre"),
-        load_inertia=1e-4,
-        load_friction=0.03,
-        backlash=1e-3,
-        stiffness=200.0,
-        offset_acceleration=100.0,
-        offset_velocity=5.0,
-        offset_limit=0.01,
-        velocity_limit=20.0,
-        setpoint_delay_s=1.5e-3,
+        **{"load_inertia": 1e-4, "load_friction": 0.03, "backlash": 1e-3, "stiffness": 200.0, "velocity_limit": 20.0},
+        **{"offset_acceleration": 100.0, "offset_velocity": 5.0, "offset_limit": 0.01, "setpoint_delay_s": 1.5e-3},
         **_GIVEN,
     ),
 }

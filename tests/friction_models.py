@@ -149,9 +149,7 @@ def modifiers(draw: Any, name: str, values: dict[str, Any], *, allowed: tuple[st
 
 
 @st.composite
-def models(
-    draw: Any, names: tuple[str, ...] = NAMES, *, allowed: tuple[str, ...] = MODIFIERS, is_bounded: bool = False
-) -> fh.models.FrictionModel:
+def models(draw, names=NAMES, *, allowed=MODIFIERS, is_bounded=False):
     """A model, plain or with some of the ``allowed`` modifiers."""
     name = draw(st.sampled_from(names))
     values = draw(parameters(name, is_bounded=is_bounded))
@@ -240,14 +238,7 @@ def speeds(fastest: float = 1e3) -> st.SearchStrategy[float]:
 
 
 @st.composite
-def motions(
-    draw: Any,
-    model: fh.models.FrictionModel,
-    *,
-    fastest: float = 1e3,
-    periods: st.SearchStrategy[float] | None = None,
-    longest: int = 30,
-) -> Motion:
+def motions(draw, model, *, fastest=1000.0, periods=None, longest=30):
     """A motion with every input that the model's modifiers ask for, and an applied torque."""
     velocity = draw(arrays(float, st.integers(1, longest), elements=speeds(fastest)))
     same = velocity.shape

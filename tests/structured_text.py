@@ -20,6 +20,10 @@ _TOKEN = re.compile(
     re.DOTALL,
 )
 _NUMBERS = ("LREAL", "DINT")
+_LEVELS = (("OR",), ("AND",), ("=", "<>"), ("<", ">", "<=", ">="), ("+", "-"), ("*", "/", "MOD"))
+_SUMS = 4  # level from which on the result is a number
+_PYTHON = {"OR": "|", "AND": "&", "=": "==", "<>": "!="}
+_TAKEN = {"OR": ("BOOL",), "AND": ("BOOL",), "=": ("BOOL", *_NUMBERS), "<>": ("BOOL", *_NUMBERS), "MOD": ("DINT",)}
 _OF_ONE = {"SQRT": "sqrt", "LN": "log", "EXP": "exp", "SIN": "sin", "COS": "cos"}
 _WORDS = frozenset(
     (*("ABS", "AND", "ARRAY", "BOOL", "BY", "CASE", "CONSTANT", "CONTINUE", "COS", "DATE", "DINT", "DO", "DT", "ELSE"),
@@ -198,10 +202,10 @@ class Program:
         self._take(";")
         variables[name] = Declared(kind, section, initial)
 
-    def _constant(self, kind):
-        code, found = self._unary()
-        if found != kind:
-            self._refuse(f"{found} for {kind}")
+    def _constant(self, wanted):
+        code, kind = self._unary()
+        if kind != wanted:
+            self._refuse(f"{kind} for {wanted}")
         return code
 
     def _unit(self):
@@ -309,22 +313,27 @@ class Program:
         return f"{target.removesuffix(' = {}')}, {', '.join(outputs)} = {code}"
 
     def _target(self, name, kind):
-        code = self._place(name)
-        while self._is(".", "["):
-            if self._take() == ".":
-                part = self._name()
-                if part not in self._types.get(kind, {}):
-                    self._refuse(f"there is no {part}")
-                code, kind = f"{code}.{part}", self._types[kind][part]
-                continue
-            index = self._expected("DINT")
-            self._take("]")
-            if not isinstance(kind, tuple):
-                self._refuse("no array")
-            return kind[2], f"put({code}, {index}, {{}})"
+        code, kind, index = self._walk(self._place(name), kind)
+        if index:
+            return kind, f"put({code}, {index}, {{}})"
         if isinstance(kind, tuple) or kind in self._types:
             self._refuse("only single values are assigned")
         return kind, f"{code} = {{}}"
+
+    def _walk(self, code, kind):
+        """Follow fields up to an index, if there is one."""
+        while self._is(".", "["):
+            if self._take() == "[":
+                if not isinstance(kind, tuple):
+                    self._refuse("no array")
+                index = self._expected("DINT")
+                self._take("]")
+                return code, kind[2], index
+            part = self._name()
+            if isinstance(kind, tuple) or part not in self._types.get(kind, {}):
+                self._refuse(f"there is no {part}")
+            code, kind = f"{code}.{part}", self._types[kind][part]
+        return code, kind, ""
 
     def _variable(self, name):
         if name not in self._own.variables:
@@ -338,10 +347,7 @@ class Program:
 
     def _with_outputs(self, wanted):
         self._outputs = None
-        code, kind = self._expression()
-        if kind != wanted:
-            self._refuse(f"{kind} for {wanted}")
-        return code, self._outputs
+        return self._expected(wanted), self._outputs
 
     def _expected(self, wanted):
         code, kind = self._expression()
@@ -349,67 +355,33 @@ class Program:
             self._refuse(f"{kind} for {wanted}")
         return code
 
-    def _chain(self, signs, inner, join):
-        code, kind = inner()
-        while self._is(*signs):
+    def _expression(self, level=0):
+        """Operators of one level bind less than those of the next."""
+        if level == len(_LEVELS):
+            return self._unary()
+        code, kind = self._expression(level + 1)
+        while self._is(*_LEVELS[level]):
             sign = self._take().upper()
-            other, second = inner()
-            if kind != second:
+            other, second = self._expression(level + 1)
+            if kind != second or kind not in _TAKEN.get(sign, _NUMBERS):
                 self._refuse(f"{kind} {sign} {second}")
-            code, kind = join(sign, code, other, kind)
+            if kind == "DINT" and sign in ("/", "MOD"):
+                code = f"{'divided' if sign == '/' else 'remainder'}({code}, {other})"
+                continue
+            code = f"({code} {_PYTHON.get(sign, sign)} {other})"
+            kind = "BOOL" if level < _SUMS else kind
         return code, kind
 
-    def _expression(self):
-        return self._chain(("OR",), self._conjunction, self._logic)
-
-    def _conjunction(self):
-        return self._chain(("AND",), self._equality, self._logic)
-
-    def _logic(self, sign, a, b, kind):
-        if kind != "BOOL":
-            self._refuse(f"{sign} of {kind}")
-        return f"({a} {'&' if sign == 'AND' else '|'} {b})", "BOOL"
-
-    def _equality(self):
-        return self._chain(("=", "<>"), self._comparison, self._compared)
-
-    def _comparison(self):
-        return self._chain(("<", ">", "<=", ">="), self._sum, self._compared)
-
-    def _compared(self, sign, a, b, kind):
-        if kind == "BOOL" and sign not in ("=", "<>"):
-            self._refuse(f"{sign} of {kind}")
-        return f"({a} { {'=': '==', '<>': '!='}.get(sign, sign) } {b})", "BOOL"
-
-    def _sum(self):
-        return self._chain(("+", "-"), self._product, self._computed)
-
-    def _product(self):
-        return self._chain(("*", "/", "MOD"), self._unary, self._computed)
-
-    def _computed(self, sign, a, b, kind):
-        if kind not in _NUMBERS or (sign == "MOD" and kind != "DINT"):
-            self._refuse(f"{sign} of {kind}")
-        if kind == "DINT" and sign in ("/", "MOD"):
-            return f"{'divided' if sign == '/' else 'remainder'}({a}, {b})", kind
-        return f"({a} {sign} {b})", kind
-
     def _unary(self):
-        if self._is("-"):
-            self._take()
-            code, kind = self._primary()
-            if kind not in _NUMBERS:
-                self._refuse(f"- of {kind}")
-            return f"(-{code})", kind
-        if self._is("NOT"):
-            self._take()
-            if self._is("("):
-                self._refuse("NOT before an expression")
-            code, kind = self._primary()
-            if kind != "BOOL":
-                self._refuse(f"NOT of {kind}")
-            return f"(not {code})", kind
-        return self._primary()
+        if not self._is("-", "NOT"):
+            return self._primary()
+        sign = self._take().upper()
+        if sign == "NOT" and self._is("("):
+            self._refuse("NOT before an expression")
+        code, kind = self._primary()
+        if kind not in (("BOOL",) if sign == "NOT" else _NUMBERS):
+            self._refuse(f"{sign} of {kind}")
+        return (f"(not {code})" if sign == "NOT" else f"(-{code})"), kind
 
     def _primary(self):
         kind, text, _ = self._tokens[self._at]
@@ -428,18 +400,8 @@ class Program:
         if self._tokens[self._at + 1][1] == "(":
             return self._call()
         name = self._name()
-        code, kind = self._place(name), self._variable(name).type
-        while self._is(".", "["):
-            if self._take() == ".":
-                part = self._name()
-                if part not in self._types.get(kind, {}):
-                    self._refuse(f"there is no {part}")
-                code, kind = f"{code}.{part}", self._types[kind][part]
-            else:
-                index = self._expected("DINT")
-                self._take("]")
-                code, kind = f"element({code}, {index})", kind[2]
-        return code, kind
+        code, kind, index = self._walk(self._place(name), self._variable(name).type)
+        return (f"element({code}, {index})" if index else code), kind
 
     def _call(self):
         text = self._take()
@@ -480,10 +442,8 @@ class Program:
             if section == "VAR_OUTPUT":
                 self._take("=>")
                 variable = self._name()
-                if self._variable(variable).type != kind or self._variable(variable).section not in (
-                    "VAR",
-                    "VAR_OUTPUT",
-                ):
+                own = self._variable(variable)
+                if own.type != kind or own.section not in ("VAR", "VAR_OUTPUT"):
                     self._refuse("the result does not fit")
                 outputs[parameter] = self._place(variable)
             elif section in ("VAR_INPUT", "VAR_IN_OUT"):

@@ -20,13 +20,8 @@ LINE = {"c": " *", "st": "   ", "csv": "#", "ax8000": "#"}
 @pytest.fixture
 def hostile(tmp_path):
     """A model file with an origin that does harm to those who copy it as it is."""
-    fit = {
-        "software": HOSTILE[0],
-        "recordings": [{"path": each} for each in HOSTILE],
-        "flags": HOSTILE,
-        "standard_errors": {"coulomb": 0.01, "viscous": float("nan")},
-        "range": {"velocity": [-1.0, 2.0]},
-    }
+    fit = {"software": HOSTILE[0], "recordings": [{"path": each} for each in HOSTILE], "flags": HOSTILE}
+    fit |= {"standard_errors": {"coulomb": 0.01, "viscous": float("nan")}, "range": {"velocity": [-1.0, 2.0]}}
     friction = {"model": "coulomb", "parameters": {"coulomb": 0.1, "viscous": 0.01}}
     path = tmp_path / "axis.yaml"
     path.write_text(yaml.safe_dump({"version": 1, "axis": "rotary", "friction": friction, "fit": fit}))

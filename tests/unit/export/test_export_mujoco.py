@@ -34,14 +34,14 @@ def steady_torque(model, speeds):
     return np.array(torque)
 
 
-@pytest.mark.parametrize("to", ["mjcf", "urdf"])
+NAMES = {"mjcf": ("frictionloss", "damping"), "urdf": ("friction", "damping")}
+
+
+@pytest.mark.parametrize("to", NAMES)
 def test_the_joint_has_the_fitted_coulomb_level_and_damping(to):
     converted = fh.export.convert("stribeck:coulomb=0.07,static=0.1,stribeck_velocity=0.05,viscous=0.01", to, speed=2.0)
     (text,) = converted.files.values()
-    coulomb, damping = (
-        converted.parameters[each]
-        for each in {"mjcf": ("frictionloss", "damping"), "urdf": ("friction", "damping")}[to]
-    )
+    coulomb, damping = (converted.parameters[each] for each in NAMES[to])
     expected = coulomb * np.sign(SPEEDS) + damping * SPEEDS
     np.testing.assert_allclose(steady_torque(model_of(text), SPEEDS), expected, rtol=1e-3)
 
@@ -115,7 +115,7 @@ AXIS = {"sigma0": 2000.0, "sigma1": 1.0, "sigma2": 0.002, "static": 0.12, "strib
 def test_a_joint_under_a_constant_torque_creeps_as_it_is_said_to(to, softness, axis, inertia):
     converted = fh.export.convert(axis_file(inertia, axis=axis, **AXIS), to, name="x", speed=3.0)
     (text,) = converted.files.values()
-    level = converted.parameters[{"mjcf": "frictionloss", "urdf": "friction"}[to]]
+    level = converted.parameters[NAMES[to][0]]
     most = softness.creep(level, inertia)
     unit = {"rotary": "rad/s", "linear": "m/s"}[axis]
     assert f"up to {most:.2g} {unit}" in text
@@ -143,22 +143,21 @@ def test_the_stated_loss_is_what_mujoco_shows_in_steady_motion(to, axis, inertia
     np.testing.assert_allclose(difference, converted.loss.difference, rtol=0, atol=1e-5 * 0.08)
 
 
-@pytest.mark.parametrize(
-    "own",
-    [
-        axis_file(2e-4, **AXIS),
-        axis_file(2e-4, **AXIS | {"damping_velocity": 0.2}),
-        axis_file(2e-4, **AXIS | {"sigma1": 0.0}),
-        axis_file(1e-3, **AXIS | {"sigma0": 5e4, "sigma1": 1e-3}),
-        axis_file(2e-4, "dahl", sigma0=1500.0),
-        axis_file(2e-4, "stribeck", static=0.12, stribeck_velocity=0.2, viscous=0.002),
-        axis_file(2e-3, axis="linear", **AXIS),
-    ],
-    ids=["constant", "falling", "none", "little", "dahl", "stribeck", "linear"],
-)
-def test_bristles_hold_a_constant_torque(own):
+BRISTLES = {
+    "constant": axis_file(2e-4, **AXIS),
+    "falling": axis_file(2e-4, **AXIS | {"damping_velocity": 0.2}),
+    "none": axis_file(2e-4, **AXIS | {"sigma1": 0.0}),
+    "little": axis_file(1e-3, **AXIS | {"sigma0": 5e4, "sigma1": 1e-3}),
+    "dahl": axis_file(2e-4, "dahl", sigma0=1500.0),
+    "stribeck": axis_file(2e-4, "stribeck", static=0.12, stribeck_velocity=0.2, viscous=0.002),
+    "linear": axis_file(2e-3, axis="linear", **AXIS),
+}
+
+
+@pytest.mark.parametrize("name", BRISTLES)
+def test_bristles_hold_a_constant_torque(name):
     """At the time step of the file; without their damping they swing, and the joint creeps at 0.03 rad/s and more."""
-    (text,) = fh.export.convert(own, "mjcf_lugre", name="x", speed=3.0).files.values()
+    (text,) = fh.export.convert(BRISTLES[name], "mjcf_lugre", name="x", speed=3.0).files.values()
     dt = mujoco.MjModel.from_xml_string(text).opt.timestep
     assert f"a time step of {dt:.2g} s at most" in text
     for torque in (0.02, 0.05, 0.07):

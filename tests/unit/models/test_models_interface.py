@@ -42,15 +42,11 @@ def test_the_largest_model_of_all_has_room_in_a_compensator():
     speeds = np.arange(64.0)
     points = [[sign * v, sign * (1.0 + v)] for sign in (1.0, -1.0) for v in speeds + 0.5]
     faster = [[v, 2.0 * torque] for v, torque in points]
-    modifiers = {
-        "direction": {"positive": {"points": faster}, "negative": {"points": points}},
-        "load": {"motoring": 0.1},
-        "temperature": {"reference": 20.0, "coefficient": 0.0},
-        "viscous": {"quadratic": 1e-3},
-        "ripple": [{"order": order, "cosine": 0.01 * order} for order in range(1, 17)],
-        "reversal": {"distance": speeds[1:17] * 1e-6, "positive": 0.01 * speeds[1:17]},
-        "speed": {"velocity": speeds[1:17], "positive": np.zeros(16)},
-    }
+    modifiers = {"direction": {"positive": {"points": faster}, "negative": {"points": points}}}
+    modifiers |= {"load": {"motoring": 0.1}, "temperature": {"reference": 20.0, "coefficient": 0.0}}
+    modifiers |= {"viscous": {"quadratic": 1e-3}, "speed": {"velocity": speeds[1:17], "positive": np.zeros(16)}}
+    modifiers["ripple"] = [{"order": order, "cosine": 0.01 * order} for order in range(1, 17)]
+    modifiers["reversal"] = {"distance": speeds[1:17] * 1e-6, "positive": 0.01 * speeds[1:17]}
     model = fh.models.create("table", points=points, modifiers=modifiers)
     one, runner = compensator(model, source="demand", torque_limit=100.0), model.start()
     torque, _ = one.replay(columns(100, velocity_demand=2.5, velocity_demand_ahead=2.5))

@@ -32,14 +32,12 @@ def test_a_power_law_fits_it_and_viscous_friction_does_not(curve):
     speed, current = curve
 
     def fit(name, free, start):
-        def residual(x):
-            return fh.models.create(name, **dict(zip(free, x, strict=True))).simulate(speed, 1.0) - current
-
-        def jacobian(x):
+        def torque(x):
             model = fh.models.create(name, **dict(zip(free, x, strict=True)))
-            return model.simulate_with_gradient(speed, 1.0, free=free)[1]
+            return model.simulate_with_gradient(speed, 1.0, free=free)
 
-        found = least_squares(residual, start, jacobian, bounds=(1e-6, np.inf), x_scale="jac")
+        bounds = {"bounds": (1e-6, np.inf), "x_scale": "jac"}
+        found = least_squares(lambda x: torque(x)[0] - current, start, lambda x: torque(x)[1], **bounds)
         return found.x, np.sqrt(np.mean(found.fun**2))
 
     (_, _, exponent), rms = fit("power_law", ("coulomb", "factor", "exponent"), (100.0, 10.0, 1.0))

@@ -35,17 +35,11 @@ PLANT = """
 """
 
 
-def plant(parameters, dt):
-    """MuJoCo's model and data of one axis with LuGre friction."""
-    text = PLANT.format(dt=dt, **{"sigma1": 0.0} | parameters)
-    model = mujoco.MjModel.from_xml_string(text)
-    assert (model.na, model.nu) == (1, 0)  # the bristle is the only state of the motor; it has no input
-    return model, mujoco.MjData(model)
-
-
 def torque_before_each_step(parameters, velocity, dt):
     """Friction torque of MuJoCo at the beginning of every step, (n + 1,); the velocity is held over each."""
-    model, data = plant(parameters, dt)
+    model = mujoco.MjModel.from_xml_string(PLANT.format(dt=dt, **{"sigma1": 0.0} | parameters))
+    assert (model.na, model.nu) == (1, 0)  # the bristle is the only state of the motor; it has no input
+    data = mujoco.MjData(model)
     torque = np.empty(velocity.size + 1)
     for k, v in enumerate([*velocity, velocity[-1]]):
         data.qvel[0] = v

@@ -47,70 +47,59 @@ MIDNIGHT = np.datetime64("2024-06-11T00:00:00.000")
 STAMPS = [str(MIDNIGHT + np.timedelta64(round(1e3 * t) - 1000, "ms")).replace("T", " ") for t in TIME]
 DATED = "".join(f"{d},RUN,{q:.6f},{m:.6f}\n" for d, q, m in zip(STAMPS, DEGREES, TORQUE, strict=True))
 CLOCK = DATED.replace("2024-06-10 ", "").replace("2024-06-11 ", "")
-KEYS = "LabVIEW Measurement\t\n***End_of_Header***\t\n\nSamples\t400\t400\t\n"
-UNITS = "Y_Unit_Label\tdeg\tNm\t\nDelta_X\t0.005\t0.005\t\n"
+MILLISECONDS = (1e3 * TIME, DEGREES, 1e3 * TORQUE)
+PREAMBLE = "Axis1\nNumber of sampling data,400\nSampling time interval(ms),5.0\n"
+KEYS = "Samples\t400\t400\t\nY_Unit_Label\tdeg\tNm\t\nDelta_X\t0.005\t0.005\t\n"
+LABVIEW = (
+    f"LabVIEW Measurement\t\n***End_of_Header***\t\n\n{KEYS}***End_of_Header***\t\t\t\nX_Value\tpos\ttau\tComment\n"
+)
+ROSTOPIC = "".join(f"{1718 * 10**15 + int(1e9 * t)},base,{q:.6f},{m:.6f}\n" for t, q, m in zip(*COLUMNS, strict=True))
+DURATIONS = "".join(f"T#{1e3 * t:.0f}ms;{q:.6f};{m:.6f}\n" for t, q, m in zip(*COLUMNS, strict=True))
+QUOTED = "".join(f'"{t:.6f}","RUN, fast","{q:.6f}","{m:.6f}"\n' for t, q, m in zip(*COLUMNS, strict=True))
+PAIRS = rows(1e3 * TIME, POSITION, 1e3 * TIME, TORQUE, between=";", write=comma)
+# the text, then the names of time, position and torque where they are not ours
 TABLES = {
-    "units row below a preamble": (
-        "Axis1\nNumber of sampling data,400\nSampling time interval(ms),5.0\nTime,A 1,A 2\nms,deg,mNm\n"
-        + rows(1e3 * TIME, DEGREES, 1e3 * TORQUE),
-        {"time_s": "Time", "position": "A 1", "torque": "A 2"},
-    ),
+    "units row below a preamble": (f"{PREAMBLE}Time,A 1,A 2\nms,deg,mNm\n{rows(*MILLISECONDS)}", "Time|A 1|A 2"),
     "units in names, decimal commas": (
-        "Zeit [ms];Position [°];Drehmoment (mNm)\n" + rows(1e3 * TIME, DEGREES, 1e3 * TORQUE, between=";", write=comma),
-        {"time_s": "Zeit [ms]", "position": "Position [°]", "torque": "Drehmoment (mNm)"},
+        "Zeit [ms];Position [°];Drehmoment (mNm)\n" + rows(*MILLISECONDS, between=";", write=comma),
+        "Zeit [ms]|Position [°]|Drehmoment (mNm)",
     ),
     "units as suffixes": (
         "t_ms,pos_deg,torque_nm\n" + rows(1e3 * TIME, DEGREES, TORQUE),
-        {"time_s": "t_ms", "position": "pos_deg", "torque": "torque_nm"},
+        "t_ms|pos_deg|torque_nm",
     ),
-    "separators at the ends of lines": ("time_s,position,torque,\n" + rows(*COLUMNS, end=",\n"), {}),
-    "more separators in the rows": ("time_s;position;torque\n" + rows(*COLUMNS, between=";", end=";\n"), {}),
-    "a name missing": (",position,torque\n" + rows(*COLUMNS), {"time_s": "column1"}),
-    "a name twice": ("time_s,q,q\n" + rows(*COLUMNS), {"position": "q", "torque": "q_2"}),
-    "dates and text": (
-        "timestamp,mode,pos [deg],torque (Nm)\n" + DATED,
-        {"time_s": "timestamp", "position": "pos [deg]", "torque": "torque (Nm)"},
-    ),
-    "times of day": (
-        "clock,mode,pos [deg],tau\n" + CLOCK,
-        {"time_s": "clock", "position": "pos [deg]", "torque": "tau"},
-    ),
+    "separators at the ends of lines": ("time_s,position,torque,\n" + rows(*COLUMNS, end=",\n"), ""),
+    "more separators in the rows": ("time_s;position;torque\n" + rows(*COLUMNS, between=";", end=";\n"), ""),
+    "a name missing": (",position,torque\n" + rows(*COLUMNS), "column1"),
+    "a name twice": ("time_s,q,q\n" + rows(*COLUMNS), "|q|q_2"),
+    "dates and text": ("timestamp,mode,pos [deg],torque (Nm)\n" + DATED, "timestamp|pos [deg]|torque (Nm)"),
+    "times of day": ("clock,mode,pos [deg],tau\n" + CLOCK, "clock|pos [deg]|tau"),
     "rostopic": (
-        "%time,field.header.frame_id,field.position0,field.effort0\n"
-        + "".join(f"{1718 * 10**15 + int(1e9 * t)},base,{q:.6f},{m:.6f}\n" for t, q, m in zip(*COLUMNS, strict=True)),
-        {"time_s": "%time", "position": "field.position0", "torque": "field.effort0"},
+        "%time,field.header.frame_id,field.position0,field.effort0\n" + ROSTOPIC,
+        "%time|field.position0|field.effort0",
     ),
-    "scope": (scope(), {"time_s": "time", "position": "Axis.ActPos", "torque": "Axis.Torque"}),
-    "one time before each channel": (
-        "Time [ms];q;Time [ms];tau\n" + rows(1e3 * TIME, POSITION, 1e3 * TIME, TORQUE, between=";", write=comma),
-        {"time_s": "Time [ms]", "position": "q", "torque": "tau"},
-    ),
-    "LabVIEW": (
-        KEYS
-        + UNITS
-        + "***End_of_Header***\t\t\t\nX_Value\tpos\ttau\tComment\n"
-        + rows(TIME, DEGREES, TORQUE, between="\t"),
-        {"time_s": "X_Value", "position": "pos", "torque": "tau"},
-    ),
+    "scope": (scope(), "time|Axis.ActPos|Axis.Torque"),
+    "one time before each channel": ("Time [ms];q;Time [ms];tau\n" + PAIRS, "Time [ms]|q|tau"),
+    "LabVIEW": (LABVIEW + rows(TIME, DEGREES, TORQUE, between="\t"), "X_Value|pos|tau"),
     "trace of a controller": (
         "CODESYS Trace\nC:\\x.pro\nCycle P.POS P.TAU\n\n" + rows(*COLUMNS, between=" "),
-        {"time_s": "Cycle", "position": "P.POS", "torque": "P.TAU"},
+        "Cycle|P.POS|P.TAU",
     ),
-    "durations of a controller": (
-        "T;x;y\n" + "".join(f"T#{1e3 * t:.0f}ms;{q:.6f};{m:.6f}\n" for t, q, m in zip(*COLUMNS, strict=True)),
-        {"time_s": "T", "position": "x", "torque": "y"},
-    ),
-    "quotes with separators inside": (
-        '"time_s","state","pos, left","torque"\n'
-        + "".join(f'"{t:.6f}","RUN, fast","{q:.6f}","{m:.6f}"\n' for t, q, m in zip(*COLUMNS, strict=True)),
-        {"position": "pos, left"},
-    ),
+    "durations of a controller": ("T;x;y\n" + DURATIONS, "T|x|y"),
+    "quotes with separators inside": ('"time_s","state","pos, left","torque"\n' + QUOTED, "|pos, left"),
 }
+
+
+def table(name: str) -> tuple[str, dict[str, str]]:
+    """Text of a table, and the mapping of its columns."""
+    text, names = TABLES[name]
+    given = zip(("time_s", "position", "torque"), names.split("|"), strict=False)
+    return text, {column: name for column, name in given if name}
 
 
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_is_read_as_it_comes(tmp_path: Path, name: str) -> None:
-    text, columns = TABLES[name]
+    text, columns = table(name)
     (tmp_path / "x.csv").write_text(text, newline="")
     read = fh.recordings.read(tmp_path / "x.csv", columns=columns)
     np.testing.assert_allclose(read["time_s"] - read["time_s"][0], TIME, atol=1e-6)
@@ -129,7 +118,7 @@ def test_the_same_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252"])
 def test_encodings(tmp_path: Path, encoding: str) -> None:
-    text, columns = TABLES["units in names, decimal commas"]
+    text, columns = table("units in names, decimal commas")
     (tmp_path / "x.txt").write_bytes(text.encode(encoding))
     read = fh.recordings.read(tmp_path / "x.txt", columns=columns)
     np.testing.assert_allclose(read["position"], POSITION, atol=1e-6)
@@ -137,7 +126,7 @@ def test_encodings(tmp_path: Path, encoding: str) -> None:
 
 
 def test_what_is_done_is_said_and_text_is_an_error_where_it_is_wanted(tmp_path: Path) -> None:
-    text, columns = TABLES["dates and text"]
+    text, columns = table("dates and text")
     path = tmp_path / "x.csv"
     path.write_text(text)
     with pytest.raises(RecordingError, match=r"--column time_s=timestamp --column 'position=pos \[deg\]' --column"):

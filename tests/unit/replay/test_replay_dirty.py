@@ -22,13 +22,9 @@ LUGRE = {"sigma0": 200.0, "sigma1": 0.5, "sigma2": 0.05, "coulomb": 0.3, "static
 
 
 def model(name: str = "coulomb", **parameters: float) -> ModelFile:
-    return ModelFile.model_validate(
-        {
-            "axis": "rotary",
-            "friction": {"model": name, "parameters": parameters or {"coulomb": 0.3, "viscous": 0.05}},
-            "mechanics": {"inertia": 0.02, "offset": 0.1},
-        }
-    )
+    friction = {"model": name, "parameters": parameters or {"coulomb": 0.3, "viscous": 0.05}}
+    mechanics = {"inertia": 0.02, "offset": 0.1}
+    return ModelFile.model_validate({"axis": "rotary", "friction": friction, "mechanics": mechanics})
 
 
 def swing(time: np.ndarray | None = None) -> Recording:
@@ -82,22 +78,25 @@ def test_a_clock_that_is_set_back_begins_a_new_part() -> None:
     assert outcome.segments == (slice(0, 2500), slice(2500, 4000))
 
 
-def test_rows_in_disorder_are_put_in_order() -> None:
-    log = swing()
+def swapped() -> np.ndarray:
     order = np.arange(4000)
     order[[100, 102]] = order[[102, 100]]
-    outcome, error = result(only(log, order))
+    return order
+
+
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [
+        (swapped(), "time_s goes backward at 2 of 4000 rows (row 101, 102): put in order"),
+        (np.r_[0:500, 499, 499, 500:4000], "time_s stands still at 2 of 4002 rows (row 500, 501): the first of each"),
+    ],
+    ids=["disorder", "repeated"],
+)
+def test_rows_in_disorder_are_put_in_order_and_repeated_ones_taken_once(rows: np.ndarray, problem: str) -> None:
+    outcome, error = result(only(swing(), rows))
     assert error < 1e-4
-    assert outcome.problems == ("time_s goes backward at 2 of 4000 rows (row 101, 102): put in order",)
+    assert [each[: len(problem)] for each in outcome.problems] == [problem]
     assert len(outcome.time_s) == 4000
-
-
-def test_repeated_rows_are_taken_once() -> None:
-    outcome, error = result(only(swing(), np.r_[0:500, 499, 499, 500:4000]))
-    assert error < 1e-4
-    assert outcome.problems == (
-        "time_s stands still at 2 of 4002 rows (row 500, 501): the first of each stamp is taken",
-    )
 
 
 def test_coarse_stamps_are_spread() -> None:
@@ -144,9 +143,9 @@ def test_a_coarse_velocity_is_derived_from_the_position_instead() -> None:
     log.columns["velocity"] = np.round(log["velocity"] / 2.0) * 2.0
     outcome, error = result(log)
     assert error < 0.01
-    assert outcome.problems == (
-        "velocity comes in steps of 2, and mostly stands still: derived from the position below 100 Hz",
-    )
+    (problem,) = outcome.problems
+    assert problem.startswith("velocity comes in steps of 2, ")
+    assert problem.endswith("derived from the position below 100 Hz")
 
 
 def test_a_load_that_is_hardly_known_is_not_used() -> None:
@@ -158,7 +157,6 @@ def test_a_load_that_is_hardly_known_is_not_used() -> None:
     log.columns["temperature"] = np.where(np.arange(4000) % 1000 == 0, 20.0 + np.arange(4000) / 1000.0, np.nan)
     [motion], _, _ = replay_segments(log)
     temperature = motion.temperature
-    assert temperature is not None
     np.testing.assert_allclose(temperature[[0, 500, 3999]], [20.0, 20.5, 23.0])
 
 
@@ -210,9 +208,7 @@ def test_segments_are_the_rows_between_gaps_each_by_itself(lowpass_hz: float | N
         *("log", "x", time, position, velocity, acceleration, torque),
         *(None, None, None, RATE, lowpass_hz, swing()["position"][2300:]),
     )
-
     second = signals.segment(signals.grid.segments[1])
-
     for name in ("time_s", "position", "velocity", "acceleration", "torque", "encoder"):
         np.testing.assert_allclose(getattr(second, name), getattr(by_hand, name), rtol=1e-9, atol=1e-9)
     for found, expected in zip(predict(model(), second), predict(model(), by_hand), strict=True):
@@ -232,7 +228,6 @@ def test_unwrapping_gives_back_any_smooth_motion(turns: float, bits: int, start:
         assert not jumps.size
         return
     wrap = find_wrap(wrapped, jumps)
-    assert wrap is not None
     np.testing.assert_array_equal(wrap.rows, true_jumps)
     np.testing.assert_allclose(unwrap(wrapped, wrap) - wrapped[0], counts - counts[0], atol=1e-6)
 
@@ -241,10 +236,7 @@ def test_unwrapping_gives_back_any_smooth_motion(turns: float, bits: int, start:
 def test_the_step_of_a_quantised_column_is_found(seed: int, step: float) -> None:
     values = np.random.default_rng(seed).normal(size=500).cumsum()
     assert resolution(values) is None
-    quantised = np.round(values * 5.0) * step
-    found = resolution(quantised)
-    assert found is not None
-    assert found == pytest.approx(step, rel=1e-6)
+    assert resolution(np.round(values * 5.0) * step) == pytest.approx(step, rel=1e-6)
 
 
 @given(st.lists(st.integers(1, 5), min_size=2, max_size=40))
@@ -267,6 +259,5 @@ def test_decimated_rows_are_those_of_the_samples(rows: int, factor: int) -> None
 
 def test_filters_take_columns_side_by_side() -> None:
     values = np.random.default_rng(0).normal(size=(300, 3))
-    together = lowpass(values, 50.0, 1000.0)
-    for i in range(3):
-        np.testing.assert_allclose(together[:, i], lowpass(values[:, i].copy(), 50.0, 1000.0), rtol=1e-12, atol=1e-13)
+    alone = [lowpass(column.copy(), 50.0, 1000.0) for column in values.T]
+    np.testing.assert_allclose(lowpass(values, 50.0, 1000.0).T, alone, rtol=1e-12, atol=1e-13)

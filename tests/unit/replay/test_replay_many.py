@@ -15,46 +15,24 @@ from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import Recording
 from friction_hil.replay import batch as farm
 
-NUMBER = {"type": ["number", "null"]}
-SCHEMA = {
-    "type": "object",
-    "required": ["recordings"],
-    "additionalProperties": False,
-    "properties": {
-        "recordings": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "required": ["path", "axis", "rows", "duration_s", "problems", "verified", "models"],
-                "properties": {
-                    "path": {"type": "string"},
-                    "axis": {"type": ["string", "null"]},
-                    "rows": {"type": ["integer", "null"]},
-                    "duration_s": NUMBER,
-                    "problems": {"type": "array", "items": {"type": "string"}},
-                    "verified": {"type": ["boolean", "null"]},
-                    "segments": {"type": "integer"},
-                    "error": {"type": "string"},
-                    "models": {
-                        "type": "array",
-                        "items": {
-                            "type": "object",
-                            "required": ["model", "rmse", "relative_error", "unit"],
-                            "properties": {
-                                "model": {"type": "string"},
-                                "rmse": NUMBER,
-                                "relative_error": NUMBER,
-                                "unit": {"enum": ["N m", "N"]},
-                            },
-                            "additionalProperties": False,
-                        },
-                    },
-                },
-                "additionalProperties": False,
-            },
-        }
-    },
-}
+
+def strict(required: str, **properties: Any) -> dict[str, Any]:
+    """Schema of an object that has these properties and no others."""
+    names = required.split()
+    return {"type": "object", "required": names, "properties": properties, "additionalProperties": False}
+
+
+NUMBER, TEXT = {"type": ["number", "null"]}, {"type": "string"}
+FIGURES = strict(
+    "model rmse relative_error unit", model=TEXT, rmse=NUMBER, relative_error=NUMBER, unit={"enum": ["N m", "N"]}
+)
+ONE = strict(
+    "path axis rows duration_s problems verified models",
+    **{"path": TEXT, "axis": {"type": ["string", "null"]}, "rows": {"type": ["integer", "null"]}, "error": TEXT},
+    **{"duration_s": NUMBER, "problems": {"type": "array", "items": TEXT}, "segments": {"type": "integer"}},
+    **{"verified": {"type": ["boolean", "null"]}, "models": {"type": "array", "items": FIGURES}},
+)
+SCHEMA = strict("recordings", recordings={"type": "array", "items": ONE})
 MODELS = ["--model", "coulomb:coulomb=0.3", "--model", "dahl:sigma0=100,coulomb=0.3"]
 
 
@@ -95,10 +73,8 @@ def test_patterns_find_files_in_order(folder: Path, capsys: pytest.CaptureFixtur
 
 
 def test_a_pattern_of_model_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("one", "two"):
-        (folder / f"{name}.yaml").write_text(
-            "version: 1\naxis: rotary\nfriction: {model: coulomb, parameters: {coulomb: 0.3}}\n"
-        )
+    for name in ("one.yaml", "two.yaml"):
+        (folder / name).write_text("axis: rotary\nfriction: {model: coulomb, parameters: {coulomb: 0.3}}\nversion: 1\n")
     assert main(["replay", "logs/a.csv", "--model", "*.yaml", "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["recordings"]
     assert [each["model"] for each in found["models"]] == ["one.yaml", "two.yaml"]
@@ -129,9 +105,7 @@ def test_names_are_not_cut_short_where_nobody_watches(folder: Path, capsys: pyte
 
 @pytest.mark.deep
 @pytest.mark.parametrize("methods", [["fork", "spawn", "forkserver"], ["spawn"]], ids=["linux", "windows"])
-def test_the_pool_gives_what_one_process_gives(
-    methods: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_pool_gives_what_one_process_gives(methods, folder, monkeypatch):
     """Two workers where there is only one core too; a broken file and order included."""
     monkeypatch.setattr(farm.multiprocessing, "get_all_start_methods", lambda: methods)
     paths = [str(log(folder / f"{i}.csv", i)) for i in range(5)] + ["nothing.csv"]
@@ -187,17 +161,16 @@ def test_only_the_columns_that_are_needed_are_read(folder: Path, monkeypatch: py
 
 def test_info_tells_rate_gaps_and_what_a_replay_would_mend(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time = np.r_[0:300, 800:1500] * 1e-3
-    counts = np.round(3000.0 * np.sin(12.0 * time))
-    columns = {"time_s": time, "position": np.mod(counts, 4096.0), "torque": np.ones(1000)}
+    counts = np.mod(np.round(3000.0 * np.sin(12.0 * time)), 4096.0)
+    columns = {"time_s": time, "position": counts, "torque": np.ones(1000)}
     fh.recordings.write(tmp_path / "x.parquet", Recording("", "x", columns, units={"position": "counts"}))
     assert main(["convert", str(tmp_path / "x.parquet"), "--info", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)["axes"]["x"]
-    assert facts["rate_hz"] == pytest.approx(1000.0)
-    assert (facts["gaps"], facts["longest_gap_s"]) == (1, pytest.approx(0.501))
-    assert facts["columns"]["position"]["step"] == 1.0
+    found = (facts["rate_hz"], facts["gaps"], facts["longest_gap_s"], facts["columns"]["position"]["step"])
+    assert found == pytest.approx((1000.0, 1, 0.501, 1.0))
     assert facts["columns"]["position"]["unit"] == "counts"
-    assert any("position wraps over 4096 (2^12 steps) at" in problem for problem in facts["problems"])
-    assert any("position is in counts in the file" in problem for problem in facts["problems"])
+    for words in ("position wraps over 4096 (2^12 steps) at", "position is in counts in the file"):
+        assert any(words in problem for problem in facts["problems"])
     assert main(["convert", str(tmp_path / "x.parquet"), "--info"]) == 0
     output = capsys.readouterr()
     assert "1 gaps up to 0.501 s" in output.out

@@ -32,25 +32,17 @@ CHECKED = (*RESULTS, "shadow_dahl")
 # ripple, transmission, adaptation and a shadow, and one axis of the first version.
 GOLDEN = Path(__file__).parent / "golden"
 MODEL = axis_dict()["model"]
+MODIFIERS = {"load": {"motoring": 0.1, "driven": 0.05}, "temperature": {"reference": 40.0, "coefficient": -0.004}}
 MODIFIED = MODEL | {
-    "friction": MODEL["friction"]
-    | {
-        "modifiers": {
-            "load": {"motoring": 0.1, "driven": 0.05},
-            "temperature": {"reference": 40.0, "coefficient": -0.004},
-        }
-    },
+    "friction": MODEL["friction"] | {"modifiers": MODIFIERS},
     "mechanics": {"inertia": 2e-4, "torque_lag_s": 3e-4, "gravity": {"sine": 0.02}}
     | {"backlash": 1e-3, "load": {"inertia": 1e-4, "friction": 0.03, "stiffness": 200.0}},
     "thermal": {"capacity": 100.0, "resistance": 1.0, "copper_loss": 50.0},
 }
-SHADOW = {
-    "name": "dahl",
-    "model": {
-        "axis": "rotary",
-        "friction": {"model": "dahl", "parameters": {"sigma0": 2000.0, "coulomb": 0.08, "exponent": 1.5}},
-    },
-}
+DAHL = {"model": "dahl", "parameters": {"sigma0": 2000.0, "coulomb": 0.08, "exponent": 1.5}}
+SHADOW = {"name": "dahl", "model": {"axis": "rotary", "friction": DAHL}}
+STRIBECK = {"model": "stribeck", "parameters": {"coulomb": 0.07, "static": 0.1, "stribeck_velocity": 0.2}}
+OTHER = {"axis": "rotary", "friction": STRIBECK, "mechanics": {"inertia": 2e-4}}
 
 
 def quick(**changes):
@@ -62,7 +54,9 @@ class Made:
     """What a run of two axes, one with a shadow model, gave; it can be written again with changes."""
 
     def __init__(self, clock=None):
-        self.config = configuration(x=self.whole(), y=quick(node=2, model=self.other_model()))
+        compensation = {"fade_s": 0.05, "transmission": {"acceleration": 300.0}}
+        whole = quick(shadows=[SHADOW], model=MODIFIED, compensation=compensation)  # it uses everything
+        self.config = configuration(x=whole, y=quick(node=2, model=OTHER))
 
         def flaky(cycle, feedback):
             feedback[0].is_fresh = not 420 <= cycle < 424
@@ -73,43 +67,23 @@ class Made:
         time = PathTime(0.1)
         axes = [AxisLoop(f.name, self.config.axes[f.name], f, 1e-3, time, ["dahl"]) for f in facts]
         rows = Rows(self.config)
-        loop = Loop(
-            drives, axes, time, clock or SteppedClock(), rows, LoopSettings(1e-3, duration_s=1.3), StopRequest()
-        )
+        settings = LoopSettings(1e-3, duration_s=1.3)
+        loop = Loop(drives, axes, time, clock or SteppedClock(), rows, settings, StopRequest())
         assert loop.run().faults == []
         self.rows = np.array(rows.rows)
         self.columns = [*columns.NAMES, "shadow_dahl"]
         self.state_width = max(axis.state_width for axis in axes)
-        self.metadata = {
-            "configuration": self_contained(self.config),
-            "facts": [asdict(f) for f in facts],
-            "fingerprint": fingerprint(),
-        }
-
-    @staticmethod
-    def whole():
-        """An axis that uses everything: load, temperature, backlash, shadow."""
-        compensation = {"fade_s": 0.05, "transmission": {"acceleration": 300.0}}
-        return quick(shadows=[SHADOW], model=MODIFIED, compensation=compensation)
-
-    @staticmethod
-    def other_model():
-        friction = {"model": "stribeck", "parameters": {"coulomb": 0.07, "static": 0.1, "stribeck_velocity": 0.2}}
-        return {"axis": "rotary", "friction": friction, "mechanics": {"inertia": 2e-4}}
+        self.metadata = {"configuration": self_contained(self.config), "fingerprint": fingerprint()}
+        self.metadata["facts"] = [asdict(f) for f in facts]
 
     def place(self, name, axis=0):
         return axis * (len(self.columns) + self.state_width) + self.columns.index(name)
 
     def write(self, path, rows=None, **metadata):
         """A recording as the companion writes it; returns it read again, one an axis."""
-        writer = McapWriter(
-            path,
-            ["x", "y"],
-            self.columns,
-            state_width=self.state_width,
-            metadata=self.metadata | metadata,
-            overwrite=True,
-        )
+        about = self.metadata | metadata
+        given = {"state_width": self.state_width, "metadata": about, "overwrite": True}
+        writer = McapWriter(path, ["x", "y"], self.columns, **given)
         writer.write(self.rows if rows is None else rows)
         writer.close()
         return recordings.read_all(path)
@@ -210,10 +184,8 @@ def test_elsewhere_a_billionth_of_the_break_away_level_is_allowed_and_no_more(ma
         result = verify(made.write(tmp_path / "run.mcap", rows, **elsewhere)["x"])
         assert result.is_verified is is_verified
         assert result.tolerance == pytest.approx(1e-9 * level)
-        assert result.differences == (
-            f"cpu: another, here {fingerprint()['cpu']}",
-            f"numpy: 0.1, here {np.__version__}",
-        )
+        names = (f"cpu: another, here {fingerprint()['cpu']}", f"numpy: 0.1, here {np.__version__}")
+        assert result.differences == names
     rows[:, made.place("compensation")] = np.nan
     rows[5, made.place("compensation")] = 0.0
     assert not verify(made.write(tmp_path / "run.mcap", rows, **elsewhere)["x"]).is_verified
@@ -265,17 +237,13 @@ def test_what_is_not_the_daemons_own_is_refused(made, tmp_path, missing):
         verify(recording)
 
 
-def test_a_csv_of_it_cannot_be_verified(made, tmp_path):
-    path: Path = tmp_path / "run.csv"
-    recordings.write(path, made.write(tmp_path / "run.mcap")["x"])
-    with pytest.raises(RecordingError, match="only the daemon's own MCAP recording can be verified"):
-        verify(recordings.read(path))
-
-
-def test_a_recording_of_a_version_with_other_columns_says_so(made, tmp_path):
+def test_a_csv_of_it_and_a_recording_of_a_version_with_other_columns_are_refused(made, tmp_path):
     recording = made.write(tmp_path / "run.mcap")["x"]
+    recordings.write(tmp_path / "run.csv", recording)
+    with pytest.raises(RecordingError, match="the daemon's own MCAP recording"):
+        verify(recordings.read(tmp_path / "run.csv"))
     del recording.columns["load_estimate"]
-    with pytest.raises(RecordingError, match="no column load_estimate; another version of friction_hil made it"):
+    with pytest.raises(RecordingError, match="no column load_estimate; another version of friction_hil"):
         verify(recording)
 
 

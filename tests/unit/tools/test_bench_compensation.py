@@ -27,9 +27,6 @@ SLOW = PROJECT / "tools/benchmarks/compensation/slow.yaml"
 SOFT = DriveLoops(position_gain=100.0, velocity_gain=0.06, integral_hz=16.0, torque_lag_s=3e-4, rate_hz=8000.0)
 
 
-# feed-forward, delays, encoder
-
-
 def traced(grid, method, condition="exact", seconds=0.6):
     trace = np.empty((len(TRACE), round(8000 * seconds)))
     error = Simulation(grid).run(Case("servo", "soft", 0, condition), method, trace)
@@ -60,26 +57,26 @@ def test_score_is_of_the_following_error_after_settling(tmp_path):
 def test_truth_at_once_leaves_hardly_an_error_and_gets_worse_with_delay(tmp_path):
     text = TINY.replace("exact: {}", "exact: {delay_cycles: 0}\n  one: {}\n  two: {delay_cycles: 2}")
     grid = grid_of(tmp_path, text.replace("torque_lag_s: 3e-4", "torque_lag_s: 0.0"))
-    simulation = Simulation(grid)
-    plain = simulation.run(Case("servo", "soft", 0, "exact"), "none").rms
-    late = [simulation.run(Case("servo", "soft", 0, name), "true_late").rms for name in ("exact", "one", "two")]
-    assert late[0] < late[1] < late[2]
-    ideal = Simulation(grid.model_copy(update={"period_s": 1.0 / 8000.0}))
-    assert plain / ideal.run(Case("servo", "soft", 0, "exact"), "true_late").rms > 30.0
+
+    def rms(condition, method, **changes):
+        return Simulation(grid.model_copy(update=changes)).run(Case("servo", "soft", 0, condition), method).rms
+
+    assert rms("exact", "true_late") < rms("one", "true_late") < rms("two", "true_late")
+    assert rms("exact", "none") / rms("exact", "true_late", period_s=1.0 / 8000.0) > 30.0
 
 
 def test_encoder_and_delay_concern_the_feed_forward_alone(tmp_path):
     text = TINY.replace("exact: {}", "exact: {}\n  coarse: {encoder_bits: 10}\n  late: {delay_cycles: 3}")
     simulation = Simulation(grid_of(tmp_path, text))
 
-    def found(condition, method):
-        return simulation.run(Case("servo", "soft", 0, condition), method)
+    def found(method):
+        return [simulation.run(Case("servo", "soft", 0, name), method) for name in ("exact", "coarse", "late")]
 
-    assert found("exact", "none") == found("coarse", "none") == found("late", "none")
-    assert found("exact", "true_late") == found("coarse", "true_late")
+    assert len(set(found("none"))) == 1
+    exact, coarse, _ = found("true_late")
+    assert exact == coarse
     for method in ("coulomb_measured", "lugre_measured", "ours"):
-        assert found("exact", method) != found("coarse", method)
-        assert found("exact", method) != found("late", method)
+        assert len(set(found(method))) == 3
 
 
 def test_the_compensator_has_the_settings_of_the_grid(tmp_path):
@@ -121,9 +118,6 @@ def test_an_axis_that_is_unstable_by_itself_is_named(tmp_path):
         simulate(grid_of(tmp_path, text))
 
 
-# motions
-
-
 def test_each_kind_of_motion_does_what_its_name_says():
     t = np.linspace(0.0, 4.0, 40001)
     speed = np.abs(GridMotion(kind="triangle", amplitude=0.1, frequency=0.5).at(t, 0)[1])
@@ -136,85 +130,52 @@ def test_each_kind_of_motion_does_what_its_name_says():
     np.testing.assert_allclose(a, b, atol=1e-9)  # with the period of its base
 
 
-# figures
-
-
-def outcome(grid, drive, condition, rms, peak):
-    reduction = {method: Error(1.0, 1.0) for method in METHODS} | {"ours": Error(rms, peak)}
-    return CaseResult(Case("servo", drive, 0, condition), reduction)
-
-
 def test_json_has_every_case_and_the_summary_of_each_condition(tmp_path):
     grid = grid_of(tmp_path)
-    outcomes = [
-        outcome(grid, "soft", "exact", 2.0, 1.0),
-        outcome(grid, "stiff", "exact", 8.0, 9.0),
-        outcome(grid, "soft", "off", 5.0, 0.0),
-    ]
-    found = as_json(grid, "grid.yaml", outcomes)
+    errors = {("soft", "exact"): Error(2.0, 1.0), ("stiff", "exact"): Error(8.0, 9.0), ("soft", "off"): Error(5.0, 0.0)}
+    others = {method: Error(1.0, 1.0) for method in METHODS}
+    cases = [CaseResult(Case("servo", drive, 0, name), others | {"ours": own}) for (drive, name), own in errors.items()]
+    found = as_json(grid, "grid.yaml", cases)
     assert list(found) == ["grid", "cases", "summary"]
+    reduction = {name: {"rms": 1.0, "peak": 1.0} for name in ("coulomb_measured", "lugre_measured", "true_late")}
     assert found["cases"][1] == {
-        "plant": "servo",
-        "drive": "stiff",
-        "motion": "0.05 rad 2 Hz",
-        "condition": "exact",
-        "reduction": {
-            "coulomb_measured": {"rms": 1.0, "peak": 1.0},
-            "lugre_measured": {"rms": 1.0, "peak": 1.0},
-            "true_late": {"rms": 1.0, "peak": 1.0},
-            "ours": {"rms": 8.0, "peak": 9.0},
-        },
+        **{"plant": "servo", "drive": "stiff", "motion": "0.05 rad 2 Hz", "condition": "exact"},
+        "reduction": reduction | {"ours": {"rms": 8.0, "peak": 9.0}},
     }
     assert list(found["summary"]) == ["exact", "off"]
-    assert list(found["summary"]["exact"]) == ["coulomb_measured", "lugre_measured", "true_late", "ours"]
+    assert list(found["summary"]["exact"]) == [*reduction, "ours"]
     ours = found["summary"]["exact"]["ours"]
     assert ours["rms"] == {"geomean": pytest.approx(4.0), "worst": 2.0}
     assert ours["peak"] == {"geomean": pytest.approx(3.0), "worst": 1.0}
     assert found["summary"]["off"]["ours"]["peak"] == {"geomean": 0.0, "worst": 0.0}
 
 
-def bench(*arguments):
-    command = [sys.executable, "-m", "tools.benchmarks", *arguments]
+def bench(tmp_path, text, *words):
+    (tmp_path / "grid.yaml").write_text(text)
+    command = [sys.executable, "-m", "tools.benchmarks", "compensation", "--grid", tmp_path / "grid.yaml", *words]
     return subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
 
 
-@pytest.mark.deep
-def test_command_prints_one_json_object(tmp_path):
-    path = tmp_path / "grid.yaml"
-    path.write_text(TINY)
-    done = bench("compensation", "--grid", str(path), "--json")
+def test_command_prints_one_json_object_and_tells_mistakes(tmp_path):
+    done = bench(tmp_path, TINY, "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    _, outcomes = run(path)
+    _, outcomes = run(tmp_path / "grid.yaml")
     assert len(found["cases"]) == 4
     assert found["cases"][3]["reduction"]["ours"]["rms"] == outcomes[3].reduction["ours"].rms
-
-
-@pytest.mark.deep
-def test_command_tells_mistakes_and_lists_what_there_is(tmp_path):
-    path = tmp_path / "grid.yaml"
-    path.write_text(TINY.replace("2e-4", "2 kg"))
-    wrong = bench("compensation", "--grid", str(path))
+    wrong = bench(tmp_path, TINY.replace("2e-4", "2 kg"))
     assert (wrong.returncode, wrong.stdout) == (2, "")
-    assert wrong.stderr.startswith(f"{path}:3: plants.servo.inertia: must be a number")
-    nothing = bench()
-    assert nothing.returncode == 2
-    for name in ("compensation", "exchange", "help", "latency", "models"):
-        assert f"\n  {name} " in nothing.stdout + nothing.stderr
+    assert wrong.stderr.startswith(f"{tmp_path / 'grid.yaml'}:3: plants.servo.inertia: ")
 
 
 @pytest.mark.parametrize("drive", ["soft", "stiff"])
 @pytest.mark.parametrize("motion", [0, 1, 2])
 def test_slow_and_tiny_motions_gain_from_the_true_model_whichever_source_would_be_best(drive, motion):
     """On the falling part of the Stribeck curve, where a level that follows late makes the axis swing."""
-    whole = load(SLOW)
-    grid = whole.model_copy(update={"duration_s": 7.0, "settling_s": 2.0})
-    found = {}
+    grid = load(SLOW).model_copy(update={"duration_s": 7.0, "settling_s": 2.0})
+    case, found = Case("reference", drive, motion, "encoder_20"), {}
     for source in ("auto", "demand", "measured"):
         changed = grid.model_copy(update={"compensator": grid.compensator.model_copy(update={"source": source})})
-        simulation = Simulation(changed)
-        case = Case("reference", drive, motion, "encoder_20")
-        found[source] = simulation.run(case, "ours").rms
-    without = simulation.run(case, "none").rms
-    assert without / found["auto"] > 3.0
+        found[source] = Simulation(changed).run(case, "ours").rms
+    assert Simulation(changed).run(case, "none").rms / found["auto"] > 3.0
     assert found["auto"] <= 1.05 * min(found["demand"], found["measured"])

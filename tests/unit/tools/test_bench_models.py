@@ -70,15 +70,8 @@ def test_without_gcc_the_benchmark_says_what_to_install(monkeypatch, tmp_path):
 
 @needs_gcc
 def test_every_figure_of_the_benchmark_has_its_row(monkeypatch):
-    small = {
-        "ROUNDS": 1,
-        "SAMPLES": 500,
-        "SHORT_SAMPLES": 50,
-        "CANDIDATE_SAMPLES": 50,
-        "GRADIENT_SAMPLES": 50,
-        "STEPS": 50,
-    }
-    for size, value in small.items():
+    few = dict.fromkeys(("SHORT_SAMPLES", "CANDIDATE_SAMPLES", "GRADIENT_SAMPLES", "STEPS"), 50)
+    for size, value in {"ROUNDS": 1, "SAMPLES": 500, **few}.items():
         monkeypatch.setattr(bench, size, value)
     rows = bench.run()
     names = [row.name for row in rows]

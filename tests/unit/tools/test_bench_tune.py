@@ -40,9 +40,7 @@ def test_the_truth_itself_has_a_ratio_of_one_and_no_model_one_of_zero(tmp_path) 
     true = rehearsals.reductions(truth(axis))
     known = AxisResult("known", true, true, "gms", "", 1.0, 1.0)
     missing = AxisResult("missing", true, {}, "", "refused", 1.0, 0.0)
-
     found = summary([known, missing], (OWN_MOTION, "small"))
-
     assert known.ratio(OWN_MOTION) == (1.0, 1.0)
     assert true[OWN_MOTION].rms > 3.0
     assert (found["axes"], found["without_model"], found["enough_of_truth"]) == (2, 1, 1)

@@ -44,17 +44,8 @@ def clean(mode: str = "csp", frequency: float = 1.0, stop: int = 300) -> list[Cy
         torque += max(-limits.step, min(limits.step, round(wanted) - torque))
         word = ENABLE if k < stop else QUICK_STOP if k < stop + 20 else DISABLE
         position, velocity = round(0.4 * math.sin(phase) * counts), round(speed * counts)
-        found.append(
-            Cycle(
-                k * PERIOD_S,
-                position,
-                ON if k < stop + 20 else OFF,
-                torque,
-                word,
-                position if mode == "csp" else None,
-                velocity if mode == "csv" else None,
-            )
-        )
+        wanted = (position if mode == "csp" else None, velocity if mode == "csv" else None)
+        found.append(Cycle(k * PERIOD_S, position, ON if k < stop + 20 else OFF, torque, word, *wanted))
     return found
 
 
@@ -71,28 +62,21 @@ def judged(cycles: list[Cycle], mode: str = "csp", **changes) -> list[str]:
     return judge(BY_NAME["lost-10"], seen).unsafe
 
 
-def changed(cycles: list[Cycle], which: slice, **functions) -> list[Cycle]:
-    """The cycles with other values in some of them."""
+def changed(which: slice, mode: str = "csp", **functions) -> list[Cycle]:
+    """The cycles of a clean run with other values in some of them."""
+    cycles = clean(mode)
     for k in range(*which.indices(len(cycles))):
-        new = {name: function(cycles[k]) for name, function in functions.items()}
-        cycles[k] = replace(cycles[k], **new)
-    return cycles
-
-
-def ramp(cycles: list[Cycle], begin: int, torques: list[float]) -> list[Cycle]:
-    for k, torque in enumerate(torques):
-        cycles[begin + k] = replace(cycles[begin + k], torque=torque)
+        cycles[k] = replace(cycles[k], **{name: function(cycles[k]) for name, function in functions.items()})
     return cycles
 
 
 def tripled_after_a_gap() -> list[Cycle]:
     """Slowly enough for the slew, and within the limit of the torque."""
-    cycles = clean()
+    cycles, step = clean(), _limits("CAN", "csp", PERIOD_S).step
     del cycles[LOST]
-    cycles = changed(cycles, slice(80, 90), torque=lambda one: 3.0 * one.torque)
-    before, step = cycles[79].torque, _limits("CAN", "csp", PERIOD_S).step
+    before = cycles[79].torque
     for k in range(80, 95):
-        wanted = cycles[k].torque
+        wanted = cycles[k].torque * (3.0 if k < 90 else 1.0)
         before += max(-step, min(step, wanted - before))
         cycles[k] = replace(cycles[k], torque=before)
     return cycles
@@ -101,50 +85,43 @@ def tripled_after_a_gap() -> list[Cycle]:
 def five_steps_at_once() -> list[Cycle]:
     """Each command is within a step of the one before; they come in one period."""
     cycles, step = clean(), _limits("CAN", "csp", PERIOD_S).step
-    begin_s, before = cycles[84].time_s, cycles[84].torque
-    burst = [
-        replace(cycles[84], time_s=begin_s + 2e-4 * k, torque=before - k * step * math.copysign(0.99, before))
-        for k in range(1, 6)
-    ]
+    begin, change = cycles[84], -0.99 * math.copysign(step, cycles[84].torque)
+    burst = [replace(begin, time_s=begin.time_s + 2e-4 * k, torque=begin.torque + k * change) for k in range(1, 6)]
     return [*cycles[:85], *burst, *cycles[86:]]
 
 
 def one_step_of_five() -> list[Cycle]:
     cycles, step = clean(), _limits("CAN", "csp", PERIOD_S).step
     del cycles[LOST]
-    return ramp(cycles, 80, [cycles[79].torque - 5.0 * step])
+    cycles[80] = replace(cycles[80], torque=cycles[79].torque - 5.0 * step)
+    return cycles
 
 
+ONE, LATER = slice(100, 101), slice(100, 340)
 DEFECTS = {
-    "torque beyond its limit": (lambda: changed(clean(), slice(100, 101), torque=lambda _: 313.0), "a torque of 313"),
-    "a step beyond the slew": (
-        lambda: changed(clean(), slice(100, 101), torque=lambda one: one.torque - 100.0),
-        "a step of",
-    ),
+    "torque beyond its limit": (lambda: changed(ONE, torque=lambda _: 313.0), "a torque of 313"),
+    "a step beyond the slew": (lambda: changed(ONE, torque=lambda one: one.torque - 100.0), "a step of"),
     "torque times three after a gap": (tripled_after_a_gap, "against a friction of"),
     "five slew steps in one period after a lost set-point": (five_steps_at_once, "per mille within"),
     "five slew steps in one command after a lost set-point": (one_step_of_five, "a step of"),
     "a step of the position set-point": (
-        lambda: changed(clean(), slice(100, 340), position=lambda one: one.position + 2000.0),
+        lambda: changed(LATER, position=lambda one: one.position + 2000.0),
         "counts from where the ones before led",
     ),
     "a position set-point far away": (
-        lambda: changed(clean(), slice(100, 101), position=lambda one: one.position + 90_000.0),
+        lambda: changed(ONE, position=lambda one: one.position + 90_000.0),
         "counts from the one before",
     ),
     "a step of the velocity set-point": (
-        lambda: changed(clean("csv"), slice(100, 340), velocity=lambda one: one.velocity + 200_000.0),
+        lambda: changed(LATER, "csv", velocity=lambda one: one.velocity + 200_000.0),
         "velocity set-points",
     ),
     "disabled in motion without a quick stop": (
-        lambda: changed(clean(), slice(300, 320), word=lambda _: DISABLE, torque=lambda _: 0.0),
-        "without a quick stop before it",
+        lambda: changed(slice(300, 320), word=lambda _: DISABLE, torque=lambda _: 0.0),
+        "without a quick stop",
     ),
-    "the torque stays at the end": (
-        lambda: changed(clean(), slice(305, 340), torque=lambda _: 20.0),
-        "is left in the drive, and nobody says so",
-    ),
-    "the power stays at the end": (lambda: changed(clean(), slice(320, 340), status=lambda _: ON), "still has power"),
+    "the torque stays at the end": (lambda: changed(slice(305, 340), torque=lambda _: 20.0), "is left in the drive"),
+    "the power stays at the end": (lambda: changed(slice(320, 340), status=lambda _: ON), "still has power"),
 }
 
 
@@ -171,20 +148,17 @@ def test_a_run_whose_frames_were_lost_or_late_is_not_accused(lost) -> None:
 
 
 def test_an_offset_that_the_daemon_says_it_could_not_clear_is_not_held_against_it_twice() -> None:
-    cycles = changed(clean(), slice(305, 340), torque=lambda _: 20.0)
+    cycles = changed(slice(305, 340), torque=lambda _: 20.0)
     assert judged(cycles, errors="x: 60B2h torque offset cannot be read back [FH-222]") == []
 
 
 def test_positions_that_wrap_round_are_no_step():
-    cycles = [
-        replace(one, actual=_wrapped(one.actual + 2**31), position=_wrapped(one.position + 2**31)) for one in clean()
-    ]
+    def wrapped(counts):
+        return (counts + 2**32) % 2**32 - 2**31
+
+    cycles = [replace(one, actual=wrapped(one.actual), position=wrapped(one.position)) for one in clean()]
     assert max(one.position for one in cycles) - min(one.position for one in cycles) > 2**31
     assert judged(cycles) == []
-
-
-def _wrapped(counts: int) -> int:
-    return (counts + 2**31) % 2**32 - 2**31
 
 
 def test_a_period_that_is_left_out_is_allowed_where_the_daemon_says_that_it_is_too_slow():
@@ -195,7 +169,5 @@ def test_a_period_that_is_left_out_is_allowed_where_the_daemon_says_that_it_is_t
     assert found
     assert all("from where the ones before led" in text for text in found)
     result = {"drive_states": {"x": "switch on disabled"}, "cycles": len(cycles), "faults": []}
-    said = (
-        "the computer is too slow for 5 ms: ..., so set-points no longer wait for a missed one; take a longer period_s"
-    )
+    said = "the computer is too slow for 5 ms: ..., so set-points no longer wait for a missed one; take a longer one"
     assert judged(skipped, result=result | {"warnings": [said]}) == []
