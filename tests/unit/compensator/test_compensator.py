@@ -186,12 +186,6 @@ def test_the_model_is_right_when_it_is_switched_on(source):
     np.testing.assert_array_equal(torque[10:], expected[310:])
 
 
-@given(st.floats(0.1, 1.0), st.floats(-50.0, 50.0), st.sampled_from(["difference", "drive"]))
-def test_the_estimate_of_an_even_motion_is_its_velocity(smoothing, speed, velocity):
-    _, estimate = feed(compensator(smoothing=smoothing, velocity=velocity), *even(speed), 400)
-    assert estimate[-1] == pytest.approx(speed, rel=1e-9, abs=1e-12)
-
-
 @given(st.floats(-50.0, 50.0))
 def test_the_observer_knows_the_friction_and_the_load(speed):
     """At even speed the drive's torque is friction and load: nothing is left that would accelerate."""

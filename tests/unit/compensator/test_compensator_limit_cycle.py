@@ -48,19 +48,14 @@ def on_a_spring(strength, stiffness, duration_s):
 @pytest.mark.parametrize("strength", [1.2, 1.5, 2.0, 3.0])
 @pytest.mark.parametrize("stiffness", [2.0, 5.0])
 def test_an_axis_on_a_spring_that_swings_by_too_much_compensation_comes_to_rest(strength, stiffness):
-    """Hand guiding, at 16 and 25 Hz."""
+    """Hand guiding, at 16 and 25 Hz; a slow swing, at 8 Hz, is seen within a second."""
     run = on_a_spring(strength, stiffness, 3.0)
     times = steps(run)
     assert times[0] < 0.5
     assert times.size >= math.log(strength) / -math.log(limit_cycle.STEP) - 1.0
     assert np.abs(run.after(2.8).velocity).max() < 0.02
     assert np.abs(run.velocity).max() > 5.0
-
-
-@pytest.mark.parametrize("strength", [1.2, 2.0])
-def test_a_slow_swing_is_seen_within_a_second(strength):
-    """At 8 Hz."""
-    assert steps(on_a_spring(strength, 0.5, 1.0)).size >= 1
+    assert strength not in (1.2, 2.0) or steps(on_a_spring(strength, 0.5, 1.0)).size >= 1
 
 
 @pytest.mark.parametrize("velocity_gain", [0.06, 0.2])

@@ -103,7 +103,7 @@ def test_rounding_of_a_wild_motion_gives_the_noise_told(kind, fineness):
     assert np.sqrt(np.mean(error**2)) == pytest.approx(one.estimator.noise, rel=0.05)
 
 
-def test_noise_of_the_drive_s_velocity_goes_through_the_filter():
+def test_noise_of_the_drives_velocity_goes_through_the_filter():
     own = np.random.default_rng(2).normal(scale=0.3, size=100_000)
     one = Estimate("drive", smoothing=0.2, drive_noise=0.3)
     assert np.std(one.feed(0.0 * own, drive=own)) == pytest.approx(one.estimator.noise, rel=0.05)
@@ -211,15 +211,6 @@ def test_a_shift_by_whole_counts_changes_no_bit(kind, walk, shift):
     drive = np.array(walk, dtype=float)
     expected = here.feed(position, drive=drive)
     np.testing.assert_array_equal(there.feed(position + shift * RESOLUTION, drive=drive), expected)
-
-
-@checked
-@given(st.sampled_from(KINDS[:3]), st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 4), min_size=2, max_size=60))
-def test_estimates_add_up(kind, rows):
-    z1, z2, u1, u2 = np.array(rows).T
-    total = Estimate(kind).feed(z1 - 2.0 * z2, torque=u1 - 2.0 * u2)
-    parts = Estimate(kind).feed(z1, torque=u1) - 2.0 * Estimate(kind).feed(z2, torque=u2)
-    np.testing.assert_allclose(total, parts, atol=1e-6)
 
 
 def test_a_kalman_filter_that_knows_the_torque_does_not_lag():

@@ -159,6 +159,12 @@ def test_mat_of_version_4(tmp_path: Path) -> None:
     assert "cut off in the variable at byte" in read.problems[0]
 
 
+def test_what_a_format_cannot_hold_is_refused(tmp_path: Path) -> None:
+    late = Recording("", "x", {"time_s": np.array([0.0, 1.7e18])})
+    with pytest.raises(RecordingError, match="is it in seconds"):
+        fh.recordings.write(tmp_path / "x.mcap", late)
+
+
 ODD_NAMES = {"Speed (rpm)": (".mat", ".mcap"), "a/b": (".h5",), "a\\b": (".npz",), "_x": (".mat",)}
 
 

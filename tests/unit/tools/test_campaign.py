@@ -54,12 +54,9 @@ def test_torque_may_end_in_a_step_only_where_the_power_ends_too(torque: float, w
     assert len(one.broken) == count
 
 
-def test_states_and_commands_of_cia_402() -> None:
+def test_judgement() -> None:
     assert [is_powered(word) for word in (0x0637, 0x0617, 0x001F, 0x0633, 0x0018, 0x0050)] == [True] * 3 + [False] * 3
     assert [keeps_power(word) for word in (0x0F, 0x1F, 0x02, 0x06, 0x07, 0x00, 0x80)] == [True] * 3 + [False] * 4
-
-
-def test_judgement() -> None:
     fault = BY_NAME["drive-fault"]
     assert "went on" in judge(fault, seen()).problems[0]
     named = {**SETTLED, "faults": ["x: the drive is in fault [FH-105]"]}

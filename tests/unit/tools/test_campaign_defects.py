@@ -131,6 +131,8 @@ def test_a_planted_defect_is_found_and_named(name) -> None:
     found = judged(stream(), "csv" if "velocity" in name else "csp")
     assert found, name
     assert any(words in each for each in found), found
+    if "torque stays" in name:  # what the daemon says it could not clear is not held against it twice
+        assert judged(stream(), errors="x: 60B2h torque offset cannot be read back [FH-222]") == []
 
 
 @pytest.mark.parametrize(("mode", "frequency"), [*itertools.product(("csp", "csv", "cst"), (0.8, 1.6))])
@@ -145,11 +147,6 @@ def test_a_run_whose_frames_were_lost_or_late_is_not_accused(lost) -> None:
     held = [replace(one, time_s=one.time_s + lost * PERIOD_S) for one in cycles[84:]]
     late = [replace(one, time_s=one.time_s + 0.9 * PERIOD_S * (k % 7 == 0)) for k, one in enumerate(held)]
     assert judged([*cycles[:84], *late]) == []
-
-
-def test_an_offset_that_the_daemon_says_it_could_not_clear_is_not_held_against_it_twice() -> None:
-    cycles = changed(slice(305, 340), torque=lambda _: 20.0)
-    assert judged(cycles, errors="x: 60B2h torque offset cannot be read back [FH-222]") == []
 
 
 def test_positions_that_wrap_round_are_no_step():

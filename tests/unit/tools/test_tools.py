@@ -361,18 +361,12 @@ def test_benchmark_of_recordings_compares_equal_work(tmp_path: Path) -> None:
         recordings.check(path, ours, other)
 
 
-def test_ratio_of_a_comparison_is_that_of_single_rounds() -> None:
+def test_rows_of_benchmarks_have_ratios_of_single_rounds_samples_and_null_for_what_is_no_number(capsys) -> None:
     # the medians alone would say 1: both programs were slow in one round of three, but not in the same one
     row = compare("a (b)", "us", [2.0, 9.0, 4.0], [1.0, 4.0, 8.0])
     assert (row.value, row.reference, row.ratio) == (4.0, 4.0, 2.0)
-
-
-@pytest.mark.parametrize(("share", "expected"), [(0.5, 2.0), (0.51, 3.0), (0.99, 4.0), (0.25, 1.0)])
-def test_percentile_is_a_sample(share: float, expected: float) -> None:
-    assert percentile([1.0, 2.0, 3.0, 4.0], share) == expected
-
-
-def test_benchmark_as_json_has_null_for_what_is_no_number(capsys: pytest.CaptureFixture[str]) -> None:
+    shares = {0.5: 2.0, 0.51: 3.0, 0.99: 4.0, 0.25: 1.0}
+    assert {share: percentile([1.0, 2.0, 3.0, 4.0], share) for share in shares} == shares
     show([Row("a", math.nan, "us"), Row("b", 1.0, "us", 2.0, math.inf)], as_json=True)
     first, second = json.loads(capsys.readouterr().out)["rows"]
     assert first == {"name": "a", "value": None, "unit": "us", "reference": None, "ratio": None}
@@ -383,11 +377,8 @@ def test_benchmark_as_json_has_null_for_what_is_no_number(capsys: pytest.Capture
 def test_the_benchmark_of_networks_measures_an_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(neural, "ROUNDS", 1)
     rows = neural.iterations()
-    assert [row.name.partition(":")[0] for row in rows] == ["gated", "narx"]
-    for row in rows:
-        assert row.unit == "ms"
-        assert 0.0 < row.value < math.inf
-        assert row.ratio is not None
+    assert [(row.name.partition(":")[0], row.unit) for row in rows] == [("gated", "ms"), ("narx", "ms")]
+    assert all(0.0 < row.value < math.inf and row.ratio is not None for row in rows)
 
 
 def test_the_benchmark_of_latency_compares_sleeping_and_spinning(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -413,10 +404,9 @@ def test_the_benchmark_of_the_exchange_times_each_part() -> None:
 
 
 def test_the_benchmark_of_health_has_every_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(health, "DURATION_S", 8.0)
-    monkeypatch.setattr(health, "BEGIN", 31)
-    monkeypatch.setattr(health, "YEAR_DAYS", 40)
-    monkeypatch.setattr(health, "CHANGES", health.CHANGES[2:3])
+    small = {"DURATION_S": 8.0, "BEGIN": 31, "YEAR_DAYS": 40, "CHANGES": health.CHANGES[2:3]}
+    for name, value in small.items():
+        monkeypatch.setattr(health, name, value)
     done = CliRunner().invoke(health.command, ["--axes", "1", "--json"])
     assert done.exit_code == 0, done.output
     quiet, tightened = json.loads(done.stdout)["rows"]
