@@ -184,18 +184,12 @@ def test_the_drives_velocity_follows_the_true_one():
 
 def test_a_position_target_is_the_demand_one_and_a_half_periods_later():
     """With the period that the exchange takes, 2.5 periods from sending to demand."""
-    one = servo(friction=FREE)
     now = 1e-3 * np.arange(400)
-    demand = stream(one, CSP, 0.2 * np.sin(20.0 * now))[10:, 0]
-    seen = (now + 1e-3 - 1.0 / 8000.0)[10:]  # the demand is that of the last control sample
-    np.testing.assert_allclose(demand, 0.2 * np.sin(20.0 * (seen - 1.5e-3)), atol=0.2 * (20.0 * 1e-3) ** 2)
-
-
-def test_a_ramp_of_positions_is_reproduced_exactly_and_its_velocity_is_even():
-    one = servo()
-    demand, velocity = stream(one, CSP, 2.0 * 1e-3 * np.arange(100))[3:, :2].T
-    seen = 1e-3 * np.arange(1, 101)[3:] - 1.0 / 8000.0
-    np.testing.assert_allclose(demand, 2.0 * (seen - 1.5e-3), atol=1e-12)
+    seen = now + 1e-3 - 1.0 / 8000.0  # the demand is that of the last control sample
+    demand = stream(servo(friction=FREE), CSP, 0.2 * np.sin(20.0 * now))[10:, 0]
+    np.testing.assert_allclose(demand, 0.2 * np.sin(20.0 * (seen[10:] - 1.5e-3)), atol=0.2 * (20.0 * 1e-3) ** 2)
+    demand, velocity = stream(servo(), CSP, 2.0 * now)[3:, :2].T
+    np.testing.assert_allclose(demand, 2.0 * (seen[3:] - 1.5e-3), atol=1e-12)
     np.testing.assert_allclose(velocity, 2.0, atol=1e-9)
 
 
