@@ -57,13 +57,13 @@ def test_without_a_lag_a_command_is_all_of_the_torque_for_a_period(delay, is_mea
     np.testing.assert_allclose(lag_response(0.0, delay, is_mean=is_mean)[:4], expected)
 
 
-def commanded(lag_s, *, delay=1.0, is_mean=False, gain=1.0, rows=4000, seed=1):
+def commanded(lag_s, *, delay=1.0, told=None, is_mean=False, gain=1.0, rows=4000, seed=1):
     """A run in CST with a command that changes in each period."""
     random = np.random.default_rng(seed)
     command = np.cumsum(random.normal(0.0, 0.01, rows))
     torque = gain * followed(command, lag_s / PERIOD_S, delay, is_mean=is_mean)
     position = np.cumsum(np.cumsum(torque)) * PERIOD_S**2 / 1e-3
-    facts = AxisFacts("x", "", 6e-6, RESOLUTION, 1.5 * PERIOD_S, (delay + 0.5) * PERIOD_S)
+    facts = AxisFacts("x", "", 6e-6, RESOLUTION, 1.5 * PERIOD_S, ((delay if told is None else told) + 0.5) * PERIOD_S)
     values = {
         "time_s": np.arange(rows) * PERIOD_S,
         "cycle": np.arange(float(rows)),
@@ -163,7 +163,7 @@ def decided(lag_s, *, former_s=0.0, timing=None, delay_s=0.0, **changes):
         ({"former_s": 6e-4}, True, False, 6e-4, "0.6 ms of the former model is kept"),
         ({"former_s": 6e-4}, True, False, 6e-4, "age of the reported torque is not known"),
         ({"former_s": 6e-4, "timing": INSTANT}, True, True, 4e-4, ""),
-        ({"delay": 1.3, "delay_s": 1.3 * PERIOD_S}, True, True, 4e-4, ""),
+        ({"delay": 1.3, "told": 1.0, "delay_s": 1.3 * PERIOD_S}, True, True, 4e-4, ""),
         ({"lag_s": 0.0, "former_s": 3e-4, "timing": INSTANT}, False, False, 3e-4, "follows the command within 0."),
         (
             {"lag_s": 5e-5, "former_s": 3e-4, "timing": INSTANT},

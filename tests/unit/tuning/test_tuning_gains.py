@@ -46,6 +46,7 @@ def tried(given: Compensation, known: Unknown | None, result, swings=lambda gain
         pytest.param(lambda gain: 1.02 - gain, unknown(0.02), [0.9, 0.96, 1.0], 1.0, id="known to 2 %"),
         pytest.param(lambda gain: 1.02 - gain, unknown(0.01, 0.03), [0.9, 0.94, 1.0], 1.0, id="the larger one counts"),
         pytest.param(lambda gain: 1.02 - gain, unknown(0.2), [0.9, 1.0], 1.0, id="none below the configured one"),
+        pytest.param(lambda gain: 1.02 - gain, unknown(0.05), [0.9, 1.0], 1.0, id="none is tried twice"),
         pytest.param(lambda gain: 1.02 - gain, None, [0.9, 0.95, 1.0], 1.0, id="not known"),
         pytest.param(lambda gain: 0.01 * gain, unknown(0.02), [0.9, 0.96], 0.9, id="the higher one was worse"),
         pytest.param(lambda gain: 1.0, unknown(0.02), [0.9], 0.9, id="a model that does not help"),
