@@ -35,9 +35,6 @@ def only(observations, **options):
     return verdict
 
 
-# charts
-
-
 @given(st.floats(10.0, 1e9))
 def test_the_threshold_gives_the_run_length_that_is_asked_for(run_length):
     assert average_run_length(threshold_for(run_length)) == pytest.approx(run_length, rel=1e-6)
@@ -151,9 +148,6 @@ def test_what_limits_the_judgement_is_said():
         fh.health.judge("x", some, LAYOUT, false_alarms=math.nan)
 
 
-# observations
-
-
 def swing(speeds=(1.2, 0.5), *, coulomb=(0.2, 0.16), viscous=0.03, ripple=0.0, play=0.0, seconds=30.0):
     """A recording at 200 Hz of an axis with Coulomb and viscous friction, in sines, and of its load behind a gap."""
     time = np.arange(0.0, seconds, 0.005)
@@ -216,9 +210,6 @@ def test_a_long_recording_gives_several_observations_and_one_at_rest_none():
     assert "slides for too short a time" in problems[0]
     with pytest.raises(RecordingError, match="no column torque"):
         fh.health.observe(Recording("a.csv", "x", {"time_s": np.arange(9.0), "position": np.zeros(9)}), started_s=0.0)
-
-
-# history and metrics
 
 
 def test_a_history_is_read_as_it_was_written_also_after_a_power_cut(tmp_path):

@@ -25,9 +25,6 @@ def result() -> Identification:
     return found(recorded("stribeck", noise=0.01), families=("coulomb", "stribeck", "dahl", "lugre"))
 
 
-# --- candidates whose numbers fail
-
-
 def failing(monkeypatch: pytest.MonkeyPatch, *families: str) -> None:
     """Make the fits of some families fail as a decomposition does that does not converge."""
     fit = candidates.fit
@@ -89,9 +86,6 @@ def test_the_search_keeps_out_of_loops_that_release_energy():
     values = {"beta": 80.0, "stiffness": 40.0, "exponent": 1.2}
     admitted = [structure.is_admissible({**values, "gamma": gamma}) for gamma in (-81.0, -79.0, 79.0, 81.0)]
     assert admitted == [False, True, True, False]
-
-
-# --- comparison in pairs
 
 
 def with_errors(fit: Fit, stretches: np.ndarray, measured: float = 1.0) -> Fit:
@@ -168,9 +162,6 @@ def test_plausible_fits_begin_with_the_chosen_one_and_have_each_family(result: I
     assert {each.structure.family for each in fits} == {each.structure.family for each in result.fits}
 
 
-# --- levels that the motion does not show
-
-
 def test_a_hump_that_the_motion_does_not_show_is_held_flat() -> None:
     """Coulomb friction with presliding: the level at standstill is free to absorb whatever the model lacks."""
     result = found(recorded("dahl", noise=0.02), families=("lugre",))
@@ -197,9 +188,6 @@ def test_no_level_exceeds_what_was_ever_measured() -> None:
     for fit in found(made(time, velocity, torque), families=("lugre",)).fits:
         levels = [value for name, value in fit.values.items() if name.endswith("static")]
         assert max(levels) < 1.6 * np.abs(torque).max()
-
-
-# --- in parallel
 
 
 def test_results_are_in_order_and_begin_is_called_in_this_thread(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,9 +71,6 @@ def response_of(recording: Recording) -> FrequencyResponse | None:
     return frequency_response(prepare(recording))
 
 
-# --- frequency response
-
-
 def test_the_response_is_that_of_the_discretised_axis() -> None:
     """Two masses under a torque that is held over the period, as scipy discretises them; little damping."""
     motor, load, stiffness, damping, period_s = 1.2e-4, 4e-4, 7.4, 1e-3, 1e-3
@@ -172,9 +169,6 @@ def test_slow_strokes_excite_no_response() -> None:
     assert response is None or fit_resonance(response)[0] is None
 
 
-# --- torque over the time
-
-
 @pytest.mark.deep
 def test_the_spring_of_a_coupling_is_not_put_into_the_bristle_unsaid() -> None:
     result, mechanics = found(COULOMB_LOAD)
@@ -230,9 +224,6 @@ def test_with_the_position_of_the_load_each_side_is_known():
     assert "backlash" not in without.values
 
 
-# --- encoder error
-
-
 @pytest.mark.deep
 @pytest.mark.parametrize("is_encoder", [True, False])
 def test_an_error_of_the_encoder_is_told_from_cogging_by_the_speed(is_encoder: bool) -> None:
@@ -248,9 +239,6 @@ def test_an_error_of_the_encoder_is_told_from_cogging_by_the_speed(is_encoder: b
         return
     assert "order 40" in error.label
     assert error.value == pytest.approx(2e-4, rel=0.15)
-
-
-# --- results
 
 
 def test_model_file_has_the_load_and_is_read_again() -> None:

@@ -279,9 +279,6 @@ def test_a_load_that_is_gone_ends_learning(tried):
     assert any("not that of the model" in note for note in tried.notes)
 
 
-# the next run
-
-
 KEPT = Proven("digest", {"coulomb": 0.07}, 0.97, 1000.0, 25.0)
 
 

@@ -70,9 +70,6 @@ def test_standard_errors_of_the_model_file_are_what_is_known_at_first():
     assert errors["sigma0"] == errors["sigma2"] == DEFAULT_ERROR
 
 
-# estimate
-
-
 def test_the_estimate_finds_the_true_parameters_within_its_errors():
     belief = first_belief(WRONG, Mechanics(1.05 * INERTIA), {})
     found = estimate(window(record(8.0, seed=1)), belief, COUNT, 2.0).belief

@@ -160,9 +160,6 @@ def test_a_layer_follows_what_changes_and_ends_with_it():
     assert ends == [False, True, True]
 
 
-# on trial
-
-
 ON_TRIAL = {"true": LAYER.on(LUGRE), "amplitude": 1.0, "seed": 1}
 
 

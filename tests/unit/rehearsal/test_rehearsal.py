@@ -216,9 +216,6 @@ def test_the_shorter_motion_begins_with_the_longer_one_and_ends_with_it():
     np.testing.assert_array_equal(one["demand"], other["demand"])
 
 
-# the machines
-
-
 def gantry(**changes):
     """The gantry of the examples, with some keys of its second axis changed."""
     data = yaml.safe_load(dump(self_contained(load(MACHINES / "gantry.yaml"))))

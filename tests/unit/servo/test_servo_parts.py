@@ -34,9 +34,6 @@ def pushed(one, torque, seconds=0.0):
     return one
 
 
-# --- sensors
-
-
 def test_the_encoder_reads_what_was_so_long_ago():
     """At an even speed it lags by speed times latency, whenever it is read."""
     for latency in (3e-5, 2.5e-4, 3.1e-3):
@@ -89,9 +86,6 @@ def test_torque_feedback_has_gain_offset_and_delay():
     assert one.torque == pytest.approx(0.2 * 1.1 - 0.03)
 
 
-# --- motor
-
-
 def test_the_shaft_gets_the_torque_of_the_true_constant_and_the_drive_does_not_know():
     one = pushed(servo(motor={"torque_constant_error": -0.1}), 0.2, 0.01)
     assert one.torque == pytest.approx(0.2)
@@ -122,9 +116,6 @@ def test_cogging_acts_without_current_and_ripple_with_it():
     assert one.true_position == 0.3
     pushed(one, 0.1, 1.0 / HZ)
     assert one.true_torque == pytest.approx(0.1 * (1.0 + 0.05 * math.cos(0.9)))
-
-
-# --- drive
 
 
 def amplitude(one, hz):
@@ -177,9 +168,6 @@ def test_without_anti_windup_the_axis_overshoots_after_a_long_limit():
         return highest - 40.0
 
     assert overshoot(False) > 3.0 * max(overshoot(True), 1.0)
-
-
-# --- heat and wear
 
 
 def test_temperatures_follow_the_exact_solution_of_the_nodes():

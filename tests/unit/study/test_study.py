@@ -34,9 +34,6 @@ def result():
     return study.run(CHOSEN)
 
 
-# --- the models are comparable
-
-
 def test_every_model_has_a_recipe_and_the_examples_keep_their_levels():
     for name in ALL:
         assert matched(name, REFERENCE).name == name
@@ -57,9 +54,6 @@ def test_static_curves_meet_the_levels_and_the_stiffness_is_the_same_for_all(nam
     assert force[-1] == pytest.approx(1.04, abs=0.002)
     if name not in STATIC:
         assert stress_strain(name).facts["stiffness_N_per_um"] == pytest.approx(0.1, rel=0.03)
-
-
-# --- single experiments
 
 
 def test_a_pulse_overshoots_with_a_hump_only_and_a_state_keeps_its_force():
@@ -120,9 +114,6 @@ def test_break_away_falls_with_the_rate_where_there_is_a_hump_and_a_state(name):
         assert 1.0 < levels[-1] < levels[0] - 0.2
 
 
-# --- closed loops
-
-
 @pytest.mark.parametrize("name", ALL)
 def test_stick_slip_needs_a_hump_and_compensation_with_one_ends_it(name):
     facts = closed_loop.stick_slip(name, None).facts
@@ -174,9 +165,6 @@ def test_the_integration_is_fine_enough(monkeypatch):
     assert coarse == pytest.approx(fine, rel=0.02)
 
 
-# --- the whole
-
-
 def test_the_numbers_depend_neither_on_threads_nor_on_company_and_progress_grows_to_the_whole(result):
     fractions = []
     alone = study.run(["lugre"], lambda text, fraction: fractions.append(fraction), workers=1).facts["lugre"]
@@ -221,9 +209,6 @@ def test_the_study_is_pure():
     assert not {"matplotlib", "rich", "click", "mcap"} & set(loaded)
 
 
-# --- the report
-
-
 @pytest.mark.deep
 def test_the_report_needs_nothing_else_and_is_the_same_each_time(tmp_path):
     result = study.run(["coulomb", "lugre"])
@@ -262,9 +247,6 @@ NUMBERS = {None: "–", math.inf: "not finite", 0.0: "0", 1e-4: "0", 0.9999999: 
 @pytest.mark.parametrize(("value", "text"), NUMBERS.items())
 def test_numbers_are_written_with_three_digits(value, text):
     assert number(value) == text
-
-
-# --- settings
 
 
 def test_experiments_scale_with_the_levels_that_are_given():

@@ -92,9 +92,6 @@ def course(motor, load, gain_factor=1.0):
     return Course(1e-3 * np.arange(motor.size), np.zeros(motor.size), motor, load, gain_factor)
 
 
-# figures
-
-
 def test_figures_leave_out_the_constant_part_of_an_error_and_what_diverges_reduces_nothing():
     errors = course([1.0, 3.0, 1.0, 3.0], [-5.0, -5.0, -4.0, -4.0]).errors
     assert (errors("motor"), errors("load")) == ((1.0, 1.0), (0.5, 0.5))
@@ -117,9 +114,6 @@ def test_a_study_makes_each_motion_without_and_with_compensation():
     assert calls == [False, True]
     assert study.facts["x"]["own"]["motor"]["reduction"] == {"rms": pytest.approx(10.0), "peak": pytest.approx(10.0)}
     assert study.facts["x"]["own"]["load"]["reduction"]["rms"] == pytest.approx(2.0)
-
-
-# simulated machines
 
 
 def test_the_load_stays_behind_its_encoder_by_friction_over_stiffness(machine):
@@ -185,9 +179,6 @@ def test_a_machine_that_cannot_be_studied_is_refused(change, said, tmp_path, cap
     assert main(["study", str(path), "--output", str(tmp_path / "out")]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-# the benchmark
 
 
 def test_the_true_friction_reduces_more_than_a_level_that_is_half_too_high(benched):
