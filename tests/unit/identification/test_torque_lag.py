@@ -21,7 +21,6 @@ from tests.servo_drives import PERIOD_S, ServoDrives, axis_dict, configuration, 
 
 STEPS = 100  # of a period, in the simulation by small steps
 RESOLUTION = 6.4e-4  # of the reported torque
-OWN_LOOPS = {"csp": {}, "csv": {"controller": {"position_gain": 30.0}}}
 INSTANT = TorqueTiming(1e-4, 2e-5, PERIOD_S, "instant")
 
 
@@ -64,15 +63,9 @@ def commanded(lag_s, *, delay=1.0, told=None, is_mean=False, gain=1.0, rows=4000
     torque = gain * followed(command, lag_s / PERIOD_S, delay, is_mean=is_mean)
     position = np.cumsum(np.cumsum(torque)) * PERIOD_S**2 / 1e-3
     facts = AxisFacts("x", "", 6e-6, RESOLUTION, 1.5 * PERIOD_S, ((delay if told is None else told) + 0.5) * PERIOD_S)
-    values = {
-        "time_s": np.arange(rows) * PERIOD_S,
-        "cycle": np.arange(float(rows)),
-        "position": position,
-        "torque": RESOLUTION * np.round(torque / RESOLUTION),
-        "command": command,
-        "state": np.full(rows, float(LoopState.RUNNING)),
-        "is_fresh": np.ones(rows),
-    }
+    values = {"time_s": np.arange(rows) * PERIOD_S, "cycle": np.arange(float(rows)), "is_fresh": np.ones(rows)}
+    values |= {"position": position, "torque": RESOLUTION * np.round(torque / RESOLUTION), "command": command}
+    values["state"] = np.full(rows, float(LoopState.RUNNING))
     return Recording("memory", "x", values, metadata={"facts": [asdict(facts)]})
 
 
@@ -105,7 +98,8 @@ def recorded(mode, servo, *, is_compensated):
         for each in feedback:
             each.torque = RESOLUTION * round(each.torque / RESOLUTION)
 
-    axis = axis_dict(mode=mode, **OWN_LOOPS[mode], compensation={"fade_s": 0.1, "enabled": is_compensated})
+    own = {"controller": {"position_gain": 30.0}} if mode == "csv" else {}
+    axis = axis_dict(mode=mode, **own, compensation={"fade_s": 0.1, "enabled": is_compensated})
     config = configuration(x=axis)
     drives = ServoDrives(config, servo=servo, disturb=report_coarsely)
     loop, rows, _ = make_loop(config, drives, duration_s=8.0)

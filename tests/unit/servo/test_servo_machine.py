@@ -19,7 +19,6 @@ from friction_hil.servo.servo import Servo
 OFF, CSP, CSV, CST = 0, 8, 9, 10
 HZ = 80_000
 FREE = {"model": "coulomb", "parameters": {"coulomb": 0.0}}
-LUGRE = {"model": "lugre", "parameters": dict(describe("lugre").example)}
 
 
 def coulomb(level=0.0, static=None, viscous=0.0):

@@ -71,12 +71,10 @@ def benched(machine, tmp_path_factory):
     conditions = {name: grid.conditions[name] for name in ("exact", "two_cycles", "encoder_14")}
     grid = grid.model_copy(update={"conditions": conditions})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tools.benchmarks.compensation.machines.simulated_motions", some_motions)
+        some = {"own", "triangle"}
+        motions = "tools.benchmarks.compensation.machines.simulated_motions"
+        patch.setattr(motions, lambda one: {k: v for k, v in simulated_motions(one).items() if k in some})
         return run_machines([machine], grid, folder)
-
-
-def some_motions(machine):
-    return {name: motion for name, motion in simulated_motions(machine).items() if name in ("own", "triangle")}
 
 
 def only_axis(machine):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from friction_hil import friction as models
 from friction_hil.daemon.assembly import experiment_sweeps, make_path
@@ -27,8 +26,6 @@ from friction_hil.tuning.choice import inertia_problem, model_content
 from friction_hil.tuning.motions import experiment_run
 from tests.servo_drives import axis_dict, configuration
 from tests.unit.identification.test_identification import plain
-
-Array = NDArray[np.float64]
 
 FRICTION = {"sigma0": 2000.0, "sigma1": 1.0, "sigma2": 2e-3, "coulomb": 0.1, "static": 0.13, "stribeck_velocity": 0.2}
 INERTIA = 2e-4

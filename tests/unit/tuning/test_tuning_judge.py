@@ -47,11 +47,6 @@ STARTS = np.cumsum([0.0, *(part.duration_s for part in SEQUENCE.motions[:-1])]).
 FIRST_CYCLE = 50.0
 
 
-def motion_at(s):
-    """Name of the motion at the time of the path; a pause belongs to the motion before it."""
-    return NAMES[max(bisect.bisect_right(STARTS, s) - 1, 0)]
-
-
 @cache
 def course():
     """Cycles, and the demand and the time of the path in each."""
@@ -74,7 +69,8 @@ def recorded(errors, *, events=()):
 
     def error_at(s):
         is_wild = s < begin - 1e-9 or end <= s < SEQUENCE.motions[0].moving_s
-        return 9.0 if is_wild else errors.get(motion_at(s), lambda _: 1e-3)(s)
+        name = NAMES[max(bisect.bisect_right(STARTS, s) - 1, 0)]  # a pause belongs to the motion before it
+        return 9.0 if is_wild else errors.get(name, lambda _: 1e-3)(s)
 
     columns = {name: np.ones(len(cycle)) for name in ("is_fresh", "is_enabled")}
     columns |= {"time_s": cycle * PERIOD_S, "cycle": cycle.copy(), "path_lag_s": np.zeros(len(cycle))}

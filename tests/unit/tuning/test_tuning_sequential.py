@@ -61,15 +61,10 @@ def part(seed=0, drift=0.0):
     position = demand - 2e-4 * np.tanh(velocity / 0.1)
     moved = np.diff(position, prepend=0.0) / PERIOD_S
     torque = LUGRE.simulate(moved, PERIOD_S) * (1.0 + drift) + INERTIA * np.gradient(moved, PERIOD_S)
-    columns = {
-        "time_s": time,
-        "cycle": np.arange(len(time), dtype=float),
-        "state": np.full(len(time), float(LoopState.RUNNING)),
-        "position": quantised(position, COUNT),
-        "position_demand": demand,
-        "velocity_demand": velocity,
-        "torque": torque + 0.002 * np.random.default_rng(seed).standard_normal(len(time)),
-    }
+    columns = {"time_s": time, "cycle": np.arange(len(time), dtype=float), "position": quantised(position, COUNT)}
+    columns |= {"position_demand": demand, "velocity_demand": velocity}
+    columns["torque"] = torque + 0.002 * np.random.default_rng(seed).standard_normal(len(time))
+    columns["state"] = np.full(len(time), float(LoopState.RUNNING))
     facts = {"name": "x", "position_resolution": COUNT, "torque_delay_s": 0.0}
     return ExperimentPart(Recording("x_experiment.mcap", "x", columns, {"facts": [facts]}), PART_S)
 
