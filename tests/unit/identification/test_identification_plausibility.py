@@ -301,11 +301,12 @@ def test_the_daemons_recordings_are_in_torque_whatever_the_model_came_from(tmp_p
     assert not own.problems
 
 
-@pytest.mark.parametrize("field", ["torque_signal.gain: -0.2", "fit.drive.gain: fast"])
-def test_a_gain_that_is_no_number_above_zero_is_refused(tmp_path, field):
-    path, (name, value) = tmp_path / "signal.yaml", field.split(": ")
-    *above, last = name.split(".")
-    line = "".join(f"{each}: {{" for each in above) + f"{last}: {value}" + "}" * len(above)
+@pytest.mark.parametrize(
+    ("line", "field"),
+    [("torque_signal: {gain: -0.2}", "torque_signal.gain"), ("fit: {drive: {gain: fast}}", "fit.drive.gain")],
+)
+def test_a_gain_that_is_no_number_above_zero_is_refused(tmp_path, line, field):
+    path = tmp_path / "signal.yaml"
     path.write_text(f"axis: rotary\nfriction: {{model: coulomb, parameters: {{coulomb: 0.5}}}}\n{line}\n")
-    with pytest.raises(ConfigurationError, match=rf"signal.yaml:3: {name}"):
+    with pytest.raises(ConfigurationError, match=rf"signal.yaml:3: {field}"):
         load_model_file(path)
