@@ -1,8 +1,4 @@
-"""Drives on a serial line for tests: two made-up drives, and a made-up line protocol to reach them.
-
-The protocol: ``?NAME\\n`` is answered with the number, ``NAME=NUMBER\\n`` with nothing, or with ``!TEXT\\n`` when
-refused. A name may have its axis before it: ``?b.position\\n``; else the first axis is meant.
-"""
+"""Drives on a serial line for tests: two made-up drives, a made-up protocol to reach them, and a master."""
 
 import math
 import os
@@ -12,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from friction_hil_drivers.serial_line.description import Description, Signal
-from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
+from friction_hil_drivers.serial_line.simulated import SimulatedDrive
 from friction_hil_drivers.serial_line.units import AxisUnits
 
 from friction_hil.drive import Mode
@@ -109,12 +105,12 @@ def make_drive(
 
 
 class TinyResponder:
-    """Drives' end of the made-up protocol."""
+    """The drive's end of a made-up protocol: ``?NAME`` is answered by its number, ``NAME=NUMBER`` by nothing."""
 
     request_end = b""
 
-    def __init__(self, drives: Mapping[str, SimulatedDrive], descriptions: Any = None, options: Any = None) -> None:
-        self._drives = dict(drives)
+    def __init__(self, drive: SimulatedDrive) -> None:
+        self._drive = drive
         self.silences = 0
 
     def take(self, received: bytearray) -> bytes | None:
@@ -123,17 +119,12 @@ class TinyResponder:
             return None
         line = received[:end].decode()
         del received[: end + 1]
-        axis, _, rest = line.lstrip("?").rpartition(".") if "=" not in line else ("", "", line)
-        drive = self._drives[axis or next(iter(self._drives))]
         if line.startswith("?"):
-            if rest == "position":
-                drive.sample()
-            return f"{drive.read(rest):.17g}\n".encode()
-        name, _, number = rest.partition("=")
-        try:
-            drive.write(name, float(number))
-        except RefusedError as refusal:
-            return f"!{refusal}\n".encode()
+            if line == "?position":
+                self._drive.sample()
+            return f"{self._drive.read(line[1:]):.17g}\n".encode()
+        name, _, number = line.partition("=")
+        self._drive.write(name, float(number))
         return b""
 
     def forget(self) -> None:

@@ -268,10 +268,11 @@ def port_of(kind, tmp_path):
 
 
 def serial_configuration(kind, axes):
-    """A configuration of axes of a kind in CST; ``axes`` has their lines and what is special about them."""
+    """A configuration of axes of a kind in CST; ``axes`` has what is special about them, None for a key that goes."""
     base = {**axis_dict(mode="cst", controller=CONTROLLER), **KINDS[kind], "simulation": {}}
     del base["node"]
-    return configuration(**{name: {**base, **given} for name, given in axes.items()})
+    axes = {name: {**base, **given} for name, given in axes.items()}
+    return configuration(**{name: {k: v for k, v in axis.items() if v is not None} for name, axis in axes.items()})
 
 
 class Rig:

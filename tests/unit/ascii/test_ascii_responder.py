@@ -1,15 +1,11 @@
 """Simulated drives that speak text: what they answer, byte by byte, and driver and drive talking to each other."""
 
 import math
-from typing import Any
 
 import pytest
 from friction_hil_drivers.ascii.description import AsciiDescription
-from friction_hil_drivers.ascii.driver import AsciiLine
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.ascii.simulated import AsciiResponder
-from friction_hil_drivers.serial_line.protocol import CycleSignals, Image
-from friction_hil_drivers.serial_line.sequences import Sequencer, state_of
 from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
 from friction_hil_drivers.serial_line.units import AxisUnits
 from hypothesis import given
@@ -19,6 +15,7 @@ from friction_hil.drive import DriveState, Mode, Request
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
 from tests.serial_bench import STEPS_PER_MS
+from tests.serial_rig import Rig
 from tests.unit.ascii.test_ascii_codec import COPLEY, ODRIVE, READY
 
 SERVO = ServoConfig.model_validate(
@@ -151,73 +148,25 @@ def test_a_counter_wraps_on_the_line_and_not_in_the_drive():
     assert int(reply.split()[0]) == round(drive.read("position")) - 65536
 
 
-class Talk:
-    """Exchanges with a simulated drive, without a line between."""
+@pytest.mark.parametrize(("name", "mode"), [(name, mode) for name, each in READY.items() for mode in each.modes])
+def test_a_drive_is_led_up_down_and_out_of_a_fault(name, mode, tmp_path):
+    keys = {"controller": None} if mode != "cst" else {}
+    keys |= {"description": name, "mode": mode, "counts_per_unit": 1e4}
+    with Rig("odrive", tmp_path, **keys).begin() as rig:
 
-    def __init__(self, description, mode):
-        self.description = description
-        axis = "" if description is COPLEY else "0"
-        self.drive = simulated(description, mode)
-        self.image = Image()
-        self.responder = AsciiResponder({"x": self.drive}, {"x": description}, {"x": options(axis)})
-        self.line = AsciiLine({"x": description}, {"x": options(axis)}, {"x": self.image})
-        part: Any = description.modes[mode.name.lower()]
-        slow = ("torque", "status", "error")
-        self.plan = self.line.plan({"x": CycleSignals(("position", "velocity"), slow, part.commands)})
-        self.commands = part.commands
-        self.image.values.update(dict.fromkeys(part.commands, 0.0))
-        self.sequencer = Sequencer(description)
-        for step in (*description.prepare, *part.prepare):
-            self.write(step.write)
+        def until(request, wanted):
+            rig.cycle(request, count=30)
+            assert rig.feedback.state is wanted, rig.feedback
 
-    def say(self, exchange):
-        request = exchange.encode()
-        assert len(request) <= exchange.request_size
-        received = bytearray(request)
-        reply = self.responder.take(received)
-        assert not received
-        assert reply is not None
-        assert len(reply) <= exchange.reply_size
-        assert bool(reply) == bool(exchange.reply_size)
-        if reply:
-            assert exchange.take(bytearray(reply))
-
-    def write(self, values):
-        self.image.values.update(values)
-        self.say(self.line.write("x", tuple(values)))
-
-    def cycle(self, request, time_s):
-        for exchange in (*self.plan.poll, *self.plan.background):
-            self.say(exchange)
-        state = state_of(self.description, self.image.values)
-        if step := self.sequencer.next_write(request, state, time_s):
-            self.write(step)
-            self.sequencer.acknowledge()
-        for exchange in self.plan.push:
-            self.say(exchange)
-        return state
-
-    def until(self, request, wanted, cycles=20):
-        states = [self.cycle(request, 1e-3 * k) for k in range(cycles)]
-        assert states[-1] is wanted, states
-
-
-EVERY_MODE = [(name, mode) for name, description in READY.items() for mode in sorted(description.modes)]
-
-
-@pytest.mark.parametrize(("name", "mode"), EVERY_MODE)
-def test_a_drive_is_led_up_down_and_out_of_a_fault(name, mode):
-    talk = Talk(READY[name], Mode[mode.upper()])
-    off = DriveState.READY_TO_SWITCH_ON
-    for _ in range(2):
-        talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED)
-        talk.until(Request.DISABLE, off)
-    talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED)
-    talk.drive.fail()
-    talk.until(Request.DISABLE, DriveState.FAULT)
-    assert int(talk.image.values["error"]) in talk.description.errors
-    talk.until(Request.ENABLE, DriveState.FAULT)
-    talk.until(Request.RESET_FAULT, off)
+        for _ in range(2):
+            until(Request.ENABLE, DriveState.OPERATION_ENABLED)
+            until(Request.DISABLE, DriveState.READY_TO_SWITCH_ON)
+        until(Request.ENABLE, DriveState.OPERATION_ENABLED)
+        rig.there.fail()
+        until(Request.DISABLE, DriveState.FAULT)
+        assert any(text in rig.feedback.error for text in READY[name].errors.values())
+        until(Request.ENABLE, DriveState.FAULT)
+        until(Request.RESET_FAULT, DriveState.READY_TO_SWITCH_ON)
 
 
 noise = st.one_of(

