@@ -25,13 +25,10 @@ axes:
 
 def test_a_value_changes_and_its_comment_stays_in_its_column():
     new = with_value(with_value(BLOCK, STEPS, 1.0), ("axes", "x", "model"), "out/x.yaml")
-
-    lines = BLOCK.splitlines()
-    kept = [line for line in lines if "friction:" not in line and "mechanics:" not in line]
-    kept = [
-        line.replace("gain: 0.9 ", "gain: 1.0 ").replace("model:            # replaced", "model: out/x.yaml")
-        for line in kept
-    ]
+    kept = [line for line in BLOCK.splitlines() if "friction:" not in line and "mechanics:" not in line]
+    changes = {"gain: 0.9 ": "gain: 1.0 ", "model:            # replaced": "model: out/x.yaml"}
+    for old, value in changes.items():
+        kept = [line.replace(old, value) for line in kept]
     assert new.splitlines() == kept
 
 
@@ -54,9 +51,7 @@ def test_exactly_one_value_is_another(text, gain):
     wanted = parse(text, "").value
     axis = wanted["axes"]["x"] = wanted["axes"]["x"] or {}
     axis["compensation"] = {**axis.get("compensation", {}), "gain": gain}
-
     new = with_value(text, STEPS, gain)
-
     assert parse(new, "").value == wanted
     comments = [line.partition("#")[2] for line in text.splitlines() if "#" in line]
     assert [line.partition("#")[2] for line in new.splitlines() if "#" in line] == comments
@@ -80,9 +75,7 @@ def test_a_file_keeps_its_mark_its_link_and_its_permissions(tmp_path):
     file.write_bytes(b"\xef\xbb\xbfaxes: {x: {compensation: {gain: 0.5}}}\n")
     file.chmod(0o640)
     link.symlink_to(file)
-
     edit(link, {STEPS: 0.75})
-
     assert file.read_bytes() == b"\xef\xbb\xbfaxes: {x: {compensation: {gain: 0.75}}}\n"
     assert (link.is_symlink(), file.stat().st_mode & 0o777) == (True, 0o640)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["link.yaml", "m.yaml"]

@@ -68,9 +68,8 @@ def test_closed_standard_streams_are_no_mistake(redirections, tmp_path):
     """A file that is opened then must not take the number of one of them either."""
     (tmp_path / "a.csv").write_text("time_s,torque\n0.0,1.0\n")
     line = f'exec "$0" -m friction_hil convert a.csv b.csv {redirections}'
-    run = subprocess.run(
-        ["sh", "-c", line, sys.executable], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120
-    )
+    words = ["sh", "-c", line, sys.executable]
+    run = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120)
     assert (run.returncode, run.stderr) == (0, "")
     assert (tmp_path / "b.csv").read_text() == "time_s,torque\n0.0,1.0\n"
 
@@ -167,13 +166,11 @@ def test_a_command_returns_its_status(add_command, result, status):
     assert main(["probe"]) == status
 
 
+LATE = "cli.application.main = lambda *_, **__: print('late')"  # still in the buffer when the command ends
+
+
 @pytest.mark.parametrize(
-    "code",
-    [
-        "sys.exit(main(['config', 'schema']))",
-        # what is still in the buffer when the command ends
-        "import friction_hil.cli as cli; cli.application.main = lambda *_, **__: print('late'); sys.exit(main([]))",
-    ],
+    "code", ["sys.exit(main(['config', 'schema']))", f"import friction_hil.cli as cli; {LATE}; sys.exit(main([]))"]
 )
 def test_a_reader_that_went_away_is_met_quietly(code):
     reader, writer = os.pipe()

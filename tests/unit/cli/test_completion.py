@@ -103,17 +103,12 @@ def test_the_line_of_the_page_defines_the_completion(shell, tmp_path):
     if shutil.which(shell) is None:
         pytest.skip(f"there is no {shell} here")
     (line,) = re.findall(rf"`([^`]*_FRICTION_HIL_COMPLETE={shell}_source[^`]*)`", PAGE)
-    shown = {
-        "bash": "complete -p friction-hil",
-        "zsh": "whence -w _friction_hil_completion",
-        "fish": "complete -c friction-hil",
-    }[shell]
+    shown = {"bash": "complete -p friction-hil", "fish": "complete -c friction-hil"}
     before = "autoload -Uz compinit && compinit -u -D\n" if shell == "zsh" else ""
     path = f"{Path(sys.executable).parent}:/usr/bin:/bin"
     environment = {"PATH": path, "HOME": str(tmp_path), "ZDOTDIR": str(tmp_path)}
-    script = before + line.replace("\\|", "|") + "\n" + shown
-    done = subprocess.run(
-        [shell, "-c", script], env=environment, capture_output=True, text=True, check=True, timeout=60
-    )
+    script = before + line.replace("\\|", "|") + "\n" + shown.get(shell, "whence -w _friction_hil_completion")
+    words = [shell, "-c", script]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True, timeout=60)
     assert done.stderr == ""
     assert "friction_hil_completion" in done.stdout

@@ -59,13 +59,10 @@ sys.exit(exit_status(command, [], "test"))
 """
 
 
-def run(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
-
-
 @pytest.mark.parametrize("code", [COMPILE, FINALISER, CALLBACK], ids=["compiling", "finaliser", "callback"])
 def test_an_interrupt_where_exceptions_are_lost_comes_a_little_later(code):
-    done = run(code + COMMAND)
+    words = [sys.executable, "-c", code + COMMAND]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stdout, done.stderr.strip()) == (130, "", "")
 
 
@@ -79,6 +76,6 @@ def work():
     atexit.register(signal.raise_signal, signal.SIGINT)
     {failing}
 {COMMAND.replace("[]", "None")}"""
-    done = run(code)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
     expected = (0, "") if failing == "return" else (1, "Error: a fault")
     assert (done.returncode, done.stderr.strip()) == expected

@@ -63,29 +63,24 @@ def test_a_virtual_dataset_within_its_file_is_read(tmp_path):
     assert fh.recordings.read(tmp_path / "v.h5")["velocity"].tolist() == list(range(8))
 
 
-@pytest.fixture
-def archive(tmp_path):
-    """An archive of two arrays, to which members are added, and what is told of it then."""
-    path = tmp_path / "a.npz"
+def problems_with(folder, *names):
+    """What is told of an archive of two arrays, to which these members were added."""
+    path = folder / "a.npz"
     np.savez(path, time_s=np.arange(4.0), position=np.arange(4.0))
-
-    def problems(*names):
-        with zipfile.ZipFile(path, "a") as file:
-            for name in names:
-                file.writestr(name, file.read("position.npy"))
-        return fh.recordings.read(path).problems
-
-    return problems
+    with zipfile.ZipFile(path, "a") as file:
+        for name in names:
+            file.writestr(name, file.read("position.npy"))
+    return fh.recordings.read(path).problems
 
 
 @pytest.mark.parametrize("name", ["velocity.npx", "velocity.np", "velocity", "velocity.npy\n"])
-def test_a_member_of_an_archive_that_is_no_array_is_named(archive, name):
-    assert archive(name) == [f"{name!r} is no array (.npy): left out"]
+def test_a_member_of_an_archive_that_is_no_array_is_named(tmp_path, name):
+    assert problems_with(tmp_path, name) == [f"{name!r} is no array (.npy): left out"]
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_a_member_that_is_there_twice_is_named_and_of_many_others_the_first(archive):
-    problems = archive("position.npy", *(f"{k}.txt" for k in range(1000)))
+def test_a_member_that_is_there_twice_is_named_and_of_many_others_the_first(tmp_path):
+    problems = problems_with(tmp_path, "position.npy", *(f"{k}.txt" for k in range(1000)))
     assert len(problems) == 22
     assert problems[-2].startswith("980 more")
     assert problems[-1].startswith("'position.npy' is there more than once")

@@ -18,6 +18,7 @@ from friction_hil.drive import DriveState
 from friction_hil.drive.inventory import DriveEntry
 
 WIDTHS = (60, 80, 120)
+NAMES = st.text("abc de-", min_size=1, max_size=70)
 LONG = "the_axis_that_carries_the_heavy_gripper"  # 39 columns
 
 
@@ -69,9 +70,7 @@ def test_a_condition_that_nobody_has_is_no_column():
 
 @settings(max_examples=60, deadline=None)
 @given(
-    st.lists(
-        st.tuples(st.text("abc de-", min_size=1, max_size=70), st.integers(-(10**9), 10**9)), min_size=1, max_size=4
-    ),
+    st.lists(st.tuples(NAMES, st.integers(-(10**9), 10**9)), min_size=1, max_size=4),
     st.integers(1, 9),
     st.integers(30, 130),
 )
