@@ -118,6 +118,17 @@ def test_what_is_still_said_to_a_former_master_is_dropped_before_anything_is_ask
         assert drained[0] >= 0.05
 
 
+def test_a_line_that_goes_away_is_told_and_bridged_until_then(kind, tmp_path):
+    with Rig(kind, tmp_path).begin().enable() as bench:
+        position = bench.feedback.position
+        bench.unplug()
+        bench.clock.is_real = True  # nobody answers: do not wait for simulated time
+        bench.cycle(Request.ENABLE, 0.1, count=3)
+        assert not bench.feedback.is_fresh
+        assert bench.feedback.position == position
+        assert "gone" in bench.feedback.missing or "no reply" in bench.feedback.missing
+
+
 @pytest.mark.parametrize("kind", ["odrive", "tcp"])
 def test_a_line_that_is_back_when_the_driver_closes_takes_the_power_away(tmp_path, kind):
     """It was gone in the last cycle, so that no cycle has opened it again; a connection takes a moment."""

@@ -43,12 +43,12 @@ def test_a_port_that_only_the_kernel_knows_is_not_one_without_permission(port):
     assert right.result == "pass"
 
 
-@pytest.mark.parametrize(("groups", "result"), [((), "warn"), ((20,), "pass")])
-def test_without_ports_the_group_tells_who_may_open_one(tmp_path, monkeypatch, groups, result):
+@pytest.mark.parametrize(("user", "groups", "result"), [(1000, (), "warn"), (1000, (20,), "pass"), (0, (), "pass")])
+def test_without_ports_the_group_tells_who_may_open_one(tmp_path, monkeypatch, user, groups, result):
     class Dialout:
         gr_name, gr_gid = "dialout", 20
 
-    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(os, "geteuid", lambda: user)
     monkeypatch.setattr(os, "getegid", lambda: 1000)
     monkeypatch.setattr(os, "getgroups", lambda: list(groups))
     monkeypatch.setattr(grp, "getgrall", lambda: [Dialout])

@@ -48,22 +48,29 @@ def enable(drive):
     assert shown_state(drive) is ENABLED
 
 
+MOVING = {"velocity_command": 20.0 * COUNTS, "torque_command": 0}
+
+
 @pytest.mark.parametrize(
-    ("description", "push", "stop", "enable_again"),
-    [(CIA402, 200.0, ("control", 0x02), ("control", 0x0F)), (OWN, 0.1, ("request", 5), ("request", 5))],
+    ("description", "mode", "push", "stop", "repeated"),
+    [
+        (CIA402, Mode.CSV, MOVING, ("control", 0x02), ("control", 0x0F)),
+        (OWN, Mode.CST, {"torque_command": 0.1}, ("request", 5), ("request", 5)),
+    ],
     ids=["cia402", "own"],
 )
-def test_a_quick_stop_ramps_down_to_rest_and_ends_without_power(description, push, stop, enable_again):
-    drive = enabled(description)
-    for _ in range(20):
-        drive.write("torque_command", push)
+def test_a_quick_stop_ramps_down_to_rest_and_ends_without_power(description, mode, push, stop, repeated):
+    drive = enabled(description, mode)
+    for _ in range(60):
+        for name, number in push.items():
+            drive.write(name, number)
         sample(drive)
     speed = drive.servo.true_velocity
     assert speed > 1.0
     drive.write(*stop)
     for _ in range(3):
         assert shown_state(drive) is STOPPING
-        drive.write(*enable_again)
+        drive.write(*repeated)  # neither enables it again nor begins the ramp anew
         assert shown_state(drive) is STOPPING
         sample(drive)
     assert 0.0 < drive.servo.true_velocity < speed - 0.5  # without power 0.15 would be lost

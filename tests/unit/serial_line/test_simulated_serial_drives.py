@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import threading
+import time
 
 import pytest
 from friction_hil_drivers.ascii.simulated import SimulatedAsciiDrives
@@ -57,6 +58,19 @@ def test_several_lines_and_axes_are_served_at_once(tmp_path):
             assert client.recv(100) == IDLE
         master.close()
     assert not (tmp_path / "one").exists()
+
+
+def test_with_pace_real_a_reply_takes_what_the_wire_takes(tmp_path):
+    with running({"a": {"line": {"port": str(tmp_path / "line"), "baud": 9600}}}, pace="real", period_s=0.02):
+        master = Master(tmp_path / "line")
+        begin = time.monotonic()
+        for _ in range(10):
+            master.send(ASK["a"])
+            assert master.line() == IDLE
+        took_s = time.monotonic() - begin
+        master.close()
+    wire_s = 10 * (len(ASK["a"]) + len(IDLE)) * 10 / 9600
+    assert wire_s <= took_s < wire_s + LONG_S
 
 
 def test_a_clock_that_is_given_is_the_clock(tmp_path):
