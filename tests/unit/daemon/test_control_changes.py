@@ -338,7 +338,7 @@ def test_an_axis_whose_computation_failed_is_not_started_again():
     plan = {200: Action.START, 600: Action.RESET, 700: Action.START}
     run = Changed(configuration(x=quick()), plan, until=900, disturb=disturb, is_waiting=True)
     assert [refusal for _, refusal in run.answers] == [
-        *("", "", "x: its computation has failed: start the daemon again"),
+        *("", "", "x: its computation has failed: start the daemon again")
     ]
     assert Request.ENABLE not in [command.request for command in run.drives.commands[0]][402:]
 

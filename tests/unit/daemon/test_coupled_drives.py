@@ -72,12 +72,7 @@ def test_other_axes_of_the_file_stay_alone() -> None:
     assert servos["x"].true_position > servos["y1"].true_position > servos["y2"].true_position > 1e-5
 
 
-MODBUS = {
-    "driver": "modbus",
-    "line": {"port": "/dev/ttyUSB0"},
-    "unit": 1,
-    "description": "kinco_fd5p.yaml",
-}
+MODBUS = {"driver": "modbus", "line": {"port": "/dev/ttyUSB0"}, "unit": 1, "description": "kinco_fd5p.yaml"}
 
 
 @pytest.mark.parametrize(

@@ -53,10 +53,7 @@ def run(
 
 @settings(max_examples=60, deadline=None)
 @given(
-    load=st.floats(-0.15, 0.15),
-    friction=st.floats(0.0, 0.1),
-    gain=st.floats(0.8, 2.0),
-    damping=st.floats(0.005, 0.05),
+    load=st.floats(-0.15, 0.15), friction=st.floats(0.0, 0.1), gain=st.floats(0.8, 2.0), damping=st.floats(0.005, 0.05)
 )
 @example(load=0.125, friction=0.09375, gain=2.0, damping=0.03125)  # rests beside its set-point, then follows it
 def test_a_load_or_friction_is_no_fault(load, friction, gain, damping):

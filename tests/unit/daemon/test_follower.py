@@ -156,7 +156,7 @@ def test_a_stop_and_a_start_at_the_control_socket_fade_the_offset_and_leave_the_
     assert result.faults == []
     assert states_of(sink) == ["running", "stopping", "waiting", "running", "stopping", "done"]
     assert [refusal for _, refusal in answers] == [
-        *("", "", "it commands no drive: their faults are not its own to reset"),
+        *("", "", "it commands no drive: their faults are not its own to reset")
     ]
     assert set(machine.sent[600:700]) == {0.0}
     assert max(map(abs, machine.sent[800:1100])) > 0.05
@@ -320,8 +320,7 @@ def astray(cycle, heard):
 
 
 @pytest.mark.parametrize(
-    ("disturb", "reason"),
-    [(faster, "FH-107"), (silent, "TPDO 181h"), (unsynchronised, "FH-248"), (astray, "FH-109")],
+    ("disturb", "reason"), [(faster, "FH-107"), (silent, "TPDO 181h"), (unsynchronised, "FH-248"), (astray, "FH-109")]
 )
 def test_a_fault_fades_the_offset_out_and_the_machine_runs_on(disturb, reason):
     machine = Machine(disturb=disturb)

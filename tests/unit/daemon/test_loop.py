@@ -11,18 +11,7 @@ from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState, Request
 from friction_hil.servo.config import ServoConfig
-from tests.loop_run import (
-    BELIEVED,
-    LIMITS,
-    MODES,
-    ORDINARY,
-    SINE,
-    STOPPED_BY_FAULT,
-    LateClock,
-    Run,
-    axis,
-    model,
-)
+from tests.loop_run import BELIEVED, LIMITS, MODES, ORDINARY, SINE, STOPPED_BY_FAULT, LateClock, Run, axis, model
 from tests.messages import codes_in
 from tests.servo_drives import PERIOD_S
 

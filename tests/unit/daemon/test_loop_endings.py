@@ -359,10 +359,7 @@ def test_what_was_given_up_before_is_not_told_of_another_axis_later():
         feedback[0].state = DriveState.SWITCH_ON_DISABLED
         feedback[1].state = DriveState.OPERATION_ENABLED
 
-    assert codes_in(Run(axis(), axis(node=2), disturb=differ).result.faults) == [
-        "x FH-114",
-        "y FH-116",
-    ]
+    assert codes_in(Run(axis(), axis(node=2), disturb=differ).result.faults) == ["x FH-114", "y FH-116"]
 
 
 @pytest.mark.parametrize(

@@ -58,8 +58,7 @@ def test_without_time_before_the_deadline_nothing_is_warmed():
 
 
 @pytest.mark.parametrize(
-    ("late_ns", "cycle", "late_us"),
-    [(0, 4, 0.0), (999_999, 4, 999.999), (MS, 5, 0.0), (3 * MS + 200_000, 7, 200.0)],
+    ("late_ns", "cycle", "late_us"), [(0, 4, 0.0), (999_999, 4, 999.999), (MS, 5, 0.0), (3 * MS + 200_000, 7, 200.0)]
 )
 def test_missed_periods_are_skipped_and_do_not_count_as_lateness(late_ns, cycle, late_us):
     one = pacer(Sleeper(late_ns))

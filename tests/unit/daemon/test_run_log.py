@@ -134,8 +134,5 @@ def test_the_error_without_compensation_stays_in_the_ring_for_whoever_looks_late
         for _, name, text in RingObserver(ring.descriptor).new_events():
             messages.take(name, text)
         x, y = messages.error_without["x"], messages.error_without["y"]
-        assert (x, y) == (
-            {"rms": 1e-4, "peak": 2e-4, "seconds": 1.5},
-            {"rms": 3e-4, "peak": 7e-4, "seconds": 2.5},
-        )
+        assert (x, y) == ({"rms": 1e-4, "peak": 2e-4, "seconds": 1.5}, {"rms": 3e-4, "peak": 7e-4, "seconds": 2.5})
         log.warn(k, "something")

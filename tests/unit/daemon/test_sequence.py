@@ -246,10 +246,7 @@ def test_a_stop_waits_for_standstill_from_the_rest_of_set_point_and_compensation
     while run.machine.state is LoopState.STOPPING:
         cycle += 1
         run.pass_time(
-            is_powered=True,
-            is_setpoint_standing=cycle > ramp,
-            is_faded_out=cycle > fade,
-            is_standing=cycle > moves,
+            is_powered=True, is_setpoint_standing=cycle > ramp, is_faded_out=cycle > fade, is_standing=cycle > moves
         )
     assert run.machine.state is LoopState.DISABLING
     assert cycle > rest
