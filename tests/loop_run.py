@@ -1,5 +1,6 @@
 """Whole runs of the loop over simulated servos, for the tests of the loop."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -42,6 +43,22 @@ class LateClock(SteppedClock):
         super().sleep_until(deadline_ns + self.late.get(self.calls, 0))
 
 
+class Fails:
+    """A computation that fails at a row of calls; all else of it is that of another one."""
+
+    def __init__(self, other, begin=0, until=math.inf):
+        self.other, self.begin, self.until, self.calls = other, begin, until, -1
+
+    def step(self, *inputs):
+        self.calls += 1
+        if self.begin <= self.calls <= self.until:
+            raise ZeroDivisionError("by hand")
+        return self.other.step(*inputs)
+
+    def __getattr__(self, name):
+        return getattr(self.other, name)
+
+
 class Drives(ServoDrives):
     """Keeps every command; ``before`` is asked before each cycle and may do anything to the drives."""
 
@@ -49,7 +66,7 @@ class Drives(ServoDrives):
         super().__init__(config, **settings)
         self.before = before
         self.commands = [[] for _ in self.names]
-        self.closed = 0
+        self.closed, self.read_back = 0, None  # states, once they are closed
 
     def receive(self, feedback, end_ns):
         if self.before is not None:
@@ -63,12 +80,15 @@ class Drives(ServoDrives):
 
     def close(self):
         self.closed += 1
+        return self.read_back
 
 
 class Run:
     """A run, and what there is to see of it afterwards."""
 
-    def __init__(self, *axes, before=None, disturb=None, servo=None, clock=None, on_axes=None, stop_at=None, **loop):
+    def __init__(
+        self, *axes, before=None, disturb=None, servo=None, power_off_cycles=0, on_axes=None, stop_at=None, **loop
+    ):
         self.config = configuration(**dict(zip("xyz", axes or (axis(),), strict=False)))
         stop = StopRequest()
 
@@ -78,8 +98,8 @@ class Run:
             if before is not None:
                 before(drives)
 
-        self.drives = Drives(self.config, hook, disturb=disturb, servo=servo)
-        self.loop, self.sink, self.axes = make_loop(self.config, self.drives, stop=stop, clock=clock, **loop)
+        self.drives = Drives(self.config, hook, disturb=disturb, servo=servo, power_off_cycles=power_off_cycles)
+        self.loop, self.sink, self.axes = make_loop(self.config, self.drives, stop=stop, **loop)
         if on_axes is not None:
             on_axes(self.axes)
         self.result = self.loop.run()
@@ -87,6 +107,9 @@ class Run:
 
     def column(self, name, axis="x"):
         return np.array(self.sink.column(axis, name))
+
+    def columns(self, *names):
+        return [self.column(name) for name in names]
 
     def requests(self, k=0):
         """The requests to a drive, in their order, without repetitions."""

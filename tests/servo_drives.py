@@ -166,11 +166,11 @@ class Rows:
         return [float(row[index]) for row in self.rows]
 
 
-def make_loop(config, drives, *, sink=None, stop=None, clock=None, journal=None, **settings):
+def make_loop(config, drives, *, axis=AxisLoop, sink=None, stop=None, clock=None, journal=None, **settings):
     """Return a loop over ``drives``, its sink and its axes."""
     path_time = PathTime(0.25)
     axes = [
-        AxisLoop(name, config.axes[name], facts, config.period_s, path_time)
+        axis(name, config.axes[name], facts, config.period_s, path_time)
         for name, facts in zip(config.axes, drives.connect(), strict=True)
     ]
     sink = sink or Rows(config)

@@ -45,25 +45,22 @@ def test_it_is_said_before_a_run_what_the_run_says_at_its_end(name, bits) -> Non
     assert (problem is None) == (notice is None)
     if problem is not None:
         assert problem.partition(": ")[2] == notice.partition("nothing: ")[2], "the same words"
-        assert "in this motion: it needs the drive's torque and an axis that slides" in problem
 
 
-def test_nothing_is_said_where_it_is_not_known() -> None:
-    slow = MOTIONS["slow"]
-    for config in (
-        adapting(slow, 14, compensation={"fade_s": 0.1}),
-        adapting(slow, 14, simulation=None),
-        adapting(slow, 14, compensation={**ADAPTING, "enabled": False}),
-        adapting({"kind": "none"}, 14, mode="cst", limits={"torque": 0.3, "velocity": 30.0}),
-        adapting({"kind": "experiment", "velocity": 1e-3, "travel": 1e-3, "duration_s": 10.0}, 10),
-    ):
-        assert adaptation_problem("x", config.axes["x"], PERIOD_S) is None
-    assert adaptation_problem("x", adapting(slow, 14).axes["x"], PERIOD_S) is not None
-
-
-def test_counts_of_the_configuration_come_before_those_of_a_simulation() -> None:
-    config = adapting(MOTIONS["slow"], 14, counts_per_unit=1e6)
-    assert adaptation_problem("x", config.axes["x"], PERIOD_S) is None
+@pytest.mark.parametrize(
+    ("trajectory", "bits", "changes"),
+    [
+        (MOTIONS["slow"], 14, {"compensation": {"fade_s": 0.1}}),
+        (MOTIONS["slow"], 14, {"simulation": None}),
+        (MOTIONS["slow"], 14, {"compensation": {**ADAPTING, "enabled": False}}),
+        (MOTIONS["slow"], 14, {"counts_per_unit": 1e6}),  # they come before those of a simulation
+        ({"kind": "none"}, 14, {"mode": "cst", "limits": {"torque": 0.3, "velocity": 30.0}}),
+        ({"kind": "experiment", "velocity": 1e-3, "travel": 1e-3, "duration_s": 10.0}, 10, {}),
+    ],
+)
+def test_nothing_is_said_where_it_is_not_known(trajectory, bits, changes) -> None:
+    assert adaptation_problem("x", adapting(trajectory, bits, **changes).axes["x"], PERIOD_S) is None
+    assert adaptation_problem("x", adapting(MOTIONS["slow"], 14).axes["x"], PERIOD_S) is not None
 
 
 def test_config_check_has_a_note_with_the_line_and_succeeds(tmp_path, capsys) -> None:
@@ -76,7 +73,7 @@ def test_config_check_has_a_note_with_the_line_and_succeeds(tmp_path, capsys) ->
 
     assert main(["config", "check", str(file)]) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert f"note: {file}:{line}: axes.x.compensation.adaptation: will learn nothing in this motion: it needs" in text
+    assert f"note: {file}:{line}: axes.x.compensation.adaptation: " in text
     assert main(["config", "check", "--json", str(file)]) == 0
     [found] = json.loads(capsys.readouterr().out)["files"]
     assert [(each["line"], each["field"]) for each in found["notes"]] == [(line, "axes.x.compensation.adaptation")]

@@ -74,11 +74,24 @@ def read(path):
     return recording["cycle"], recording.events
 
 
-def test_a_run_without_a_fault_leaves_no_file(tmp_path):
+def test_without_a_fault_and_before_the_first_row_there_is_no_file_and_the_death_of_the_daemon_is_a_fault(tmp_path):
     bench = Bench(tmp_path)
-    bench.run(100, ("warning", "late"))
+    bench.box.take([(0.0, "fault", "x: no usable feedback [FH-101]")])
     bench.finish()
-    assert list(tmp_path.iterdir()) == []
+    assert files(tmp_path) == []
+    bench.run(1)
+    bench.finish()
+    (first,) = files(tmp_path)
+    cycle, events = read(first)
+    assert (len(cycle), [each.name for each in events]) == (RATE, ["fault"])
+    other = Bench(tmp_path)
+    other.run(100, ("warning", "late"))
+    other.finish()
+    assert files(tmp_path) == [first]
+    other.finish(was_abandoned=True)
+    (path,) = {*files(tmp_path)} - {first}
+    cycle, events = read(path)
+    assert (len(cycle), events[-1].name) == (60 * RATE, "abandoned")
 
 
 def test_a_fault_leaves_the_minute_before_and_ten_seconds_after(tmp_path):
@@ -123,27 +136,6 @@ def test_a_file_begins_where_a_replay_can_start_also_with_many_gaps(tmp_path):
     assert 2 * 500 < len(cycle) < 2 * 530
 
 
-def test_a_fault_before_the_first_row_waits_for_rows(tmp_path):
-    bench = Bench(tmp_path)
-    bench.box.take([(0.0, "fault", "x: no usable feedback [FH-101]")])
-    bench.finish()
-    assert files(tmp_path) == []
-    bench.run(1)
-    bench.finish()
-    (path,) = files(tmp_path)
-    cycle, events = read(path)
-    assert (len(cycle), [each.name for each in events]) == (RATE, ["fault"])
-
-
-def test_the_death_of_the_daemon_is_a_fault(tmp_path):
-    bench = Bench(tmp_path)
-    bench.run(5)
-    bench.finish(was_abandoned=True)
-    (path,) = files(tmp_path)
-    cycle, events = read(path)
-    assert (len(cycle), events[0].name) == (5 * RATE, "abandoned")
-
-
 def test_a_worker_that_takes_over_has_the_minute_before_its_own_life(tmp_path):
     first = Bench(tmp_path)
     first.run(30)
@@ -158,25 +150,19 @@ def test_a_worker_that_takes_over_has_the_minute_before_its_own_life(tmp_path):
     assert cycle.tolist() == list(range(70 * RATE + RATE // 2))
 
 
-def test_a_folder_that_cannot_be_made_is_reported_and_the_run_goes_on(tmp_path, capfd):
-    (tmp_path / "file").touch()
-    bench = Bench(tmp_path / "file" / "below")
-    bench.run(5, ("fault", "x"))
-    bench.run(5)
-    bench.finish()
-    assert "the minute before the fault cannot be written to" in capfd.readouterr().err
-
-
-def test_a_disk_that_is_full_ends_the_file_and_not_the_run(tmp_path, capfd, monkeypatch):
-    bench = Bench(tmp_path)
-
+@pytest.mark.parametrize(("is_full", "said"), [(False, "the minute before"), (True, "No space left on device")])
+def test_what_cannot_be_written_is_reported_and_the_run_goes_on(tmp_path, capfd, monkeypatch, is_full, said):
     def refuse(*_, **__):
         raise OSError(28, os.strerror(28))
 
-    monkeypatch.setattr(black_box.McapWriter, "write", refuse)
+    (tmp_path / "file").touch()
+    if is_full:
+        monkeypatch.setattr(black_box.McapWriter, "write", refuse)
+    bench = Bench(tmp_path if is_full else tmp_path / "file" / "below")
     bench.run(5, ("fault", "x"))
+    bench.run(5)
     bench.finish()
-    assert "No space left on device" in capfd.readouterr().err
+    assert said in capfd.readouterr().err
 
 
 @given(

@@ -124,18 +124,16 @@ def test_while_it_is_stopped_the_torque_stays_only_as_long_as_the_drive_may_have
 
 
 def test_the_weight_is_that_of_the_demanded_path_and_else_of_the_axis():
-    axis = Axis(weight=0.0, slew=math.inf)
-    axis.writer.adopt(StaticTorque(10.0, 0.0, 0.0, 0.3, 0.0), 0.0, 2.0)
-    axis.writer.adopt(StaticTorque(10.0, 0.0, 0.0, 0.3, 0.0), PERIOD_S, 2.0)
-    quarter = 0.5 * math.pi
-    axis.write(LoopState.IDLE, cycles=2)
+    weight, quarter = StaticTorque(10.0, 0.0, 0.0, 0.3, 0.0), 0.5 * math.pi
+    axis, other = Axis(weight=0.0, slew=math.inf), Axis("cst", weight=0.0, slew=math.inf)
+    axis.writer.adopt(weight, 0.0, 2.0)
+    for one in (axis, other):
+        one.writer.adopt(weight, PERIOD_S, 2.0)
+        one.write(LoopState.IDLE, cycles=2)
     assert axis.write(ENABLING, position=0.5 * quarter, velocity=0.25 * quarter).torque == pytest.approx(0.3)
-    axis = Axis("cst", weight=0.0, slew=math.inf)
-    axis.writer.adopt(StaticTorque(10.0, 0.0, 0.0, 0.3, 0.0), PERIOD_S, 2.0)
-    axis.write(LoopState.IDLE, cycles=2)
-    axis.writer.most = 0.0
+    other.writer.most = 0.0
     there = at(0.5 * quarter, 0.25 * quarter)
-    assert axis.write(RUNNING, now=there, compensation=0.0).torque == pytest.approx(0.3)
+    assert other.write(RUNNING, now=there, compensation=0.0).torque == pytest.approx(0.3)
 
 
 def test_another_feed_forward_comes_without_a_step_and_is_all_there_is_after_its_fade():
@@ -168,14 +166,11 @@ def test_the_set_point_follows_the_axis_except_where_it_waits_with_power(mode, s
 
 
 @pytest.mark.parametrize("mode", ["csp", "csv", "cst"])
-def test_an_axis_that_never_moved_is_not_held_while_it_is_disabled(mode):
+def test_an_axis_that_never_moved_or_waited_for_the_others_is_not_held_while_it_is_disabled(mode):
     assert Axis(mode, weight=0.0).write(DISABLING, position=0.2).position == 0.2
-
-
-def test_an_axis_that_waited_for_the_others_is_held_no_longer_when_it_is_disabled():
-    axis = Axis("csp")
-    axis.write(FIRST_MOTION)
-    assert axis.write(DISABLING, position=0.2).position == 0.2
+    waited = Axis("csp")
+    waited.write(FIRST_MOTION)
+    assert waited.write(DISABLING, position=0.2).position == 0.2
 
 
 # --- the loop's own controller
@@ -224,19 +219,15 @@ def test_in_cst_the_controller_holds_the_axis_until_the_drive_has_no_power():
     assert axis.write(DISABLING, position=0.1).torque == pytest.approx(WEIGHT), "once over, it stays over"
 
 
-def test_a_fault_ends_the_controller():
-    axis = Axis("cst", slew=math.inf)
+def test_a_fault_ends_the_controller_and_an_axis_that_waited_in_cst_is_disabled_without_a_step():
+    axis, waited = Axis("cst", slew=math.inf), Axis("cst", slew=math.inf)
     axis.write(RUNNING, now=at(0.3), compensation=0.0)
     assert axis.write(FAULT_STOPPING, compensation=0.0).torque == pytest.approx(WEIGHT)
     assert axis.write(DISABLING).torque == pytest.approx(WEIGHT)
-
-
-def test_an_axis_that_waited_in_cst_is_disabled_without_a_step():
-    axis = Axis("cst", slew=math.inf)
-    axis.write(ENABLING)
-    assert axis.torques(FIRST_MOTION, 2) == pytest.approx([WEIGHT] * 2)
-    assert axis.write(FIRST_MOTION, position=-0.1).torque == pytest.approx(WEIGHT + torque_of(0.1))
-    assert axis.torques(DISABLING, 3) == pytest.approx([WEIGHT] * 3)
+    waited.write(ENABLING)
+    assert waited.torques(FIRST_MOTION, 2) == pytest.approx([WEIGHT] * 2)
+    assert waited.write(FIRST_MOTION, position=-0.1).torque == pytest.approx(WEIGHT + torque_of(0.1))
+    assert waited.torques(DISABLING, 3) == pytest.approx([WEIGHT] * 3)
 
 
 # --- the set-point

@@ -1,11 +1,13 @@
 """The control socket: names, lock, permissions, protocol."""
 
 import contextlib
+import grp
 import json
 import os
 import socket
 import stat
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -27,14 +29,10 @@ def folder(tmp_path_factory, monkeypatch):
     return found / "friction-hil"
 
 
-@pytest.fixture
-def daemon(folder):
-    """A daemon that answers with what it was asked."""
-    opened = ControlSocket("echo")
-
-    def answer(line, user):
-        return {"ok": True, "user": user, "asked": line.decode()}
-
+@contextlib.contextmanager
+def served(name, answer):
+    """A daemon of this name that answers by a function."""
+    opened = ControlSocket(name)
     with ControlServer(opened.descriptor, lambda: answer) as server:
         threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
         yield opened
@@ -42,33 +40,46 @@ def daemon(folder):
     opened.close()
 
 
-def test_the_name_of_a_daemon_is_that_of_its_configuration(folder):
-    from pathlib import Path
+@pytest.fixture
+def daemon(folder):
+    """A daemon that answers with what it was asked."""
+    with served("echo", lambda line, user: {"ok": True, "user": user, "asked": line.decode()}) as opened:
+        yield opened
 
-    assert default_name(Path("config/two_axes.yaml")) == "two_axes"
-    assert default_name(Path("Prüfstand 1.yaml")) == "Pr-fstand-1"
-    assert default_name(Path(".yaml")) == "yaml"
+
+@contextlib.contextmanager
+def asking(path, count=1):
+    """So many clients with their files; they hang up in the end."""
+    with contextlib.ExitStack() as stack:
+        clients = [stack.enter_context(socket.socket(socket.AF_UNIX)) for _ in range(count)]
+        for each in clients:
+            each.connect(str(path))
+        yield [(each, stack.enter_context(each.makefile("rb"))) for each in clients]
+
+
+@pytest.mark.parametrize(
+    ("path", "name"), [("config/two_axes.yaml", "two_axes"), ("Prüfstand 1.yaml", "Pr-fstand-1"), (".yaml", "yaml")]
+)
+def test_the_name_of_a_daemon_is_that_of_its_configuration(path, name):
+    assert default_name(Path(path)) == name
+
+
+def test_a_path_that_no_socket_can_have_is_answered_by_a_message(folder, monkeypatch, tmp_path):
     assert socket_path("mill.2") == folder / "mill.2.sock"
     for wrong in ("", "../x", "a/b", ".hidden", "a b", "x\n"):
-        with pytest.raises(UsageError, match="is no name of a daemon"):
+        with pytest.raises(UsageError, match="name"):
             socket_path(wrong)
-
-
-def test_a_path_that_no_socket_can_have_is_answered_by_a_message(folder, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/" + "d" * 79)
     assert len(str(socket_path("x" * 8))) == 107
-    with pytest.raises(UsageError, match="is 1 bytes longer than the 107 bytes that the system allows"):
+    with pytest.raises(UsageError, match="1 bytes longer than the 107 bytes"):
         ControlSocket("x" * 9)
-
-
-def test_a_service_has_the_folder_that_systemd_made_for_it(folder, monkeypatch, tmp_path):
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))  # that systemd made for a service
     assert socket_path("mill") == tmp_path / "mill.sock"
 
 
 def test_a_second_daemon_of_a_name_is_refused_and_the_first_stays(folder):
     first = ControlSocket("mill")
-    with pytest.raises(UsageError, match=rf"called 'mill' runs already \(process {os.getpid()}\); --name gives"):
+    with pytest.raises(UsageError, match=rf"'mill' .* \(process {os.getpid()}\); --name "):
         ControlSocket("mill")
     assert is_live(first.path)
     second = control_socket("mill", None, is_next_taken=True)
@@ -79,28 +90,26 @@ def test_a_second_daemon_of_a_name_is_refused_and_the_first_stays(folder):
     ControlSocket("mill").close()
 
 
-def test_the_socket_of_a_killed_daemon_is_replaced(folder):
+@pytest.mark.parametrize("is_served", [False, True])
+def test_the_socket_of_a_killed_daemon_is_replaced_and_one_that_somebody_serves_never(folder, monkeypatch, is_served):
+    """In a container that shares the folder, the lock is not seen."""
+    path = folder / "mill.sock"
     folder.mkdir()
-    with socket.socket(socket.AF_UNIX) as dead:
-        dead.bind(str(folder / "mill.sock"))
-    assert (folder / "mill.sock").exists()
+    monkeypatch.setattr(lock, "_ORPHAN_S", 0.0)
+    with socket.socket(socket.AF_UNIX) as other:
+        other.bind(str(path))
+        if is_served:
+            other.listen()
+            inode = path.stat().st_ino
+            with pytest.raises(UsageError, match="'mill' runs already"):
+                ControlSocket("mill")
+            assert path.stat().st_ino == inode
+            return
+    assert path.exists()
     assert "mill" not in dict(running())
     opened = ControlSocket("mill")
     assert is_live(opened.path)
     opened.close()
-
-
-def test_a_socket_that_somebody_serves_is_never_replaced(folder, monkeypatch):
-    """In a container that shares the folder, the lock is not seen."""
-    folder.mkdir()
-    with socket.socket(socket.AF_UNIX) as other:
-        other.bind(str(folder / "mill.sock"))
-        other.listen()
-        monkeypatch.setattr(lock, "_ORPHAN_S", 0.0)
-        inode = (folder / "mill.sock").stat().st_ino
-        with pytest.raises(UsageError, match="called 'mill' runs already"):
-            ControlSocket("mill")
-        assert (folder / "mill.sock").stat().st_ino == inode
 
 
 def test_only_the_user_may_use_the_socket_and_the_group_if_one_is_given(folder):
@@ -108,10 +117,8 @@ def test_only_the_user_may_use_the_socket_and_the_group_if_one_is_given(folder):
     assert stat.S_IMODE(alone.path.stat().st_mode) == 0o600
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     alone.close()
-    with pytest.raises(UsageError, match="--group nobody-here: there is no such group"):
+    with pytest.raises(UsageError, match="--group nobody-here"):
         ControlSocket("shared", "nobody-here")
-    import grp
-
     group = grp.getgrgid(os.getgid()).gr_name
     shared = ControlSocket("shared", group)
     status = shared.path.stat()
@@ -146,8 +153,7 @@ def test_a_line_is_answered_by_a_line_with_the_user_whom_the_kernel_names(daemon
     assert find("echo") == daemon.path
     answer = ask(daemon.path, {"do": "status"})
     assert (answer["user"], json.loads(answer["asked"])) == (os.geteuid(), {"do": "status"})
-    with socket.socket(socket.AF_UNIX) as client, client.makefile("rb") as file:
-        client.connect(str(daemon.path))
+    with asking(daemon.path) as [(client, file)]:
         client.sendall(b"one\n\xff\ntwo\n")
         first, error, second = (json.loads(file.readline()) for _ in range(3))
     assert (first["asked"], second["asked"]) == ("one\n", "two\n")
@@ -171,7 +177,7 @@ def asks_and_stays(client):
 def never_reads(client):
     """Asks until the server cannot send its answers any more."""
     client.settimeout(0.05)
-    with contextlib.suppress(TimeoutError):
+    with contextlib.suppress(TimeoutError, BrokenPipeError):
         while client.send(b"x" * 60_000 + b"\n"):
             pass
 
@@ -179,18 +185,15 @@ def never_reads(client):
 @pytest.fixture
 def crowd(daemon):
     """A function that lets more clients than there are places do something, and stay."""
-    clients = []
+    with contextlib.ExitStack() as stack:
 
-    def come(do):
-        for _ in range(MOST_CLIENTS + 8):
-            clients.append(socket.socket(socket.AF_UNIX))
-            clients[-1].connect(str(daemon.path))
-            do(clients[-1])
-        return clients
+        def come(do):
+            clients = [client for client, _ in stack.enter_context(asking(daemon.path, MOST_CLIENTS + 8))]
+            for each in clients:
+                do(each)
+            return clients
 
-    yield come
-    for each in clients:
-        each.close()
+        yield come
 
 
 @pytest.mark.parametrize("do", [idle, half_a_request, asks_and_stays, never_reads])
@@ -211,49 +214,39 @@ def test_clients_that_send_a_byte_now_and_then_shut_nobody_out(daemon, crowd):
 
 
 def test_who_is_hung_up_is_told_why_and_it_is_who_was_silent_for_the_longest_time(daemon):
-    with contextlib.ExitStack() as stack:
-        clients = [stack.enter_context(socket.socket(socket.AF_UNIX)) for _ in range(MOST_CLIENTS + 1)]
-        files = [stack.enter_context(each.makefile("rb")) for each in clients]
-        for each in clients[:-1]:
-            each.connect(str(daemon.path))
+    def say(client, file):
+        client.sendall(b"here\n")
+        assert json.loads(file.readline())["asked"] == "here\n"
+
+    with asking(daemon.path, MOST_CLIENTS) as clients:
         for k in (*range(MOST_CLIENTS), 0, *range(2, MOST_CLIENTS)):
-            clients[k].sendall(b"here\n")
-            assert json.loads(files[k].readline())["ok"]
-        clients[-1].connect(str(daemon.path))
-        assert "this one was silent for the longest time" in json.loads(files[1].readline())["problems"][0]
-        assert files[1].readline() == b""
-        for k in (0, *range(2, MOST_CLIENTS + 1)):
-            clients[k].sendall(b"still here\n")
-            assert json.loads(files[k].readline())["asked"] == "still here\n"
+            say(*clients[k])
+        with asking(daemon.path) as [last]:
+            assert "silent for the longest time" in json.loads(clients[1][1].readline())["problems"][0]
+            assert clients[1][1].readline() == b""
+            for each in (clients[0], *clients[2:], last):
+                say(*each)
 
 
 def test_who_comes_while_all_are_being_answered_waits_for_a_place(folder):
-    opened, begun, goes_on = ControlSocket("slow"), threading.Semaphore(0), threading.Event()
+    begun, goes_on = threading.Semaphore(0), threading.Event()
 
     def answer(line, user):
         begun.release()
         if line != b"stop\n":
             goes_on.wait()
-        return {"ok": True, "asked": line.decode()}
+        return {"ok": True}
 
-    with contextlib.ExitStack() as stack:
-        server = stack.enter_context(ControlServer(opened.descriptor, lambda: answer))
-        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
-        stack.callback(server.shutdown)
-        stack.callback(goes_on.set)
-        clients = [stack.enter_context(socket.socket(socket.AF_UNIX)) for _ in range(MOST_CLIENTS + 2)]
-        for each in clients[:MOST_CLIENTS]:
-            each.connect(str(opened.path))
-            each.sendall(b"slow\n")
+    with served("slow", answer) as opened, asking(opened.path, MOST_CLIENTS) as first:
+        for client, _ in first:
+            client.sendall(b"slow\n")
             begun.acquire()
-        for each in clients[MOST_CLIENTS:]:
-            each.connect(str(opened.path))
-            each.sendall(b"stop\n")
-        assert not begun.acquire(timeout=0.05)
-        goes_on.set()
-        for each in clients:
-            assert json.loads(stack.enter_context(each.makefile("rb")).readline())["ok"]
-    opened.close()
+        with asking(opened.path, 2) as late:
+            for client, _ in late:
+                client.sendall(b"stop\n")
+            assert not begun.acquire(timeout=0.05)
+            goes_on.set()
+            assert all(json.loads(file.readline())["ok"] for _, file in (*first, *late))
 
 
 def test_who_hangs_up_before_the_answer_leaves_nothing_on_the_terminal(daemon, crowd, capsys):
@@ -283,31 +276,29 @@ def test_a_client_waits_where_more_ask_than_the_system_lets_wait(folder):
 
 
 def test_a_line_without_an_end_is_refused(daemon):
-    with socket.socket(socket.AF_UNIX) as client, client.makefile("rb") as file:
-        client.connect(str(daemon.path))
+    with asking(daemon.path) as [(client, file)]:
         client.sendall(b"x" * LONGEST_LINE)
-        assert "within 1048576 bytes" in json.loads(file.readline())["problems"][0]
+        assert "1048576 bytes" in json.loads(file.readline())["problems"][0]
         assert file.readline() == b""
 
 
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        (b"\xff\n", "a request is one JSON object a line"),
-        (b"[1]\n", "a request is a JSON object"),
-        (b"[" * 100_000, "a request is one JSON object a line"),
-        (b'{"do": "stauts"}', "nothing is called 'stauts'; did you mean 'status'?"),
+        (b"\xff\n", "one JSON object a line"),
+        (b"[1]\n", "is a JSON object"),
+        (b"[" * 100_000, "one JSON object a line"),
+        (b'{"do": "stauts"}', "'stauts'; did you mean 'status'"),
         (b'{"do": 7}', "nothing is called 7"),
-        (b'{"do": "set"}', "values: is missing"),
-        (b'{"do": "stop", "now": true}', "now: is not a key here; there are: do"),
+        (b'{"do": "set"}', "values: "),
+        (b'{"do": "stop", "now": true}', "now: .*: do$"),
     ],
 )
 def test_what_is_no_request_is_answered_with_what_would_be_one(line, message):
-    with pytest.raises(FrictionHilError) as caught:
+    with pytest.raises(FrictionHilError, match=message):
         _request(line)
-    assert message in str(caught.value)
 
 
 def test_a_name_that_nobody_has_lists_those_that_run(daemon):
-    with pytest.raises(UsageError, match="no daemon called 'ehco' runs here; did you mean 'echo'"):
+    with pytest.raises(UsageError, match=r"'ehco' .*'echo'"):
         find("ehco")

@@ -1,6 +1,7 @@
 """The first motion: small whatever an increment of the velocity target means, and right about the factor."""
 
 import math
+import re
 
 import pytest
 from hypothesis import given, settings
@@ -91,52 +92,42 @@ def test_the_right_unit_is_confirmed_and_the_axis_returns(step, lag_s, period_s,
     assert all(-4.0 <= position <= 4.0 for position in axis.path)
 
 
-def test_a_wrong_unit_of_the_reported_velocity_is_told():
-    _, fault = examine(Axis(reported=9.55), COUNT)
-    assert "reports a velocity 9.6" in fault
-    assert fault.endswith("[FH-123]")
-
-
-def test_the_wrong_direction_is_told():
-    _, fault = examine(Axis(factor=-1.0), COUNT)
-    assert "wrong direction" in fault
-    assert fault.endswith("[FH-125]")
-
-
-def test_an_axis_that_does_not_move_is_told():
-    axis = Axis(factor=0.0)
-    motion, fault = examine(axis, COUNT)
-    assert fault.endswith("[FH-124]")
-    assert motion.target == 0.0
+@pytest.mark.parametrize(
+    ("axis", "step", "words"),
+    [
+        ({"reported": 9.55}, COUNT, r" 9\.6.*\[FH-123\]$"),
+        ({"factor": -1.0}, COUNT, r"\[FH-125\]$"),
+        ({"factor": 0.0}, COUNT, r"\[FH-124\]$"),
+        ({}, 11.0, r"limits\.velocity"),
+    ],
+    ids=["unit of the reported velocity", "direction", "does not move", "increment beyond the limit"],
+)
+def test_what_is_wrong_is_told(axis, step, words):
+    moved = Axis(**axis)
+    motion, fault = examine(moved, step)
+    assert re.search(words, fault)
+    if words.endswith("velocity"):
+        assert moved.position == 0.0, "it never leaves"
+    if "124" in words:
+        assert motion.target == 0.0
 
 
 def test_an_axis_that_loses_a_part_of_its_target_to_friction_is_a_warning():
     motion, fault = examine(Axis(lost=0.06), COUNT)
     assert fault is None
-    assert "the axis reaches only" in motion.take_warning()
+    assert "reaches only" in motion.take_warning()
 
 
-def test_a_load_that_settles_after_enabling_is_waited_for():
-    axis = Axis()
-    axis.drift = -0.2
+@pytest.mark.parametrize(("drift", "part_lost"), [(-0.2, 0), (0.0, 7)], ids=["a load that settles", "missing feedback"])
+def test_a_load_that_settles_after_enabling_and_missing_feedback_are_waited_for(drift, part_lost):
+    axis, cycle = Axis(drift=drift), 0
     motion = FirstMotion("x", "rad", LIMITS, PERIOD_S, COUNT, COUNT)
-    for cycle in range(5000):
-        if cycle == 150:
-            axis.drift = 0.0
-        assert motion.take(*axis.step(motion.target, PERIOD_S, COUNT)) is None
-        if motion.is_done:
-            break
-    assert motion.is_done
-
-
-def test_missing_feedback_holds_everything():
-    axis = Axis()
-    motion = FirstMotion("x", "rad", LIMITS, PERIOD_S, COUNT, COUNT)
-    for cycle in range(8000):
-        assert motion.take(*axis.step(motion.target, PERIOD_S, COUNT), is_usable=cycle % 7 != 0) is None
-        if motion.is_done:
-            break
-    assert motion.is_done
+    while not motion.is_done:
+        axis.drift = drift if cycle < 150 else 0.0
+        is_usable = not part_lost or cycle % part_lost != 0
+        assert motion.take(*axis.step(motion.target, PERIOD_S, COUNT), is_usable=is_usable) is None
+        cycle += 1
+        assert cycle < 8000
 
 
 @pytest.mark.parametrize("is_known", [False, True])
@@ -154,13 +145,6 @@ def test_periods_that_the_daemon_missed_are_no_wrong_unit(is_known):
             break
     assert motion.is_done is is_known
     assert said is None if is_known else said.endswith("[FH-123]")
-
-
-def test_an_increment_beyond_the_velocity_limit_never_leaves():
-    axis = Axis()
-    _, fault = examine(axis, 11.0)
-    assert "more than limits.velocity" in fault
-    assert axis.position == 0.0
 
 
 @pytest.mark.parametrize(

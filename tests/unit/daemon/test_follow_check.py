@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from friction_hil.daemon.follow_check import FollowCheck
 from friction_hil.daemon.safety import SafetyLimits
+from tests.messages import codes_in
 
 PERIOD_S = 1e-3
 COUNT = 2.0 * math.pi / 65536
@@ -33,21 +34,12 @@ def run(
             return fault
         torques.append(torque)
         force = sign * torques.pop(0) + load + (push if 0.1 < time_s < 0.2 else 0.0)
-        for _ in range(10):
-            slowed = (
-                math.copysign(min(friction, abs(force)), force)
-                if velocity == 0.0
-                else math.copysign(friction, velocity)
-            )
-            change = (force - slowed) / 2e-4 * PERIOD_S / 10
-            velocity = (
-                0.0
-                if velocity and (velocity + change) * velocity < 0.0 and abs(force) < friction
-                else velocity + change
-            )
-            position += velocity * PERIOD_S / 10 if moves else 0.0
-        if not moves:
-            velocity = 0.0
+        for _ in range(10 if moves else 0):
+            most = friction if velocity else min(friction, abs(force))
+            change = (force - math.copysign(most, velocity or force)) / 2e-4 * PERIOD_S / 10
+            is_caught = velocity and (velocity + change) * velocity < 0.0 and abs(force) < friction
+            velocity = 0.0 if is_caught else velocity + change
+            position += velocity * PERIOD_S / 10
     return None
 
 
@@ -69,18 +61,14 @@ def test_an_axis_that_is_pushed_is_no_fault(push):
 @given(gain=st.floats(0.3, 2.0), damping=st.floats(0.005, 0.05), friction=st.floats(0.0, 0.02))
 def test_torque_of_the_wrong_sign_is_told(gain, damping, friction):
     fault = run(check(), sign=-1.0, gain=gain, damping=damping, friction=friction)
-    assert fault is not None
-    assert "moves in the wrong direction" in fault
-    assert fault.endswith("[FH-125]")
+    assert codes_in(fault) == "x FH-125"
 
 
 @pytest.mark.parametrize("is_torque_ours", [True, False])
 @pytest.mark.parametrize("following_error", [math.inf, 0.1])
 def test_an_axis_that_does_not_move_is_told_before_its_following_error(is_torque_ours, following_error):
     one = check(is_torque_ours=is_torque_ours, following_error=following_error)
-    fault = run(one, moves=False, seconds=3.0)
-    assert "does not move although its set-point has moved" in fault
-    assert fault.endswith("[FH-124]")
+    assert codes_in(run(one, moves=False, seconds=3.0)) == "x FH-124"
 
 
 def test_a_path_that_holds_is_no_fault():

@@ -1,7 +1,5 @@
 """Feed-forward of gravity and offset, in each mode: a simulated pendulum that neither sags nor drifts."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -11,13 +9,14 @@ from friction_hil.config import load, self_contained
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.static_torque import static_torque, static_torque_note
 from friction_hil.drive import DriveState, Request
-from friction_hil.models.model_file import Gravity
 from friction_hil.motion.trajectory import sine_path
 from friction_hil.rehearsal import Motion, Rehearsal
 from friction_hil.servo.config import ServoConfig, ServoMechanics
 from friction_hil.servo.parts import Gravity as Pendulum
+from tests.loop_run import Run
+from tests.messages import codes_in
 from tests.readme_commands import ROOT
-from tests.servo_drives import PERIOD_S, axis_dict, configuration, run
+from tests.servo_drives import PERIOD_S, axis_dict, configuration
 from tests.unit.rehearsal.test_rehearsal import facts
 
 SINE, COSINE = 0.3, 0.25  # N m
@@ -37,24 +36,23 @@ def axis(mode, *, torque=1.0, guided=False, error=1.0, offset=0.0, **compensatio
     if guided:
         given["trajectory"] = {"kind": "none"}
         del given["limits"]["following_error"]
-    return configuration(x=given)
+    return given
 
 
-def pendulum(load_torque=0.0):
+def run(given, servo=None, duration_s=3.0, **settings):
+    return Run(given, servo=servo or pendulum(), duration_s=duration_s, **settings)
+
+
+def pendulum():
     """With a brake, so that it stands until it is enabled."""
-    gravity = Pendulum(sine=SINE, cosine=COSINE)
-    return ServoConfig(mechanics=ServoMechanics(has_brake=True, gravity=gravity, load_torque=load_torque))
+    return ServoConfig(mechanics=ServoMechanics(has_brake=True, gravity=Pendulum(sine=SINE, cosine=COSINE)))
 
 
-def moved(config, servo=None, duration_s=3.0):
+def moved(given, servo=None, duration_s=3.0):
     """Following error while it moves, position, and torque sent, of a run without fault."""
-    result, rows, _ = run(config, servo=servo or pendulum(), duration_s=duration_s)
-    assert result.faults == []
-    state, position, demand, command = (
-        np.array(rows.column("x", name)) for name in ("state", "position", "position_demand", "command")
-    )
-    running = state == LoopState.RUNNING
-    return (demand - position)[running], position, command
+    one = run(given, servo, duration_s)
+    assert one.result.faults == []
+    return one.error(), *one.columns("position", "command")
 
 
 @pytest.mark.parametrize(("mode", "rms", "peak"), [("csp", 2.0, 2.5), ("csv", 4.0, 3.0), ("cst", 6.0, 5.0)])
@@ -79,58 +77,46 @@ def test_a_guided_pendulum_stays_where_it_is(error):
 def test_the_offset_of_the_model_is_fed_forward_too(mode):
     """A constant weight, which identification without a pendulum finds as an offset."""
     servo = ServoConfig(mechanics=ServoMechanics(has_brake=True, load_torque=0.25))
-    given = axis(mode, offset=0.25)
-    given = given.model_copy(update={"axes": {"x": without_pendulum(given.axes["x"])}})
-    fed, _, _ = moved(given, servo, 1.0)
-    left, _, _ = moved(given.model_copy(update={"axes": {"x": without_gravity(given.axes["x"])}}), servo, 1.0)
+    fed, left = (moved(axis(mode, error=0.0, offset=0.25, gravity=each), servo, 1.0)[0] for each in (True, False))
     assert np.abs(fed).max() < 0.5 * np.abs(left).max()
-
-
-def without_pendulum(one):
-    mechanics = one.model.mechanics.model_copy(update={"gravity": Gravity()})
-    return one.model_copy(update={"model": one.model.model_copy(update={"mechanics": mechanics})})
-
-
-def without_gravity(one):
-    return one.model_copy(update={"compensation": one.compensation.model_copy(update={"gravity": False})})
 
 
 @pytest.mark.parametrize("mode", ["csp", "csv", "cst"])
 def test_it_stays_within_the_limit_and_the_slew(mode):
-    given = axis(mode, torque=0.2)
-    _, rows, _ = run(given, servo=pendulum(), duration_s=1.0)
-    command = np.array(rows.column("x", "command"))
-    assert np.abs(command).max() <= 0.2
-    assert np.abs(np.diff(command)).max() <= 300.0 * PERIOD_S * (1.0 + 1e-9)
-    if mode != "cst":
-        assert "limits.torque leaves 0.092 N m" in static_torque_note(given.axes["x"])
-    assert "up to 0.391 N m" in static_torque_note(axis(mode).axes["x"])
-    assert "limits.torque" not in static_torque_note(axis(mode).axes["x"])
-    if mode == "cst":
-        assert "limits.torque leaves 0.2 N m for gravity" in static_torque_note(given.axes["x"])
-    if mode != "cst":
-        assert "limits.torque leaves 0 N m" in static_torque_note(axis(mode, torque=0.1).axes["x"])
-    assert static_torque_note(axis(mode, torque=0.1, gravity=False).axes["x"]) == ""
-    assert static_torque_note(axis(mode, error=0.01).axes["x"]) == ""
+    run(axis(mode, torque=0.2), duration_s=1.0).assert_within_limits()
 
 
-def test_the_check_of_a_configuration_says_where_the_limit_is_too_small(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("mode", "changes", "words"),
+    [
+        *((mode, {"torque": 0.2}, "leaves 0.092 N m") for mode in ("csp", "csv")),
+        ("cst", {"torque": 0.2}, "leaves 0.2 N m"),
+        *((mode, {"torque": 0.1}, "leaves 0 N m") for mode in ("csp", "csv")),
+        ("csp", {}, "up to 0.391 N m"),
+        ("csp", {"torque": 0.1, "gravity": False}, ""),
+        ("csp", {"error": 0.01}, ""),
+    ],
+)
+def test_the_check_of_a_configuration_says_where_the_limit_is_too_small(mode, changes, words, tmp_path, capsys):
+    config = configuration(x=axis(mode, **changes))
+    note = static_torque_note(config.axes["x"])
+    assert words in note
+    assert (note == "") == (words == "")
+    is_too_small = words.startswith("leaves")
+    assert ("limits.torque" in note) == is_too_small
     file = tmp_path / "axis.yaml"
-    file.write_text(dump(self_contained(axis("cst", torque=0.2))))
+    file.write_text(dump(self_contained(config)))
     assert check_files([str(file)], as_json=False) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "axes.x.limits.torque: leaves 0.2 N m for gravity and offset of the model, which need up to" in printed
-    assert "0.391 N m: the axis cannot hold the rest" in printed
-    file.write_text(dump(self_contained(axis("csp"))))
-    assert check_files([str(file)], as_json=False) == 0
-    assert "note" not in capsys.readouterr().out
+    assert (f"axes.x.limits.torque: {words} " in printed) == is_too_small
+    assert ("note" in printed) == is_too_small
 
 
 def test_it_leaves_the_friction_its_torque_in_both_directions():
     """0.39 N m of gravity would leave nothing of 0.2 N m to one direction, if only the sum were limited."""
-    result, rows, _ = run(axis("csp", torque=0.2), servo=pendulum(), duration_s=3.0)
-    command, compensation = (np.array(rows.column("x", name)) for name in ("command", "compensation"))
-    assert result.faults == []
+    one = run(axis("csp", torque=0.2))
+    command, compensation = one.columns("command", "compensation")
+    assert one.result.faults == []
     faded_in = slice(round(1.0 / PERIOD_S), round(3.0 / PERIOD_S))
     fed = (command - compensation)[faded_in]
     assert 0.075 < fed.min() < fed.max() < 0.092 + 1e-9  # 0.0755 N m of gravity at one end of the path
@@ -144,46 +130,40 @@ def test_nothing_is_commanded_in_csp_where_it_is_off(changes):
 
 
 def test_without_power_nothing_is_commanded():
-    _, rows, drives = run(axis("cst"), servo=pendulum(), duration_s=1.0)
-    command, state, drive = (np.array(rows.column("x", name)) for name in ("command", "state", "drive_state"))
+    command, state, drive = run(axis("cst"), duration_s=1.0).columns("command", "state", "drive_state")
     off = (drive != DriveState.OPERATION_ENABLED) & (state >= LoopState.DISABLING)
     assert off.any()
     assert not command[(state < LoopState.ENABLING)].any()
     assert not command[off][2:].any()
     assert command[state == LoopState.ENABLING].any()
-    assert math.isfinite(drives.servos[0].position)
 
 
 @pytest.mark.parametrize(("mode", "error"), [("cst", 1.0), ("cst", 0.7), ("csp", 1.0), ("csv", 1.0)])
 def test_it_does_not_sag_until_the_brake_has_closed(mode, error):
     """Wherever the path has left it; in cst the loop's controller holds what the model does not know."""
-    result, rows, drives = run(axis(mode, error=error), servo=pendulum(), duration_s=0.6, power_off_cycles=300)
-    position, command, state, drive = (
-        np.array(rows.column("x", name)) for name in ("position", "command", "state", "drive_state")
-    )
+    one = run(axis(mode, error=error), duration_s=0.6, power_off_cycles=300)
+    position, command, state, drive = one.columns("position", "command", "state", "drive_state")
     disabling, off = state == LoopState.DISABLING, drive == DriveState.SWITCH_ON_DISABLED
-    assert result.faults == []
+    assert one.result.faults == []
     assert disabling.sum() > 300
     assert np.ptp(position[disabling]) < 3e-3
     held = command[disabling & ~off]
     assert np.abs(held).min() > 0.1
     assert np.abs(command[disabling & off]).max() < 0.1  # of one cycle
-    assert drives.sent[0][-1][-1] == 0.0
+    assert one.torques()[-1] == 0.0
     assert np.abs(np.diff(held)).max() < 0.01  # of a weight of 0.3 N m
 
 
 def test_guided_by_hand_it_is_held_until_the_brake_has_closed_too():
-    _, rows, _ = run(axis("cst", guided=True), servo=pendulum(), duration_s=0.3, power_off_cycles=300)
-    position, state = np.array(rows.column("x", "position")), np.array(rows.column("x", "state"))
-    assert np.ptp(position[state == LoopState.DISABLING]) < 1e-3
+    one = run(axis("cst", guided=True), duration_s=0.3, power_off_cycles=300)
+    assert np.ptp(one.column("position")[one.column("state") == LoopState.DISABLING]) < 1e-3
 
 
 def test_a_drive_that_keeps_its_power_gets_no_torque_for_ever():
-    result, rows, drives = run(axis("cst"), servo=pendulum(), duration_s=0.3, power_off_cycles=10**6)
-    state = np.array(rows.column("x", "state"))
-    assert (state == LoopState.DISABLING).sum() * PERIOD_S == pytest.approx(2.0, abs=0.01)
-    assert "still powered" in result.faults[0]
-    assert drives.sent[0][-1][0::2] == (Request.DISABLE, 0.0)
+    one = run(axis("cst"), duration_s=0.3, power_off_cycles=10**6)
+    assert (one.column("state") == LoopState.DISABLING).sum() * PERIOD_S == pytest.approx(2.0, abs=0.01)
+    assert codes_in(one.result.faults[0]) == "x FH-116"
+    assert (one.requests()[-1], one.torques()[-1]) == (Request.DISABLE, 0.0)
 
 
 def test_after_a_fault_it_is_fed_forward_as_long_as_the_drive_has_power():
@@ -195,8 +175,7 @@ def test_after_a_fault_it_is_fed_forward_as_long_as_the_drive_has_power():
         if cycle >= 320:
             feedback[0].state, feedback[0].velocity = DriveState.FAULT, 5.0
 
-    _, rows, _ = run(axis("csp"), servo=pendulum(), duration_s=1.0, disturb=fails)
-    command, state, drive = (np.array(rows.column("x", name)) for name in ("command", "state", "drive_state"))
+    command, state, drive = run(axis("csp"), duration_s=1.0, disturb=fails).columns("command", "state", "drive_state")
     stopping = state == LoopState.FAULT_STOPPING
     assert np.abs(command[stopping & (drive != DriveState.FAULT)]).min() > 0.1
     assert (stopping & (drive == DriveState.FAULT)).any()
@@ -205,13 +184,12 @@ def test_after_a_fault_it_is_fed_forward_as_long_as_the_drive_has_power():
 
 @pytest.mark.parametrize("has_gravity", [True, False])
 def test_a_rehearsal_has_the_error_of_the_loop(has_gravity):
-    config = axis("cst", gravity=has_gravity)
-    error, _, _ = moved(config, duration_s=5.0)
+    given = axis("cst", gravity=has_gravity)
+    error, _, _ = moved(given, duration_s=5.0)
     scored = error[round(2.5 / PERIOD_S) :][: round(2.0 / PERIOD_S)]
     motion = Motion(sine_path(0.5, 0.5, 0.0), 2.0, ramp_s=0.25, start_s=2.5)
-    outcome = Rehearsal(config.axes["x"], facts("cst", pendulum()), PERIOD_S).run(
-        pendulum(), config.axes["x"].model, motion
-    )
+    config = configuration(x=given).axes["x"]
+    outcome = Rehearsal(config, facts("cst", pendulum()), PERIOD_S).run(pendulum(), config.model, motion)
     assert outcome.rms == pytest.approx(np.sqrt(np.mean(scored**2)), rel=0.05)
 
 

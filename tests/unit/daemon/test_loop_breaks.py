@@ -18,7 +18,7 @@ from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState, Request
 from friction_hil.drive.codes import code_of
 from friction_hil.errors import BusError
-from tests.loop_run import MODES, STOPPED_BY_FAULT, Drives, Run, axis
+from tests.loop_run import MODES, STOPPED_BY_FAULT, Drives, Fails, Run, axis
 from tests.messages import codes_in
 from tests.servo_drives import configuration, make_loop
 
@@ -32,61 +32,39 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("error", "fault"), BROKEN)
-@pytest.mark.parametrize("where", ["receive", "send"])
-def test_whatever_breaks_the_drives_are_disabled_and_the_bus_is_left(where, error, fault):
-    config = configuration()
-    drives = Drives(config)
-    original, calls = getattr(drives, where), []
+@pytest.mark.parametrize(("where", "begin"), [("receive", 300), ("send", 300), ("send", 0), ("close", 0)])
+def test_whatever_breaks_the_drives_are_disabled_and_the_bus_is_left(where, begin, error, fault):
+    """Once, or each time where it begins with the first cycle; what cannot be read back is unknown."""
 
-    def broken(*arguments):
-        calls.append(0)
-        if len(calls) == 300:
+    def before(drives):
+        if drives.cycle != begin:
+            return
+        original = getattr(drives, where)
+
+        def broken(*_):
+            if begin:
+                setattr(drives, where, original)
+            if where == "close":
+                original()
             raise error
-        original(*arguments)
 
-    setattr(drives, where, broken)
-    loop, *_ = make_loop(config, drives)
-    assert_only_fault(loop.run(), fault)
-    assert drives.closed == 1
-    assert drives.commands[0][-1].request is Request.DISABLE
-    assert drives.commands[0][-1].torque == 0.0
+        setattr(drives, where, broken)
 
-
-@pytest.mark.parametrize(("error", "fault"), BROKEN)
-def test_the_bus_is_left_even_if_the_last_word_fails(error, fault):
-    config = configuration()
-    drives = Drives(config)
-
-    def broken(commands):
-        raise error
-
-    drives.send = broken
-    loop, *_ = make_loop(config, drives)
-    assert_only_fault(loop.run(), fault)
-    assert drives.closed == 1
+    run = Run(before=before, duration_s=0.4)
+    assert re.fullmatch(fault, run.result.faults[0])
+    assert codes_in(run.result.faults[1:]) == ["x FH-120"] * (where == "close")
+    assert run.drives.closed == 1
+    if where == "close":
+        assert run.result.drive_states == [DriveState.UNKNOWN]
+    if begin:
+        assert (run.commands[0][-1].request, run.commands[0][-1].torque) == (Request.DISABLE, 0.0)
 
 
-@pytest.mark.parametrize(("error", "fault"), BROKEN)
-def test_states_that_cannot_be_read_back_are_reported_as_unknown(error, fault):
-    config = configuration()
-    drives = Drives(config)
-    close = drives.close
+class Ready(SteppedClock):
+    """Has time before each cycle, in which caches are warmed."""
 
-    def broken():
-        close()
-        raise error
-
-    drives.close = broken
-    loop, *_ = make_loop(config, drives, duration_s=0.3)
-    result = loop.run()
-    assert re.fullmatch(fault, result.faults[0])
-    assert codes_in(result.faults[1:]) == ["x FH-120"]
-    assert result.drive_states == [DriveState.UNKNOWN]
-
-
-def assert_only_fault(result, pattern):
-    (fault,) = result.faults
-    assert re.fullmatch(pattern, fault)
+    def doze_until(self, deadline_ns):
+        return True
 
 
 def test_memory_that_ran_out_is_there_again_once_the_reserve_is_released():
@@ -125,10 +103,6 @@ def test_the_reserve_is_released_before_the_drives_are_stopped():
 
 @pytest.mark.parametrize("where", ["step", "warm"])
 def test_a_computation_without_memory_ends_the_loop(where):
-    class Ready(SteppedClock):
-        def doze_until(self, deadline_ns):
-            return True
-
     def starve(*_):
         raise MemoryError
 
@@ -154,40 +128,25 @@ def test_the_recording_has_the_calls_that_led_to_a_program_error():
     (fault,) = run.result.faults
     assert code_of(fault) == "FH-126"
     assert len(fault.encode()) < 170  # an event of the recording holds it as a whole
-    events = [(name, text) for _, name, text in run.sink.events if name in ("fault", "traceback")]
-    assert events[0] == ("fault", fault)
-    calls = [text for _, text in events[1:]]
-    assert calls[-1].endswith(", before")
-    assert any(text.startswith("friction_hil/daemon/loop.py:") for text in calls)
+    first, *calls = [(name, text) for _, name, text in run.sink.events if name in ("fault", "traceback")]
+    assert first == ("fault", fault)
+    assert calls[-1][1].endswith(", before")
+    assert any(text.startswith("friction_hil/daemon/loop.py:") for _, text in calls)
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_mistake_in_the_computation_stops_the_axes_in_good_order(mode):
     def sabotage(axes):
-        original = axes[0].compensator.step
-        compensator = axes[0].compensator
-
-        class Broken:
-            def step(self, cycle, *rest):
-                if cycle >= 400:
-                    raise ZeroDivisionError("by hand")
-                return original(cycle, *rest)
-
-            def __getattr__(self, name):
-                return getattr(compensator, name)
-
-        axes[0].compensator = Broken()
+        axes[0].compensator = Fails(axes[0].compensator, 400)
 
     run = Run(axis(mode), axis(mode, node=2), on_axes=sabotage)
     assert codes_in(run.result.faults) == ["x FH-111"]
-    for k in (0, 1):
-        assert run.requests(k) == STOPPED_BY_FAULT
+    assert run.requests(0) == run.requests(1) == STOPPED_BY_FAULT
     broken = run.column("cycle") >= 400
     assert np.all(run.torques()[np.flatnonzero(broken)] == 0.0)
     assert np.isnan(run.column("compensation")[broken]).all()
     assert np.isfinite(run.column("compensation", "y")[broken]).all()
-    for one in run.drives.servos:
-        assert abs(one.true_velocity) < 0.05
+    assert max(abs(one.true_velocity) for one in run.drives.servos) < 0.05
     assert np.count_nonzero(run.column("state", "y") == LoopState.FAULT_STOPPING) < 1000  # it saw the standstill
     run.assert_left_disabled()
 
@@ -202,56 +161,35 @@ def test_a_model_that_overflows_is_a_fault():
     run.assert_left_disabled()
 
 
-def test_a_failure_in_warming_the_caches_stops_the_axes_in_good_order():
-    class Ready(SteppedClock):
-        def doze_until(self, deadline_ns):
-            return True
-
-    def before(drives):
-        if drives.cycle == 400:
-            drives.warm_caches = lambda: 1 / 0
-
-    run = Run(before=before, clock=Ready())
-    assert codes_in(run.result.faults) == ["FH-112"]
-    assert run.requests() == STOPPED_BY_FAULT
-    run.assert_left_disabled()
-
-
 def test_warming_the_caches_changes_no_bit_of_what_is_commanded():
-    class Ready(SteppedClock):
-        def doze_until(self, deadline_ns):
-            return True
-
-    plain, warmed = Run(duration_s=0.4), Run(duration_s=0.4, clock=Ready())
-    assert plain.commands == warmed.commands
+    assert Run(duration_s=0.4).commands == Run(duration_s=0.4, clock=Ready()).commands
 
 
-def test_an_axis_whose_velocity_is_no_number_stops_the_other_in_good_order():
-    def disturb(cycle, feedback):
-        if cycle == 400:
-            feedback[1].velocity = None
+def break_warming(drives):
+    if drives.cycle == 400:
+        drives.warm_caches = lambda: 1 / 0
 
-    run = Run(axis(), axis(node=2), disturb=disturb)
-    (fault,) = run.result.faults
-    assert fault.startswith("y: the computation failed: TypeError")
+
+def break_velocity(cycle, feedback):
+    if cycle == 400:
+        feedback[1].velocity = None
+
+
+@pytest.mark.parametrize(
+    ("what", "fault"), [({"before": break_warming}, "FH-112"), ({"disturb": break_velocity}, "y FH-111")]
+)
+def test_what_fails_elsewhere_stops_the_axes_in_good_order_too(what, fault):
+    run = Run(axis(), axis(node=2), clock=Ready(), **what)
+    assert codes_in(run.result.faults) == [fault]
     assert run.requests(0) == run.requests(1) == STOPPED_BY_FAULT
     run.assert_left_disabled()
 
 
 def test_a_warning_of_the_cycle_in_which_the_computation_fails_is_not_lost():
     def sabotage(axes):
-        class Fails:
-            def step(self, *inputs):
-                raise ZeroDivisionError("by hand")
-
-        axes[0].shadows["bad"] = Fails()
+        axes[0].shadows["bad"] = Fails(None)
         notices = axes[0].notices
-
-        class Notices:
-            def next(self, *arguments):
-                return notices.next(*arguments) or "look out"
-
-        axes[0].notices = Notices()
+        axes[0].notices = SimpleNamespace(next=lambda *arguments: notices.next(*arguments) or "look out")
 
     run = Run(on_axes=sabotage)
     assert codes_in(run.result.faults) == ["x FH-111"]

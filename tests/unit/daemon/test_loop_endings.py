@@ -1,15 +1,16 @@
 """How a run of the loop ends: on request, by a limit, by a fault of a drive, or without feedback."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState, Request
-from tests.loop_run import CONTROLLER, LIMITS, MODES, ORDINARY, SINE, STOPPED_BY_FAULT, Drives, Run, axis
+from tests.loop_run import CONTROLLER, LIMITS, MODES, ORDINARY, SINE, STOPPED_BY_FAULT, Fails, Run, axis
 from tests.messages import codes_in
-from tests.servo_drives import PERIOD_S, configuration, make_loop
+from tests.servo_drives import PERIOD_S
 
 # --- ways to end
 
@@ -47,19 +48,17 @@ def test_a_stop_request_brings_the_axis_to_rest_without_a_step(mode, stop_at):
 
 def test_a_run_is_as_long_as_it_was_told():
     run = Run(duration_s=0.7)
-    states = run.column("state")
-    assert np.count_nonzero(states == LoopState.RUNNING) == pytest.approx(700, abs=1)
+    assert np.count_nonzero(run.column("state") == LoopState.RUNNING) == pytest.approx(700, abs=1)
     assert run.events() == ["enabling", "running", "stopping", "disabling", "done"]
     assert run.result.cycles == len(run.sink.rows)
     np.testing.assert_allclose(run.column("time_s"), run.column("cycle") * PERIOD_S)
 
 
-def slips(per_cycle, begin=300, end=400):
+def slips(per_cycle):
     """The encoder slips for a while."""
 
     def disturb(cycle, feedback):
-        if begin <= cycle:
-            feedback[0].position += per_cycle * (min(cycle, end) - begin)
+        feedback[0].position += per_cycle * (min(max(cycle, 300), 400) - 300)
 
     return disturb
 
@@ -88,18 +87,18 @@ def freezes(cycle, feedback):
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
-    ("limits", "disturb", "words"),
+    ("limits", "disturb", "code"),
     [
-        ({"velocity": 6.0}, slips(8e-3), "[FH-107]"),
-        ({"velocity": 6.0}, slips(-8e-3), "[FH-107]"),
-        ({"following_error": 0.05}, freezes, "x: following error"),
-        ({"position": [-0.5, 0.5], "following_error": 10.0}, carried, "is outside [-0.5, 0.5] rad"),
-        ({"velocity": 6.0}, jumps, "x: no usable feedback for more than 10 cycles"),
+        ({"velocity": 6.0}, slips(8e-3), "x FH-107"),
+        ({"velocity": 6.0}, slips(-8e-3), "x FH-107"),
+        ({"following_error": 0.05}, freezes, "x FH-109"),
+        ({"position": [-0.5, 0.5], "following_error": 10.0}, carried, "x FH-108"),
+        ({"velocity": 6.0}, jumps, "x FH-104"),
     ],
 )
-def test_each_limit_is_a_fault_that_ends_in_quick_stop_then_disabled(mode, limits, disturb, words):
+def test_each_limit_is_a_fault_that_ends_in_quick_stop_then_disabled(mode, limits, disturb, code):
     run = Run(axis(mode, limits=LIMITS | limits), disturb=disturb, duration_s=3.0)
-    assert any(words in fault for fault in run.result.faults), run.result.faults
+    assert code in codes_in(run.result.faults)
     assert run.requests() == STOPPED_BY_FAULT
     assert "fault_stopping" in run.events()
     assert run.events("fault") == run.result.faults
@@ -110,7 +109,7 @@ def test_each_limit_is_a_fault_that_ends_in_quick_stop_then_disabled(mode, limit
 def test_in_cst_the_torque_of_the_loops_own_control_ramps_down_after_a_fault_too():
     limits = LIMITS | {"torque": 0.6, "torque_slew": 20.0, "following_error": 0.15}
     run = Run(axis("cst", controller=CONTROLLER | {"velocity_gain": 0.1}, limits=limits), disturb=freezes)
-    assert run.result.faults[0].startswith("x: following error")
+    assert codes_in(run.result.faults[0]) == "x FH-109"
     assert np.abs(run.torques()).max() > 0.3
     run.assert_within_limits()
 
@@ -159,31 +158,24 @@ def test_notices_of_the_drives_are_recorded_each_time_and_listed_once():
 # --- a drive that is silent
 
 
-class Unplugged(Drives):
-    """The line of a drive is gone: nothing is heard, and nothing can be read back."""
-
-    def receive(self, feedback, end_ns):
-        super().receive(feedback, end_ns)
-        if self.cycle > 400:
-            feedback[0].is_fresh, feedback[0].state = False, DriveState.OPERATION_ENABLED  # the last one reported
-            feedback[0].missing = "the line is gone"
-
-    def close(self):
-        super().close()
-        return (DriveState.UNKNOWN,)
+def reads_back(*states):
+    """Drives that say in which states they were left."""
+    return lambda drives: setattr(drives, "read_back", states or None)
 
 
 def test_a_drive_whose_line_is_gone_is_unknown_and_nothing_else():
-    loop, _, _ = make_loop(configuration(x=axis()), Unplugged(configuration(x=axis())), duration_s=2.0)
-    assert loop.run().faults == [
-        "x: no usable feedback for more than 10 cycles: the line is gone [FH-103]",
-        "x: the state of the drive after the stop is unknown: it may have power [FH-120]",
-    ]
+    def unplug(cycle, feedback):
+        if cycle >= 400:
+            feedback[0].is_fresh, feedback[0].state = False, DriveState.OPERATION_ENABLED  # the last one reported
+            feedback[0].missing = "the line is gone"
+
+    run = Run(disturb=unplug, before=reads_back(DriveState.UNKNOWN), duration_s=2.0)
+    assert codes_in(run.result.faults) == ["x FH-103", "x FH-120"]
+    assert "the line is gone" in run.result.faults[0]
 
 
 def test_only_gaps_that_ended_count_as_bridged_and_the_reasons_are_named():
-    busy = "unit 1 refuses: server device busy (exception 6)"
-    gaps = {100: (3, busy), 200: (10, "no reply in time"), 300: (1, busy), 400: (100_000, "the line is gone")}
+    gaps = {100: (3, "busy"), 200: (10, "no reply"), 300: (1, "busy"), 400: (100_000, "the line is gone")}
 
     def lose(cycle, feedback):
         for begin, (length, reason) in gaps.items():
@@ -192,9 +184,9 @@ def test_only_gaps_that_ended_count_as_bridged_and_the_reasons_are_named():
 
     run = Run(disturb=lose, duration_s=1.0)
     assert "the line is gone" in run.result.faults[0]
-    (one,) = run.axes
-    assert (one.gaps.bridged, one.gaps.reasons) == (14, {busy: 4, "no reply in time": 10})
-    assert one.gaps.stale > 5000
+    gaps = run.axes[0].gaps
+    assert (gaps.bridged, gaps.reasons) == (14, {"busy": 4, "no reply": 10})
+    assert gaps.stale > 5000
 
 
 # --- a drive out of reach
@@ -233,42 +225,21 @@ def test_a_drive_that_is_back_is_stopped_like_the_others():
     run.assert_left_disabled()
 
 
-class ReadsBack(Drives):
-    """Drives that say in which state they were left."""
-
-    states_at_close: tuple[DriveState, ...] | None = None
-
-    def close(self):
-        super().close()
-        return self.states_at_close
-
-
 @pytest.mark.parametrize(
     ("states", "faults"),
     [
         ((DriveState.SWITCH_ON_DISABLED, DriveState.FAULT), []),
-        (
-            (DriveState.UNKNOWN, DriveState.SWITCH_ON_DISABLED),
-            ["x: the state of the drive after the stop is unknown: it may have power [FH-120]"],
-        ),
-        (
-            (DriveState.READY_TO_SWITCH_ON, DriveState.QUICK_STOP_ACTIVE),
-            ["y: still powered after the stop: the drive is in quick stop active [FH-116]"],
-        ),
-        (None, []),  # nothing is read back: the last cycle's feedback counts
+        ((DriveState.UNKNOWN, DriveState.SWITCH_ON_DISABLED), ["x FH-120"]),
+        ((DriveState.READY_TO_SWITCH_ON, DriveState.QUICK_STOP_ACTIVE), ["y FH-116"]),
+        ((), []),  # nothing is read back: the last cycle's feedback counts
     ],
 )
 def test_the_states_after_the_stop_are_recorded_and_power_is_a_fault(states, faults):
-    config = configuration(x=axis(), y=axis(node=2))
-    drives = ReadsBack(config)
-    drives.states_at_close = states
-    loop, sink, _ = make_loop(config, drives, duration_s=0.2)
-    result = loop.run()
-    assert result.faults == faults
+    run = Run(axis(), axis(node=2), before=reads_back(*states), duration_s=0.2)
+    assert codes_in(run.result.faults) == faults
     told = states or (DriveState.SWITCH_ON_DISABLED,) * 2
-    assert tuple(result.drive_states) == told
-    expected = [f"{name}: {state.words}" for name, state in zip("xy", told, strict=True)]
-    assert [text for _, kind, text in sink.events if kind == "drive_state"] == expected
+    assert tuple(run.result.drive_states) == told
+    assert run.events("drive_state") == [f"{name}: {state.words}" for name, state in zip("xy", told, strict=True)]
 
 
 def test_a_path_that_leaves_the_limits_is_refused_before_anything_is_enabled():
@@ -279,7 +250,7 @@ def test_a_path_that_leaves_the_limits_is_refused_before_anything_is_enabled():
     assert Run(axis(limits=limits), duration_s=0.1).result.faults == []
     run = Run(axis(limits=limits), disturb=elsewhere)
     (fault,) = run.result.faults
-    assert fault.startswith("x: from 0.4 rad the trajectory would go from 0.1 to 0.7 rad, outside the position limits")
+    assert re.match("x: from 0.4 rad .* from 0.1 to 0.7 rad", fault)
     assert Request.ENABLE not in run.requests()
 
 
@@ -290,96 +261,70 @@ def test_a_drive_fault_in_motion_stops_all_axes_and_is_not_reset():
 
     run = Run(axis(), axis(node=2), before=fails, is_fault_reset_wanted=True)
     assert codes_in(run.result.faults) == ["y FH-105"]
-    for k in (0, 1):
-        assert run.requests(k) == STOPPED_BY_FAULT
+    assert run.requests(0) == run.requests(1) == STOPPED_BY_FAULT
     speed = np.abs(run.column("velocity_estimate"))
     assert speed[400] > 0.3  # the healthy axis was brought to rest before it was disabled
     assert speed[run.column("state") == LoopState.DISABLING].max() <= 0.03
     run.assert_left_disabled()
 
 
-def test_a_drive_that_leaves_operation_enabled_by_itself_is_a_fault():
-    def leaves(cycle, feedback):
-        if cycle >= 400:
-            feedback[0].state = DriveState.SWITCHED_ON
+def held_in(*states, begin=0):
+    """Drives that are in other states than the loop wants, None for as it wants, with what their statuswords say."""
 
-    run = Run(disturb=leaves)
+    def disturb(cycle, feedback):
+        for one, state in zip(feedback, states, strict=False):
+            if state is not None and cycle >= begin:
+                one.state, one.status, one.error = state, "6041h = 0240h", "DC link under-voltage"
+
+    return disturb
+
+
+SAID = "(6041h = 0240h; DC link under-voltage)"
+
+
+@pytest.mark.parametrize("state", [DriveState.SWITCHED_ON, DriveState.SWITCH_ON_DISABLED])
+def test_a_drive_that_leaves_operation_enabled_by_itself_is_a_fault_that_says_why(state):
+    run = Run(disturb=held_in(state, begin=400))
     assert codes_in(run.result.faults) == ["x FH-106"]
+    assert f"{state.words} {SAID}" in run.result.faults[0]
     run.assert_left_disabled()
 
 
-def test_what_the_statusword_says_of_a_drive_that_left_operation_is_told():
-    def leaves(cycle, feedback):
-        if cycle >= 400:
-            feedback[0].state, feedback[0].status = DriveState.SWITCH_ON_DISABLED, "6041h = 0240h: no voltage"
-            feedback[0].error = "DC link under-voltage"
-
-    said = "switch on disabled (6041h = 0240h: no voltage; DC link under-voltage) [FH-106]"
-    assert Run(disturb=leaves).result.faults == [f"x: the drive left Operation enabled: {said}"]
-
-
 def test_a_drive_that_is_never_enabled_is_given_up_by_its_name_and_state():
-    def refuse(cycle, feedback):
-        feedback[1].state = DriveState.SWITCH_ON_DISABLED
-        feedback[2].state, feedback[2].error = DriveState.SWITCHED_ON, "DC link undervoltage"
-
-    run = Run(axis(), axis(node=2), axis(node=3), disturb=refuse)
-    assert run.result.faults == [
-        "y: not enabled within 5 s: the drive is in switch on disabled [FH-114]",
-        "z: not enabled within 5 s: the drive is in switched on (DC link undervoltage) [FH-114]",
-    ]
+    states = None, DriveState.SWITCH_ON_DISABLED, DriveState.SWITCHED_ON
+    run = Run(axis(), axis(node=2), axis(node=3), disturb=held_in(*states))
+    assert codes_in(run.result.faults) == ["y FH-114", "z FH-114"]
+    for state, fault in zip(states[1:], run.result.faults, strict=True):
+        assert "within 5 s" in fault
+        assert f"{state.words} {SAID}" in fault
     for k in range(3):
         assert run.requests(k) == ORDINARY
         assert np.all(run.torques(k) == 0.0)
     run.assert_left_disabled()
 
 
-def test_what_the_statusword_says_of_a_drive_that_is_never_enabled_is_told():
-    def refuse(cycle, feedback):
-        feedback[0].state, feedback[0].status = DriveState.SWITCH_ON_DISABLED, "6041h = 0240h: no voltage"
-        feedback[0].error = "DC link under-voltage"
-
-    expected = "the drive is in switch on disabled (6041h = 0240h: no voltage; DC link under-voltage) [FH-114]"
-    assert Run(disturb=refuse).result.faults == [f"x: not enabled within 5 s: {expected}"]
-
-
-def test_a_drive_that_stays_powered_is_told_of():
-    def stays(cycle, feedback):
-        feedback[0].state = DriveState.OPERATION_ENABLED
-
-    run = Run(disturb=stays, duration_s=0.2)
-    text = "x: still powered 2 s after the request to disable: the drive is in operation enabled [FH-116]"
-    assert run.result.faults == [text]
-
-
-def test_what_was_given_up_before_is_not_told_of_another_axis_later():
-    """One drive does not enable; the other one, which did, does not switch off either."""
-
-    def differ(cycle, feedback):
-        feedback[0].state = DriveState.SWITCH_ON_DISABLED
-        feedback[1].state = DriveState.OPERATION_ENABLED
-
-    assert codes_in(Run(axis(), axis(node=2), disturb=differ).result.faults) == ["x FH-114", "y FH-116"]
+def test_a_drive_that_stays_powered_is_told_of_and_not_one_that_was_given_up_before():
+    run = Run(axis(), disturb=held_in(DriveState.OPERATION_ENABLED), duration_s=0.2)
+    assert codes_in(run.result.faults) == ["x FH-116"]
+    assert "within 2 s" in run.result.faults[0] or "2 s after" in run.result.faults[0]
+    states = DriveState.SWITCH_ON_DISABLED, DriveState.OPERATION_ENABLED  # one does not enable, the other not disable
+    assert codes_in(Run(axis(), axis(node=2), disturb=held_in(*states)).result.faults) == ["x FH-114", "y FH-116"]
 
 
 @pytest.mark.parametrize(
-    ("until", "axis_at_fault", "drive"),
-    [
-        (10_000, "y: ", ": the drive is in quick stop active"),
-        (5_270, "", ""),  # at rest in the cycle that gives up, but not for long enough
-    ],
+    ("until", "fault"),
+    [(10_000, "y FH-115"), (5_270, "FH-115")],  # at rest in the cycle that gives up, but not for long enough
 )
-def test_an_axis_that_its_quick_stop_does_not_stop_is_told_of(until, axis_at_fault, drive):
+def test_an_axis_that_its_quick_stop_does_not_stop_is_told_of(until, fault):
     def creep(cycle, feedback):
         feedback[1].position += 2e-4 * max(min(cycle, until) - 300, 0)
         if cycle == 300:
             feedback[0].message = "the node has been reset"
 
     run = Run(axis(), axis(node=2), disturb=creep)
-    assert run.result.faults == [
-        "x: the node has been reset [FH-118]",
-        f"{axis_at_fault}no standstill within 5 s of the quick stop; the request to disable follows{drive} [FH-115]",
-    ]
+    assert codes_in(run.result.faults) == ["x FH-118", fault]
+    assert "within 5 s" in run.result.faults[1]
+    assert ("quick stop active" in run.result.faults[1]) == (fault == "y FH-115")
 
 
 # --- faults at the start
@@ -403,58 +348,40 @@ def in_fault(clears=True, again_when_enabled=0):
     return before
 
 
-def test_a_fault_at_the_start_is_told_and_not_reset_without_the_users_word():
-    run = Run(before=in_fault())
-    assert codes_in(run.result.faults) == ["x FH-105"]
-    assert Request.RESET_FAULT not in run.requests()
-    assert Request.ENABLE not in run.requests()
+def trips_when_enabled(drives):
+    pending = drives.pending[0]
+    if pending is not None and pending.request is Request.ENABLE:
+        drives.states[0] = DriveState.FAULT
 
 
-def test_on_the_users_word_a_fault_is_reset_and_the_run_goes_on():
-    run = Run(before=in_fault(), is_fault_reset_wanted=True, duration_s=0.3)
-    assert run.result.faults == []
-    assert run.requests() == [Request.LISTEN, Request.RESET_FAULT, Request.ENABLE, Request.DISABLE]
+RESET = [Request.LISTEN, Request.RESET_FAULT, Request.ENABLE, Request.DISABLE]
 
 
-def test_a_fault_that_cannot_be_reset_ends_the_run():
-    run = Run(before=in_fault(clears=False), is_fault_reset_wanted=True)
-    assert "in fault" in run.result.faults[0]
-    assert Request.ENABLE not in run.requests()
-    assert run.result.cycles == pytest.approx(1000, abs=5)
+@pytest.mark.parametrize(
+    ("before", "is_wanted", "requests", "faults"),
+    [
+        (in_fault(), False, [Request.LISTEN, Request.DISABLE], ["x FH-105"]),
+        (in_fault(), True, RESET, []),
+        (in_fault(clears=False), True, [Request.LISTEN, Request.RESET_FAULT, Request.DISABLE], ["x FH-105"]),
+        (in_fault(again_when_enabled=50), True, RESET, ["x FH-105"]),
+        (trips_when_enabled, True, ORDINARY, ["x FH-105"]),
+    ],
+    ids=["without the word", "on the word", "not cleared", "comes back", "of a healthy drive"],
+)
+def test_a_fault_of_a_drive_at_the_start_is_reset_once_and_on_the_users_word_alone(before, is_wanted, requests, faults):
+    """A drive that trips when it is enabled must not be pushed back in again and again."""
+    run = Run(before=before, is_fault_reset_wanted=is_wanted, duration_s=0.3)
+    assert codes_in(run.result.faults[:1]) == faults
+    assert run.requests() == requests
+    if requests[-2] is Request.RESET_FAULT:
+        assert run.result.cycles == pytest.approx(1000, abs=5)
     run.assert_left_disabled()
-
-
-def test_a_fault_that_comes_back_is_not_reset_again():
-    """One word, one reset: a drive that trips when it is enabled must not be pushed back in again and again."""
-    run = Run(before=in_fault(again_when_enabled=50), is_fault_reset_wanted=True)
-    assert "in fault" in run.result.faults[0]
-    assert run.requests() == [Request.LISTEN, Request.RESET_FAULT, Request.ENABLE, Request.DISABLE]
-
-
-def test_a_new_fault_of_a_healthy_drive_is_not_covered_by_the_reset_either():
-    def before(drives):
-        pending = drives.pending[0]
-        if pending is not None and pending.request is Request.ENABLE:
-            drives.states[0] = DriveState.FAULT
-
-    run = Run(before=before, is_fault_reset_wanted=True)
-    assert "in fault" in run.result.faults[0]
-    assert Request.RESET_FAULT not in run.requests()
 
 
 def test_a_reset_of_the_drives_fault_does_not_hide_a_failed_computation():
     def sabotage(axes):
-        compensator = axes[0].compensator
-
-        class FailsOnce:
-            def step(self, *inputs):
-                axes[0].compensator = compensator
-                raise ZeroDivisionError("by hand")
-
-            def __getattr__(self, name):
-                return getattr(compensator, name)
-
-        axes[0].compensator = FailsOnce()
+        one = axes[0].compensator
+        axes[0].compensator = Fails(one, until=0)
 
     run = Run(before=in_fault(), is_fault_reset_wanted=True, on_axes=sabotage, duration_s=0.3)
     assert "x FH-111" in codes_in(run.result.faults)
@@ -497,10 +424,11 @@ def test_silence_in_motion_is_bridged_shortly():
 
 @pytest.mark.parametrize("trajectory", [SINE, {"kind": "hold"}])
 def test_an_axis_that_nobody_sees_is_not_taken_to_stand(trajectory):
-    run = Run(
-        axis(trajectory=trajectory), disturb=lambda cycle, feedback: setattr(feedback[0], "is_fresh", cycle < 300)
-    )
-    assert run.result.faults[0] == "x: no usable feedback for more than 10 cycles [FH-103]"
+    def blind(cycle, feedback):
+        feedback[0].is_fresh = cycle < 300
+
+    run = Run(axis(trajectory=trajectory), disturb=blind)
+    assert codes_in(run.result.faults[0]) == "x FH-103"
     assert run.requests() == STOPPED_BY_FAULT
     # nobody knows that it stands: the drive holds it until the time is up
     stops = run.column("state") == LoopState.FAULT_STOPPING

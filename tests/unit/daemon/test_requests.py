@@ -32,32 +32,30 @@ def test_only_states_of_motion_ask_for_power():
     assert Request.RESET_FAULT not in REQUESTS.values()
 
 
-def reset(*states, is_wanted=True, at_s=0.1, run=LoopState.ENABLING):
-    """Return whether the reset is due after these states of the drive."""
-    one = FaultReset(is_wanted)
+@pytest.mark.parametrize(
+    ("states", "changes", "is_due"),
+    [
+        ([FAULT], {}, True),
+        ([DriveState.UNKNOWN, FAULT], {}, True),
+        ([FAULT], {"is_wanted": False}, False),
+        ([READY], {}, False),
+        ([FAULT, READY, FAULT], {}, False),
+        ([FAULT], {"at_s": FAULT_RESET_S}, False),
+        ([FAULT], {"run": LoopState.RUNNING}, False),
+    ],
+)
+def test_only_the_fault_found_at_the_start_is_reset_and_only_on_request(states, changes, is_due):
+    given = {"is_wanted": True, "run": LoopState.ENABLING, "at_s": 0.1} | changes
+    one = FaultReset(given["is_wanted"])
     for state in states:
         one.take(heard(state))
-    return one.is_due(heard(states[-1]), run, at_s)
+    assert one.is_due(heard(states[-1]), given["run"], given["at_s"]) is is_due
 
 
-def test_only_the_fault_found_at_the_start_is_reset_and_only_on_request():
-    assert reset(FAULT)
-    assert reset(DriveState.UNKNOWN, FAULT)
-    assert not reset(FAULT, is_wanted=False)
-    assert not reset(READY)
-    assert not reset(FAULT, READY, FAULT)
-    assert not reset(FAULT, at_s=1.0)
-    assert not reset(FAULT, run=LoopState.RUNNING)
-
-
-def test_asking_for_the_reset_changes_nothing():
+def test_asking_for_the_reset_changes_nothing_and_its_time_begins_again_once_somebody_starts_the_axes():
     one = FaultReset(True)
     assert not one.is_due(heard(DriveState.SWITCHED_ON), LoopState.IDLE, 0.0)
-    assert one.is_due(heard(DriveState.FAULT), LoopState.IDLE, 0.0)
-
-
-def test_the_time_of_a_reset_begins_again_once_somebody_starts_the_axes():
-    one = FaultReset(True)
+    assert one.is_due(heard(FAULT), LoopState.IDLE, 0.0)
     assert not one.is_due(heard(FAULT), LoopState.IDLE, FAULT_RESET_S)
     assert not one.is_due(heard(FAULT), LoopState.WAITING, 5.0)
     assert one.is_due(heard(FAULT), LoopState.ENABLING, 60.0)
@@ -72,16 +70,11 @@ def test_a_fault_that_comes_later_is_not_covered():
     assert not one.covers(0, heard(READY), LoopState.ENABLING, 0.2, has_fault=False)
     assert not one.covers(0, heard(FAULT), LoopState.ENABLING, 0.3, has_fault=True)
     assert not one.may_reset(0)
-    assert one.may_reset(1), "the other drive has its own"
+    assert not one.covers(1, heard(READY), LoopState.IDLE, 0.0, has_fault=False)
+    assert one.may_reset(1), "the other drive has its own, and keeps it while it is well and the run is idle"
+    assert not one.covers(1, heard(READY), LoopState.IDLE, 0.0, has_fault=True)
+    assert not one.may_reset(1)
     assert not Requests(1).covers(0, heard(FAULT), LoopState.ENABLING, 0.1, has_fault=True)
-
-
-def test_a_drive_that_is_well_while_the_run_is_idle_keeps_the_permission():
-    one = Requests(1, is_fault_reset_wanted=True)
-    assert not one.covers(0, heard(READY), LoopState.IDLE, 0.0, has_fault=False)
-    assert one.may_reset(0)
-    assert not one.covers(0, heard(READY), LoopState.IDLE, 0.0, has_fault=True)
-    assert not one.may_reset(0)
 
 
 @given(states, st.booleans(), st.lists(drive_states, min_size=1, max_size=3))
@@ -119,17 +112,13 @@ def test_a_fault_that_is_covered_is_reset_while_the_drive_is_being_enabled():
 
 
 def test_a_run_that_waits_resets_drives_in_fault_for_a_second_and_no_others():
-    one = Requests(2)
+    one, other = Requests(2), Requests(1)
+    assert FAULT_RESET_S == 1.0
     assert asked(one, LoopState.WAITING, FAULT, READY, time_s=-math.inf) == [Request.LISTEN] * 2
     one.reset_faults(10.0)
     assert asked(one, LoopState.ENABLING, FAULT, READY, time_s=10.1) == [Request.ENABLE] * 2
     assert asked(one, LoopState.WAITING, FAULT, READY, time_s=10.2) == [Request.RESET_FAULT, Request.DISABLE]
     assert asked(one, LoopState.WAITING, FAULT, READY, time_s=10.0 + FAULT_RESET_S) == [Request.DISABLE] * 2
-
-
-def test_a_reset_counts_as_a_command():
-    one = Requests(1)
-    one.reset_faults(10.0)
-    assert asked(one, LoopState.WAITING, FAULT, time_s=10.5) == [Request.RESET_FAULT]
-    assert one.is_commanded
-    assert FAULT_RESET_S == 1.0
+    other.reset_faults(10.0)
+    assert asked(other, LoopState.WAITING, FAULT, time_s=10.5) == [Request.RESET_FAULT]
+    assert other.is_commanded, "a reset counts as a command"

@@ -17,9 +17,9 @@ PERIOD_S = 1e-3
 ENABLED = DriveState.OPERATION_ENABLED
 LIMITS = SafetyLimits(torque=0.3, velocity=10.0, following_error=0.1, position_low=-1.0, position_high=1.0)
 MOVING = (LoopState.RUNNING, LoopState.STOPPING)
+LIMITED = (*MOVING, LoopState.FIRST_MOTION)
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)
-states = st.sampled_from(DriveState)
 
 
 def supervisor(limits=LIMITS, position=0.0, **changes):
@@ -49,10 +49,14 @@ def test_only_fresh_finite_feedback_is_used_and_remembered(position, velocity, t
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("name", ["position", "velocity", "torque"])
-def test_feedback_with_one_number_that_is_not_finite_is_not_used(name, number):
-    one = supervisor()
-    assert not one.take(heard(**{name: number}))
-    assert (one.position, one.is_current) == (0.0, False)
+def test_a_number_that_is_not_finite_is_not_used_and_told_as_such_and_not_as_a_jump(name, number):
+    one, broken = supervisor(), heard(**{name: number})
+    for _ in range(MAX_STALE_CYCLES + 1):
+        assert not one.take(broken)
+        assert (one.position, one.is_current) == (0.0, False)
+    fault = one.find_fault(broken, LoopState.RUNNING, 0.0, 0.0)
+    assert codes_in(fault) == "x FH-103"
+    assert f"its {name} is {number}" in fault
 
 
 @thorough
@@ -76,15 +80,6 @@ def test_a_position_may_jump_to_the_end_of_its_reach_and_not_a_step_further(sign
         assert one.take(heard(sign * jump)) is is_usable
 
 
-def test_a_single_glitch_is_passed_over():
-    one = supervisor()
-    assert not one.take(heard(5.0))
-    assert not one.is_current
-    assert one.find_fault(heard(5.0), LoopState.RUNNING, 0.0, 0.0) is None
-    assert one.take(heard(0.001))
-    assert one.is_current
-
-
 @thorough
 @given(st.lists(st.one_of(any_float, st.floats(-0.05, 0.05)), min_size=1, max_size=40))
 def test_the_position_in_use_never_moves_faster_than_twice_the_limit(positions):
@@ -100,52 +95,35 @@ def test_the_position_in_use_never_moves_faster_than_twice_the_limit(positions):
 # --- what is a fault
 
 
-@pytest.mark.parametrize("state", LoopState)
+@pytest.mark.parametrize(
+    ("position", "state"), [*((0.0, state) for state in LoopState), (None, LoopState.IDLE), (None, LoopState.ENABLING)]
+)
 @pytest.mark.parametrize("limit", [MAX_STALE_CYCLES, 3])
-def test_feedback_may_be_missing_for_some_cycles_and_no_longer_in_any_state(state, limit):
-    one = supervisor(max_stale_cycles=limit)
-    missing = heard(is_fresh=False)
-    for _ in range(limit):
-        one.take(missing)
-        assert one.find_fault(missing, state, 0.0, 0.0) is None
-    one.take(missing)
-    assert one.find_fault(missing, state, 0.0, 0.0) == f"x: no usable feedback for more than {limit} cycles [FH-103]"
-
-
-@pytest.mark.parametrize("position", [None, 0.0])
-def test_an_axis_is_silent_once_feedback_is_missing_for_longer_than_is_bridged(position):
-    one = supervisor(position=position, max_stale_cycles=3)
+def test_feedback_may_be_missing_for_some_cycles_and_no_longer_in_any_state(position, limit, state):
+    one, missing = supervisor(position=position, max_stale_cycles=limit), heard(is_fresh=False)
     assert one.has_position is (position is not None)
     seen = []
-    for _ in range(4):
-        one.take(heard(is_fresh=False))
-        seen.append((one.is_silent, one.find_fault(heard(is_fresh=False), LoopState.ENABLING, 0.0, 0.0) is not None))
-    assert seen == [(False, False)] * 3 + [(True, True)]
-    one.take(heard())
-    assert one.has_position
-    assert not one.is_silent
-
-
-def test_a_drive_that_is_out_of_reach_in_the_last_cycle_that_is_bridged_is_told_as_that():
-    one, missing = supervisor(), heard(is_fresh=False)
-    missing.is_reachable = False
-    for _ in range(MAX_STALE_CYCLES):
+    for _ in range(limit + 1):
         one.take(missing)
-    fault = one.find_fault(missing, LoopState.RUNNING, 0.0, 0.0)
-    assert fault == "x: commands do not reach the drive any more [FH-103]"
+        seen.append((one.is_silent, one.find_fault(missing, state, 0.0, 0.0)))
+    *bridged, (is_silent, fault) = seen
+    assert bridged == [(False, None)] * limit
+    assert (is_silent, codes_in(fault)) == (True, "x FH-103")
+    assert f"more than {limit} cycles" in fault
+    one.take(heard())
+    assert (one.has_position, one.is_silent) == (True, False)
 
 
 @pytest.mark.parametrize("state", [LoopState.ENABLING, LoopState.FIRST_MOTION, LoopState.RUNNING, LoopState.STOPPING])
-def test_a_drive_out_of_reach_is_a_fault_that_does_not_tell_a_state_of_the_drive(state):
-    """Cycles that were missed or long: the time is over before the number of cycles is."""
-    one, missing = supervisor(), heard(is_fresh=False, missing="TPDO 1 did not arrive in time")
-    missing.is_reachable, missing.state = False, DriveState.UNKNOWN
-    one.take(missing)
-    text = "x: commands do not reach the drive any more: TPDO 1 did not arrive in time [FH-103]"
-    assert one.find_fault(missing, state, 0.0, 0.0) == text
-    for _ in range(2 * MAX_STALE_CYCLES):
-        one.take(missing)
-        assert one.find_fault(missing, state, 0.0, 0.0) == text, "one gap is one fault"
+@pytest.mark.parametrize("missing", ["", "TPDO 1 did not arrive in time"])
+def test_a_drive_out_of_reach_is_a_fault_that_does_not_tell_a_state_of_the_drive(missing, state):
+    """Cycles that were missed or long: the time is over before the number of cycles is; and one gap is one fault."""
+    one, lost, reason = supervisor(), heard(is_fresh=False, missing=missing), missing and f": {missing}"
+    lost.is_reachable, lost.state = False, DriveState.UNKNOWN
+    for _ in range(2 * MAX_STALE_CYCLES + 1):
+        one.take(lost)
+        fault = one.find_fault(lost, state, 0.0, 0.0)
+        assert fault == f"x: commands do not reach the drive any more{reason} [FH-103]"
 
 
 def test_feedback_that_stays_away_is_one_fault_however_its_reasons_change():
@@ -174,27 +152,20 @@ def test_missed_periods_are_no_contradiction_of_velocity_and_position(is_told):
     assert ([text for text in faults if text] == []) is is_told
 
 
-def test_a_position_that_goes_on_jumping_is_told_as_such():
+def test_a_position_that_jumps_once_is_passed_over_and_one_that_goes_on_is_told():
     """As with the words of a counter in the wrong order."""
     one = supervisor()
-    assert one.take(heard(0.0))
+    assert not one.take(heard(5.0))
+    assert not one.is_current
+    assert one.find_fault(heard(5.0), LoopState.RUNNING, 0.0, 0.0) is None
+    assert one.take(heard(0.001))
+    assert one.is_current
     for k in range(MAX_STALE_CYCLES + 1):
         jumping = heard(65536.0 * (-1) ** k)
         assert not one.take(jumping)
-    text = one.find_fault(jumping, LoopState.RUNNING, 0.0, 0.0)
-    assert text is not None
-    assert "its position jumps further than limits.velocity allows, now to 6.554e+04 rad" in text
-
-
-@pytest.mark.parametrize("name", ["position", "velocity", "torque"])
-def test_a_number_that_is_not_finite_is_told_as_such_and_not_as_a_jump(name):
-    one = supervisor()
-    broken = heard(**{name: math.nan})
-    for _ in range(MAX_STALE_CYCLES + 1):
-        one.take(broken)
-    text = one.find_fault(broken, LoopState.RUNNING, 0.0, 0.0)
-    assert text is not None
-    assert f"its {name} is nan, not a number that can be used [FH-103]" in text
+    fault = one.find_fault(jumping, LoopState.RUNNING, 0.0, 0.0)
+    assert codes_in(fault) == "x FH-104"
+    assert "6.554e+04 rad" in fault
 
 
 def test_cycles_with_feedback_between_start_the_count_anew():
@@ -212,10 +183,10 @@ def test_what_the_driver_says_and_a_drives_fault_count_in_every_state(state):
     assert codes_in(one.find_fault(heard(message="no heartbeat"), state, 0.0, 0.0)) == "x FH-118"
     for reaction in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
         text = one.find_fault(heard(state=reaction, error="8611h following error"), state, 0.0, 0.0)
-        assert text is not None
-        assert "in fault: 8611h following error" in text
+        assert codes_in(text) == "x FH-105"
+        assert "8611h following error" in text
         assert ("--reset-fault" in text) is (state in (LoopState.IDLE, LoopState.ENABLING))
-    assert "it reports no error code" in str(one.find_fault(heard(state=DriveState.FAULT), state, 0.0, 0.0))
+    assert "no error code" in one.find_fault(heard(state=DriveState.FAULT), state, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("state", MOVING)
@@ -227,48 +198,46 @@ def test_a_drive_that_leaves_operation_enabled_in_motion_is_a_fault(state, drive
 
 @pytest.mark.parametrize("state", MOVING)
 @pytest.mark.parametrize(
-    ("position", "velocity", "demand", "words"),
+    ("position", "velocity", "demand", "code", "words"),
     [
-        (0.0, 10.0, 0.0, None),
-        (0.0, 10.001, 0.0, "x: velocity 10 is beyond its limit of 10 rad/s"),
-        (0.0, -11.0, 0.0, "x: velocity -11 is beyond"),
-        (0.0, math.nan, 0.0, "x: velocity nan is beyond"),
-        (0.0, math.inf, 0.0, "x: velocity inf is beyond"),
-        (1.0, 0.0, 1.0, None),
-        (-1.0, 0.0, -1.0, None),
-        (1.001, 0.0, 1.0, "x: position 1.001 rad is outside [-1, 1] rad"),
-        (-1.001, 0.0, -1.0, "x: position -1.001 rad is outside"),
-        (0.0, 0.0, 0.1, None),
-        (0.0, 0.0, 0.1001, "x: following error 0.1001 rad is beyond its limit of 0.1 rad"),
-        (0.0, 0.0, -0.2, "x: following error -0.2 rad is beyond"),
-        (0.0, 0.0, math.nan, None),  # there is no set-point
+        (0.0, 10.0, 0.0, None, None),
+        (0.0, 10.001, 0.0, "x FH-107", "10 rad/s"),
+        (0.0, -11.0, 0.0, "x FH-107", "velocity -11 "),
+        (0.0, math.nan, 0.0, "x FH-107", "velocity nan "),
+        (0.0, math.inf, 0.0, "x FH-107", "velocity inf "),
+        (1.0, 0.0, 1.0, None, None),
+        (-1.0, 0.0, -1.0, None, None),
+        (1.001, 0.0, 1.0, "x FH-108", "1.001 rad is outside [-1, 1] rad"),
+        (-1.001, 0.0, -1.0, "x FH-108", "-1.001 rad"),
+        (0.0, 0.0, 0.1, None, None),
+        (0.0, 0.0, 0.1001, "x FH-109", "0.1001 rad is beyond its limit of 0.1 rad"),
+        (0.0, 0.0, -0.2, "x FH-109", "-0.2 rad"),
+        (0.0, 0.0, math.nan, None, None),  # there is no set-point
     ],
 )
-def test_each_limit_trips_just_beyond_it(state, position, velocity, demand, words):
+def test_each_limit_trips_just_beyond_it(state, position, velocity, demand, code, words):
     reported = velocity if math.isfinite(velocity) else 0.0
     text = supervisor(position=position).find_fault(heard(position, reported), state, velocity, demand)
-    assert (text is None) if words is None else str(text).startswith(words)
+    assert text is None if code is None else (codes_in(text), words in text) == (code, True)
 
 
 @pytest.mark.parametrize("is_fresh", [True, False])
 def test_a_velocity_that_the_drive_does_not_confirm_is_a_fault_in_the_third_cycle_in_a_row(is_fresh):
     one = supervisor()
 
-    def find(velocity, is_fresh=True):
-        feedback = heard(0.0, 9.0, is_fresh=is_fresh)
+    def find(velocity, is_fresh=True, reported=9.0):
+        feedback = heard(0.0, reported, is_fresh=is_fresh)
         one.take(feedback)
         return one.find_fault(feedback, LoopState.RUNNING, velocity, 0.0)
 
     for velocity in (10.5, 12.0, 10.0, -11.0, 11.0, 9.0):
         assert find(velocity) is None
     assert [find(velocity, is_fresh) for velocity in (10.5, 10.5)] == [None, None]
-    assert "velocity 10.5 is beyond its limit of 10 rad/s" in str(find(10.5, is_fresh))
-
-
-def test_an_estimate_beyond_the_limit_is_not_confirmed_by_a_drive_at_its_limit():
+    fault = find(10.5, is_fresh)
+    assert (codes_in(fault), "velocity 10.5 " in fault) == ("x FH-107", True)
     one = supervisor()
-    assert one.find_fault(heard(velocity=10.0), LoopState.RUNNING, 10.5, 0.0) is None
-    assert one.find_fault(heard(velocity=10.001), LoopState.RUNNING, 10.5, 0.0) is not None
+    assert find(10.5, reported=10.0) is None, "a drive at its limit confirms nothing"
+    assert find(10.5, reported=10.001) is not None
 
 
 def faults_of(one, cycles):
@@ -281,21 +250,17 @@ def faults_of(one, cycles):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_three_reported_velocities_in_a_row_beyond_the_limit_are_a_fault(sign):
+def test_three_velocities_in_a_row_beyond_the_limit_are_a_fault_as_reported_and_by_the_positions(sign):
     fast, slow = sign * 10.1, sign * 10.0
     found = faults_of(supervisor(), [(0.0, each) for each in (slow, fast, fast, slow, fast, fast, slow)])
     assert found == [None] * 7
     found = faults_of(supervisor(), [(0.0, each) for each in (slow, fast, fast, fast)])
     assert found[:3] == [None] * 3
-    assert "the drive reports a velocity of" in str(found[3])
+    assert "the drive reports" in found[3]
     assert faults_of(supervisor(), [(0.0, slow)] * 5) == [None] * 5, "the limit itself is allowed"
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_three_steps_of_the_position_beyond_the_limit_are_a_fault_whatever_is_reported(sign):
     found = faults_of(supervisor(), [(sign * 0.012 * k, 0.0) for k in range(1, 4)])
     assert found[:2] == [None, None]
-    assert f"velocity {sign * 12:.4g} by its positions is beyond its limit of 10 rad/s" in str(found[2])
+    assert f"velocity {sign * 12:.4g} by its positions" in found[2]
 
 
 def test_a_lasting_contradiction_of_velocity_and_position_is_a_fault():
@@ -308,42 +273,33 @@ def test_a_lasting_contradiction_of_velocity_and_position_is_a_fault():
 
 @pytest.mark.parametrize("missed", [0, 3])
 def test_until_a_motion_has_confirmed_the_velocity_it_is_that_of_the_position(missed):
-    one, way = supervisor(position=None, is_velocity_trusted=False), 2.0 * PERIOD_S * (missed + 1)
+    one, other = (supervisor(position=None, is_velocity_trusted=False) for _ in range(2))
+    way = 2.0 * PERIOD_S * (missed + 1)
     assert one.take_doubt() is None
     for k in range(300):
         feedback = heard(way * k, 2.0 * 9.55)
         one.take(feedback, missed if k else 0)
     assert one.velocity(feedback) == pytest.approx(2.0)
-    assert "9.55 times the derivative" in one.take_doubt()
+    assert "9.55 times" in one.take_doubt()
     assert one.take_doubt() is None, "once"
     assert not one.is_velocity_confirmed
-    other = supervisor(position=None, is_velocity_trusted=False)
     for k in range(100):
         other.take(heard(way * k, 2.0), missed if k else 0)
     assert other.is_velocity_confirmed
-    assert other.take_doubt() is None
-
-
-def test_a_velocity_that_is_trusted_is_used_as_it_is_reported():
-    one = supervisor()
-    one.take(heard(0.001, 7.0))
-    assert one.velocity(heard(0.001, 7.0)) == 7.0
-    assert one.take_doubt() is None
+    trusted = supervisor()
+    trusted.take(heard(0.001, 7.0))
+    assert trusted.velocity(heard(0.001, 7.0)) == 7.0
+    assert other.take_doubt() is trusted.take_doubt() is None
 
 
 @thorough
-@given(
-    st.floats(-10.0, 10.0),
-    st.floats(-1.0, 1.0),
-    st.floats(-0.1, 0.1),
-    st.sampled_from([*MOVING, LoopState.FIRST_MOTION]),
-)
+@given(st.floats(-10.0, 10.0), st.floats(-1.0, 1.0), st.floats(-0.1, 0.1), st.sampled_from(LIMITED))
 def test_inside_all_limits_there_is_no_fault(velocity, position, error, state):
     demand = position + 0.999 * error
     assert supervisor(position=position).find_fault(heard(position), state, velocity, demand) is None
 
 
-@pytest.mark.parametrize("state", [state for state in LoopState if state not in (*MOVING, LoopState.FIRST_MOTION)])
+@pytest.mark.parametrize("state", [state for state in LoopState if state not in LIMITED])
 def test_limits_of_motion_do_not_count_while_nothing_is_commanded_to_move(state):
     assert supervisor(position=5.0).find_fault(heard(5.0, state=DriveState.SWITCHED_ON), state, 99.0, 77.0) is None
 
@@ -351,7 +307,7 @@ def test_limits_of_motion_do_not_count_while_nothing_is_commanded_to_move(state)
 def test_an_axis_without_the_optional_limits_has_none_and_a_linear_one_its_unit():
     one = supervisor(SafetyLimits(torque=1.0, velocity=2.0), unit="m")
     assert one.find_fault(heard(), LoopState.RUNNING, 1.0, 1e6) is None
-    assert "2.5 is beyond its limit of 2 m/s" in str(one.find_fault(heard(0.0, 2.4), LoopState.RUNNING, 2.5, 0.0))
+    assert "limit of 2 m/s" in one.find_fault(heard(0.0, 2.4), LoopState.RUNNING, 2.5, 0.0)
 
 
 @thorough
@@ -363,20 +319,17 @@ def test_an_axis_with_an_announced_speed_may_exceed_it_by_a_margin_and_never_its
     one.take(heard(velocity=velocity))
     fault = one.find_fault(heard(velocity=velocity), LoopState.RUNNING, velocity, 0.0)
     assert (fault is None) is (abs(velocity) <= bound)
-    if fault is not None and bound < 10.0:
-        assert "1.5 times the" in fault
-        assert "in this motion [FH-107]" in fault
+    if fault is not None:
+        assert codes_in(fault) == "x FH-107"
+        assert ("1.5 times the" in fault) == (bound < 10.0)
 
 
 def test_the_velocity_that_a_drive_reports_is_held_to_the_announced_speed_too():
     one = supervisor()
     one.allow(2.0)
-    faults = []
-    for _ in range(4):
-        one.take(heard(velocity=5.0))
-        faults.append(one.find_fault(heard(velocity=5.0), LoopState.RUNNING, 0.0, 0.0))
-    assert faults[:2] == [None, None]
-    assert "the drive reports a velocity of 5 rad/s, beyond the limit of 3.02 rad/s, 1.5 times the 2" in faults[2]
+    found = faults_of(one, [(0.0, 5.0)] * 3)
+    assert found[:2] == [None, None]
+    assert "5 rad/s, beyond the limit of 3.02 rad/s, 1.5 times the 2" in found[2]
 
 
 def test_a_slow_motion_is_no_fault_where_the_drive_reports_whole_rpm():

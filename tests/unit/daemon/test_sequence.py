@@ -76,46 +76,37 @@ def test_an_ordinary_run():
     assert run.machine.take_timeout() is None
 
 
-def test_a_first_motion_comes_before_the_path():
-    run = Run().reach(LoopState.ENABLING)
-    assert run.pass_time(is_enabled=True, is_first_motion_due=True) is LoopState.FIRST_MOTION
-    assert run.pass_time(3.0, is_enabled=True, is_powered=True, is_first_motion_due=True) is LoopState.FIRST_MOTION
-    assert run.pass_time(is_enabled=True, is_powered=True) is LoopState.RUNNING
-
-
-@pytest.mark.parametrize("ending", ["has_fault", "is_stop_requested"])
-def test_a_first_motion_is_ended_by_the_drives_quick_stop(ending):
-    run = Run().reach(LoopState.ENABLING)
-    run.pass_time(is_enabled=True, is_first_motion_due=True)
-    assert run.pass_time(is_powered=True, is_first_motion_due=True, **{ending: True}) is LoopState.FAULT_STOPPING
-
-
-def test_a_reversal_is_no_standstill():
-    """The axis seems to stand for a moment, again and again."""
-    run = Run().reach(LoopState.RUNNING)
-    run.pass_time(has_fault=True, is_powered=True)
-    for _ in range(20):
-        assert run.pass_time(STANDSTILL_S - DT, has_fault=True, is_powered=True, is_standing=True) is (
-            LoopState.FAULT_STOPPING
-        )
-        run.pass_time(has_fault=True, is_powered=True)
-    assert run.pass_time(STANDSTILL_S + DT, has_fault=True, is_powered=True, is_standing=True) is LoopState.DISABLING
+@pytest.mark.parametrize(
+    ("ending", "after"),
+    [
+        ({}, LoopState.RUNNING),
+        ({"has_fault": True}, LoopState.FAULT_STOPPING),
+        ({"is_stop_requested": True}, LoopState.FAULT_STOPPING),
+    ],
+)
+def test_a_first_motion_comes_before_the_path_and_is_ended_by_the_drives_quick_stop(ending, after):
+    run, going = Run().reach(LoopState.ENABLING), {"is_first_motion_due": True}
+    assert run.pass_time(is_enabled=True, **going) is LoopState.FIRST_MOTION
+    assert run.pass_time(3.0, is_enabled=True, is_powered=True, **going) is LoopState.FIRST_MOTION
+    assert run.pass_time(is_enabled=True, is_powered=True, **ending and going, **ending) is after
 
 
 @pytest.mark.parametrize("state", [LoopState.RUNNING, LoopState.STOPPING])
 def test_a_fault_in_motion_stops_the_axis_before_it_is_disabled(state):
-    run = Run().reach(state)
-    assert run.pass_time(has_fault=True, is_powered=True) is LoopState.FAULT_STOPPING
-    assert run.pass_time(1.0, has_fault=True, is_powered=True) is LoopState.FAULT_STOPPING
-    assert run.pass_time(0.1, has_fault=True, is_powered=True, is_standing=True) is LoopState.DISABLING
+    """And a reversal, in which the axis seems to stand for a moment, again and again, is no standstill."""
+    run, fault = Run().reach(state), {"has_fault": True, "is_powered": True}
+    assert run.pass_time(1.0, **fault) is LoopState.FAULT_STOPPING
+    for _ in range(20):
+        assert run.pass_time(STANDSTILL_S - DT, is_standing=True, **fault) is LoopState.FAULT_STOPPING
+        run.pass_time(**fault)
+    assert run.pass_time(STANDSTILL_S + DT, is_standing=True, **fault) is LoopState.DISABLING
     assert run.machine.take_timeout() is None
 
 
 def test_a_fault_that_took_the_power_away_needs_no_stop():
     run = Run().reach(LoopState.RUNNING)
     run.pass_time(has_fault=True, is_powered=True)
-    assert run.pass_time(has_fault=True) is LoopState.DISABLING
-    assert run.pass_time(has_fault=True) is LoopState.DONE
+    assert [run.pass_time(has_fault=True) for _ in range(2)] == [LoopState.DISABLING, LoopState.DONE]
 
 
 def test_a_drive_may_be_given_longer_to_switch_on():
@@ -124,7 +115,7 @@ def test_a_drive_may_be_given_longer_to_switch_on():
     run.reach(LoopState.ENABLING)
     assert run.pass_time(19.9, is_standing=True) is LoopState.ENABLING
     assert run.pass_time(0.2, is_standing=True) is not LoopState.ENABLING
-    assert run.machine.take_timeout().text == "not enabled within 20 s"
+    assert "20 s" in run.machine.take_timeout().text
 
 
 @pytest.mark.parametrize("what", ["has_fault", "is_stop_requested"])
@@ -135,21 +126,15 @@ def test_before_power_a_fault_or_a_stop_ends_the_run(what):
 
 
 @pytest.mark.parametrize(
-    ("state", "held", "timeout_s", "after", "code"),
+    ("state", "held", "timeout_s", "code"),
     [
-        (LoopState.ENABLING, {}, ENABLE_TIMEOUT_S, LoopState.DISABLING, FaultCode.NOT_ENABLED),
-        (LoopState.STOPPING, STANDING | {"is_standing": False}, STANDSTILL_TIMEOUT_S, LoopState.DISABLING, None),
-        (
-            LoopState.FAULT_STOPPING,
-            {"has_fault": True},
-            QUICK_STOP_TIMEOUT_S,
-            LoopState.DISABLING,
-            FaultCode.NO_STANDSTILL,
-        ),
-        (LoopState.DISABLING, {}, DISABLE_TIMEOUT_S, LoopState.DONE, FaultCode.STILL_POWERED),
+        (LoopState.ENABLING, {}, ENABLE_TIMEOUT_S, FaultCode.NOT_ENABLED),
+        (LoopState.STOPPING, STANDING | {"is_standing": False}, STANDSTILL_TIMEOUT_S, None),
+        (LoopState.FAULT_STOPPING, {"has_fault": True}, QUICK_STOP_TIMEOUT_S, FaultCode.NO_STANDSTILL),
+        (LoopState.DISABLING, {}, DISABLE_TIMEOUT_S, FaultCode.STILL_POWERED),
     ],
 )
-def test_every_wait_has_a_timeout(state, held, timeout_s, after, code):
+def test_every_wait_has_a_timeout(state, held, timeout_s, code):
     run = Run()
     if state <= LoopState.STOPPING:
         run.reach(state)
@@ -157,8 +142,8 @@ def test_every_wait_has_a_timeout(state, held, timeout_s, after, code):
         run.reach(LoopState.RUNNING).pass_time(has_fault=True, is_powered=True)
         while run.machine.state is not state:
             run.pass_time(has_fault=True, is_powered=True, is_standing=True)
-        assert run.machine.state is state
     assert run.pass_time(timeout_s - 2 * DT, is_powered=True, **held) is state
+    after = LoopState.DONE if state is LoopState.DISABLING else LoopState.DISABLING
     assert run.pass_time(3 * DT, is_powered=True, **held) is after
     timeout = run.machine.take_timeout()
     assert (timeout is None) if code is None else timeout.code is code
@@ -176,36 +161,24 @@ def test_a_listener_stays_idle_until_it_is_told_to_go():
 def test_no_inputs_lead_back_or_to_power_after_a_fault(events, is_listening):
     machine, time_s, faulty = RunStateMachine(is_listening=is_listening), 0.0, False
     before = machine.state
-    for what, repeats in events:
-        for _ in range(repeats):
-            time_s += DT
-            changed = machine.advance(time_s, what)
-            after = machine.state
-            assert changed is (after is not before)
-            # back to power only from WAITING, where nobody has to be kept from it
-            is_started = before is LoopState.WAITING and after is LoopState.ENABLING
-            assert place(after) >= place(before) or is_started
-            assert not (is_started and (what.has_fault or what.is_stop_requested or what.is_pause_requested))
-            if after is not before:
-                assert machine.since_s == time_s
-            if is_listening:
-                assert after in (LoopState.IDLE, LoopState.WAITING, LoopState.DONE)
-            if before is LoopState.ENABLING and after in (LoopState.FIRST_MOTION, LoopState.RUNNING):
-                assert what.is_enabled
-                assert not what.has_fault
-                assert not what.is_stop_requested
-                assert not what.is_pause_requested
-            faulty = what.has_fault or (faulty and not is_started)
-            if faulty:
-                assert REQUESTS[after] is not Request.ENABLE
-            before = after
-
-
-def test_a_stop_does_not_wait_longer_for_the_compensation_to_fade_out():
-    run = Run().reach(LoopState.STOPPING)
-    fading = STANDING | {"is_faded_out": False, "is_powered": True}
-    assert run.pass_time(FADE_TIMEOUT_S - 1.0, **fading) is LoopState.STOPPING
-    assert run.pass_time(1.1, **fading) is LoopState.DISABLING
+    for what in (what for what, repeats in events for _ in range(repeats)):
+        time_s += DT
+        changed = machine.advance(time_s, what)
+        after = machine.state
+        assert changed is (after is not before)
+        assert machine.since_s == time_s or not changed
+        # back to power only from WAITING, where nobody has to be kept from it
+        is_started = before is LoopState.WAITING and after is LoopState.ENABLING
+        is_ending = what.has_fault or what.is_stop_requested or what.is_pause_requested
+        assert place(after) >= place(before) or is_started
+        assert not (is_started and is_ending)
+        assert not is_listening or after in (LoopState.IDLE, LoopState.WAITING, LoopState.DONE)
+        if before is LoopState.ENABLING and after in (LoopState.FIRST_MOTION, LoopState.RUNNING):
+            assert what.is_enabled
+            assert not is_ending
+        faulty = what.has_fault or (faulty and not is_started)
+        assert not (faulty and REQUESTS[after] is Request.ENABLE)
+        before = after
 
 
 @settings(max_examples=40, deadline=None)
@@ -216,21 +189,19 @@ def test_a_stop_does_not_wait_longer_for_the_compensation_to_fade_out():
 def test_every_run_ends_in_bounded_time(events, last, why):
     """Whatever the drives do: the set-point ends by itself, all else has a time-out."""
     machine, time_s = RunStateMachine(is_listening=False), 0.0
-    for what, repeats in events:
-        for _ in range(repeats):
-            time_s += DT
-            machine.advance(time_s, what)
-    last.is_stop_requested = last.is_stop_requested or why == "stop"
-    last.has_fault = last.has_fault or why == "fault"
-    last.is_kept_after_fault = last.is_kept_after_fault and why == "pause"
-    last.is_pause_requested = last.is_pause_requested or why == "pause"
+    for what in (what for what, repeats in events for _ in range(repeats)):
+        time_s += DT
+        machine.advance(time_s, what)
+    last.is_stop_requested |= why == "stop"
+    last.has_fault |= why == "fault"
+    last.is_kept_after_fault &= why == "pause"
+    last.is_pause_requested |= why == "pause"
     last.is_setpoint_standing = True  # the compensation may fade for a day, by fade_s
     disabling_s = max(DISABLE_TIMEOUT_S, LOST_POWERED_TIMEOUT_S)
     bound = time_s + FADE_TIMEOUT_S + STANDSTILL_TIMEOUT_S + QUICK_STOP_TIMEOUT_S + disabling_s + 0.1
     # who waits without power, waits with a fault too
     may_wait = why == "pause" or (why == "fault" and machine.state is LoopState.WAITING)
-    rest = (LoopState.DONE, LoopState.WAITING) if may_wait else (LoopState.DONE,)
-    while machine.state not in rest:
+    while machine.state not in ((LoopState.DONE, LoopState.WAITING) if may_wait else (LoopState.DONE,)):
         time_s += DT
         machine.advance(time_s, last)
         assert time_s < bound

@@ -6,8 +6,8 @@ import pytest
 from friction_hil.daemon.control.message import Action
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
-from tests.loop_run import LIMITS, axis
-from tests.servo_drives import PERIOD_S, configuration, run
+from tests.loop_run import LIMITS, Run, axis
+from tests.servo_drives import PERIOD_S
 from tests.unit.daemon.test_control_changes import Changed
 
 OFFSET = 0.05  # N m, of the model: held as long as the drive has power
@@ -19,10 +19,6 @@ def with_offset(**changes):
     return given
 
 
-def columns_of(rows, *names):
-    return [np.array(rows.column("x", name)) for name in names]
-
-
 def test_a_drive_that_keeps_its_power_after_the_request_to_disable_gets_no_compensation():
     """It has stopped the axis before the compensation has faded out: only what holds the load stays."""
 
@@ -30,10 +26,9 @@ def test_a_drive_that_keeps_its_power_after_the_request_to_disable_gets_no_compe
         if cycle >= 1200:
             feedback[0].message = "something is wrong"
 
-    config = configuration(x=with_offset(compensation={"fade_s": 1.0}))
-    result, rows, _ = run(config, duration_s=2.0, disturb=breaks, power_off_cycles=150)
-    assert result.faults
-    state, drive, command, compensation = columns_of(rows, "state", "drive_state", "command", "compensation")
+    run = Run(with_offset(compensation={"fade_s": 1.0}), duration_s=2.0, disturb=breaks, power_off_cycles=150)
+    assert run.result.faults
+    state, drive, command, compensation = run.columns("state", "drive_state", "command", "compensation")
     kept = (state == LoopState.DISABLING) & (drive != DriveState.SWITCH_ON_DISABLED)
     assert kept.sum() > 100
     assert np.abs(compensation[kept]).min() > 0.005, "there is one that could be sent"
@@ -43,11 +38,10 @@ def test_a_drive_that_keeps_its_power_after_the_request_to_disable_gets_no_compe
 
 def test_a_daemon_that_waits_commands_no_torque():
     slow = LIMITS | {"torque_slew": 2.0}  # what was commanded before would last for some cycles
-    config = configuration(x=with_offset(limits=slow))
-    run_ = Changed(config, {400: Action.STOP}, until=1500)
-    state, command = columns_of(run_.sink, "state", "command")
+    run = Changed(with_offset(limits=slow), plan={400: Action.STOP}, until=1500)
+    state, command = run.columns("state", "command")
     waiting = state == LoopState.WAITING
     assert waiting.sum() > 50
     assert np.abs(command[np.flatnonzero(waiting)[0] - 1]) > 0.01, "there was one"
     assert set(command[waiting]) == {0.0}
-    assert {c.torque for c, waits in zip(run_.drives.commands[0], waiting, strict=False) if waits} == {0.0}
+    assert {c.torque for c, waits in zip(run.commands[0], waiting, strict=False) if waits} == {0.0}

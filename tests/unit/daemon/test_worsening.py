@@ -16,13 +16,12 @@ T, STEP_S = 1e-3, 4e-3
 BASELINE_S, WHOLE_S = 2.0, 8.0
 
 
-def judged(error, *, velocity=None, motion_s=1.0, baseline_s=BASELINE_S, seed=1):
+def judged(error, *, velocity=lambda time_s: 2.0 * math.cos(math.tau * time_s), motion_s=1.0, baseline_s=2.0, seed=1):
     """What the judge says of a motion; ``error`` gets the time, the direction, the condition and a random number."""
     judge, noise = WorseningJudge(STEP_S, motion_s, 1e-6), np.random.default_rng(seed).normal(size=2000)
     for k in range(round(WHOLE_S / STEP_S)):
         time_s = k * STEP_S
-        speed = 2.0 * math.cos(math.tau * time_s) if velocity is None else velocity(time_s)
-        change = -2.0 * math.tau * math.sin(math.tau * time_s)
+        speed, change = velocity(time_s), -2.0 * math.tau * math.sin(math.tau * time_s)
         condition = Condition.WITHOUT if time_s < baseline_s else Condition.WITH
         found = judge.take(condition, speed, change, error(time_s, math.copysign(1.0, speed), condition, noise[k]))
         if found is not None:
@@ -88,14 +87,13 @@ def test_a_motion_that_changes_is_not_compared(factor):
     assert judged(error, velocity=velocity, motion_s=math.inf) is None
 
 
-def test_without_a_baseline_nothing_is_claimed():
-    assert judged(friction(3.0), baseline_s=0.0) is None
-    assert judged(friction(3.0), baseline_s=0.2) is None
+@pytest.mark.parametrize("baseline_s", [0.0, 0.2])
+def test_without_a_baseline_nothing_is_claimed(baseline_s):
+    assert judged(friction(3.0), baseline_s=baseline_s) is None
 
 
 # --- whole runs
 
-MOTION = {"kind": "sine", "amplitude": 0.3, "frequency": 1.0, "ramp_s": 0.25}
 COMPENSATION = {"fade_s": 0.1, "baseline_s": 2.0}
 
 
@@ -107,15 +105,12 @@ def reversed_drive(drives):
 
 @pytest.mark.parametrize("is_reversed", [True, False])
 def test_a_run_takes_a_torque_of_the_wrong_sign_back_and_goes_on(is_reversed):
-    run = Run(
-        axis(trajectory=MOTION, compensation=COMPENSATION),
-        before=reversed_drive if is_reversed else None,
-        duration_s=5.5,
-    )
+    given, before = axis(compensation=COMPENSATION), reversed_drive if is_reversed else None
+    run = Run(given, before=before, duration_s=5.5)
     assert run.result.faults == []
     assert bool(run.axes[0].following.taken_back) == is_reversed
     assert run.events("warning") == run.result.warnings == [run.axes[0].following.taken_back] * is_reversed
-    compensation, enabled = run.column("compensation"), run.column("is_enabled")
+    compensation, enabled = run.columns("compensation", "is_enabled")
     assert np.abs(compensation[round(4.0 / T)]) > 0.03
     if is_reversed:
         assert "inverted_torque" in run.axes[0].following.taken_back
@@ -131,12 +126,12 @@ def test_a_sidecar_takes_it_back_too():
 
     def sent_reversed(commands):
         send(commands)
-        machine.servo.torque_offset = -machine.offset
+        machine.servos[0].torque_offset = -machine.offset
 
     machine.send = sent_reversed
     config = test_follower.configuration(compensation={"fade_s": 0.1, "baseline_s": 2.0})
-    result, _sink, one = test_follower.run(machine, config=config, duration_s=6.0)
-    assert result.faults == []
-    assert result.warnings == [one.following.taken_back]
-    assert max(map(abs, machine.sent[3000:4000])) > 0.03
-    assert machine.sent[-300:] == [0.0] * 300
+    run = test_follower.Run(machine, config=config, duration_s=6.0)
+    assert run.result.faults == []
+    assert run.warnings == [run.axis.following.taken_back]
+    assert run.largest(3000, 4000) > 0.03
+    assert run.sent[-300:] == [0.0] * 300

@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 import pickle
+import re
 import socket
 import subprocess
 import tty
@@ -19,7 +20,6 @@ from friction_hil.doctor import checks as doctor
 from friction_hil.drive import Driver
 from friction_hil.errors import BusError, ConfigurationError, ParameterError, UsageError
 from tests.servo_drives import axis_dict
-from tests.system_files import lay
 
 CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
 KINCO = {"driver": "modbus", "unit": 3, "description": "kinco_fd5p", "counts_per_unit": 1e5, "rated_torque": 0.64}
@@ -63,15 +63,11 @@ def look(write, capsys):
             assert list(each) == ["check", "result", "detail", "fix", "code"]
             assert each["result"] in ("pass", "warn", "fail")
             assert bool(each["fix"]) == bool(each["code"]) == (each["result"] != "pass"), each
-        is_failed = any(each["result"] == "fail" for each in findings)
-        assert status == (2 if any(is_mistake(each) for each in findings) else is_failed)
+        failed = [each["check"] for each in findings if each["result"] == "fail"]
+        assert status == (2 if "configuration" in failed else bool(failed))
         return {each["check"]: each for each in findings}, status
 
     return run
-
-
-def is_mistake(finding):
-    return (finding["check"], finding["result"]) == ("configuration", "fail")
 
 
 @pytest.fixture
@@ -85,18 +81,18 @@ def terminal():
     os.close(slave)
 
 
-def received_by_the_drive(master):
-    try:
-        return os.read(master, 4096)
-    except BlockingIOError:
-        return b""
-
-
 # The machine
 
 
 def test_a_machine_alone(capsys, monkeypatch):
-    monkeypatch.setattr(doctor, "load_driver", raising_for("modbus", doctor.load_driver))
+    load_driver = doctor.load_driver
+
+    def load_or_raise(name):
+        if name == "modbus":
+            raise ImportError("no module named pymodbus")
+        return load_driver(name)
+
+    monkeypatch.setattr(doctor, "load_driver", load_or_raise)
     assert main(["doctor", "--json"]) == 0
     findings = json.loads(capsys.readouterr().out)
     checks = [each["check"] for each in findings]
@@ -105,29 +101,6 @@ def test_a_machine_alone(capsys, monkeypatch):
     assert "configuration" not in checks
     broken = findings[checks.index("driver modbus")]
     assert (broken["result"], "no module named pymodbus" in broken["detail"]) == ("warn", True)
-
-
-def raising_for(broken, load_driver):
-    def load_or_raise(name):
-        if name == broken:
-            raise ImportError("no module named pymodbus")
-        return load_driver(name)
-
-    return load_or_raise
-
-
-def test_a_system_without_information_passes_no_check_that_needs_it(tmp_path):
-    lay(tmp_path, proc__empty="")
-    found = {each.check: each for each in doctor.examine(None, tmp_path)}
-    for check in ("kernel", "processor clock"):
-        assert found[check].result == "warn"
-        assert "not reported by this system" in found[check].detail
-
-
-def test_without_a_priority_nothing_is_asked_of_the_system(look, terminal):
-    found, _ = look(serial(terminal[1]))
-    assert "realtime.priority is 0" in found["priority"]["detail"]
-    assert not {"memory", "processor sleep"} & set(found)
 
 
 # The configuration
@@ -147,57 +120,91 @@ def test_mistakes_of_a_configuration_are_reported_beside_the_machine(look, write
 def test_a_configuration_that_is_not_there(look, tmp_path):
     found, status = look(path=tmp_path / "nonsense.yaml")
     assert status == 2
-    assert "nonsense.yaml: cannot be read: No such file" in found["configuration"]["detail"]
+    assert "nonsense.yaml: " in found["configuration"]["detail"]
 
 
-def test_what_config_check_finds_in_files_is_found_and_the_rest_is_reported_all_the_same(look, terminal):
-    found, status = look(serial(terminal[1], KINCO, is_watchdog_required=False), period_s=1e-3)
-    assert status == 2
-    assert "is too short for" in found["configuration"]["detail"]
-    assert found["line of x"]["result"] == "pass"
-    assert found["x: description"]["result"] == "warn"
-    assert "rate of x" not in found
+ACCEPTED = {**KINCO, "is_watchdog_required": False}
+VIRTUAL = {"interface": "virtual", "channel": f"doctor-{os.getpid()}"}
+MODEL = {"axis": "rotary", "friction": {"model": "coulomb", "parameters": {"coulomb": 0.1, "static": 0.05}}}
 
 
-def test_two_drivers_in_one_run_are_refused_beforehand(look, terminal):
-    found, status = look(serial(terminal[1]), NODE, bus={"interface": "virtual", "channel": f"doctor-{os.getpid()}"})
-    assert status == 2
-    assert "one run drives axes of one driver" in found["configuration"]["detail"]
-    assert found["line of x"]["result"] == found["bus"]["result"] == "pass"
+def slcan(channel="/dev/null", **changes):
+    return {"interface": "slcan", "channel": channel, **changes}
 
 
-def test_notes_on_a_model_are_reported(look, terminal):
-    model = {"axis": "rotary", "friction": {"model": "coulomb", "parameters": {"coulomb": 0.1, "static": 0.05}}}
-    found, status = look(serial(terminal[1], model=model))
-    assert status == 0
-    assert "static is below coulomb" in found["x: model"]["detail"]
+@pytest.mark.parametrize(
+    ("axes", "top", "status", "expected"),
+    [
+        (
+            [GENERIC],
+            {},
+            0,
+            {"line of x": "pass: /dev/", "rate of x": "pass: .* 4 ms on /dev/", "x: description": "pass"}
+            | {"x: watchdog": "pass", "priority": "realtime.priority is 0", "memory": None, "processor sleep": None},
+        ),
+        (
+            [ACCEPTED],
+            {"period_s": 1e-3},
+            2,
+            {"configuration": "too short", "line of x": "pass", "x: description": "warn", "rate of x": None},
+        ),
+        ([ACCEPTED], {}, 0, {"x: description": "warn: .*: mode, position, velocity, torque_", "x: watchdog": "warn"}),
+        ([KINCO], {}, 2, {"configuration": "is_watchdog_required: false", "x: watchdog": None}),
+        ([{**GENERIC, "model": MODEL}], {}, 0, {"x: model": "static is below coulomb"}),
+        ([GENERIC, NODE], {"bus": VIRTUAL}, 2, {"configuration": "one driver", "line of x": "pass", "bus": "pass"}),
+        (
+            [GENERIC, {**GENERIC, "unit": 4}, {**GENERIC, "unit": 5, "description": "missing.yaml"}],
+            {},
+            2,
+            {"line of x, y, z": "pass", "x: description": "pass", "y: description": "pass", "z: description": None},
+        ),
+        ([serial("/dev/ttyUSB77")], {}, 1, {"line of x": "fail: .* no such port; serial ports .*-> (?!.*simulate)"}),
+        ([serial("/dev/ttyUSB77", simulation={})], {}, 1, {"line of x": "fail: .* no such port.*-> .*-hil simulate"}),
+        ([serial("/dev/null", simulation={})], {}, 1, {"line of x": "fail: .* cannot be opened.*-> (?!.*simulate)"}),
+        ([serial("tcp://nowhere")], {}, 2, {"configuration": "HOST:PORT"}),
+        (
+            [NODE, {**NODE, "node": 6}],
+            {"bus": VIRTUAL},
+            0,
+            {"bus": "pass", "x: node 5": "pass", "y: node 6": "pass", "x: units": "608Fh .*60A9h"},
+        ),
+        ([NODE], {"bus": {"interface": "socketcan", "channel": "can77"}}, 1, {"bus": "fail: .* can77; CAN interfaces"}),
+        ([NODE], {"bus": slcan("/dev/none")}, 1, {"bus": "fail: /dev/none: "}),
+        ([NODE], {"bus": slcan()}, 0, {"bus": "warn: slcan /dev/null "}),
+        ([NODE], {"bus": slcan(bitrate=1_000_000), "period_s": 1e-3}, 0, {"bus load": "pass: .*at 1000000 bit/s"}),
+        ([NODE], {"bus": slcan(bitrate=125_000), "period_s": 1e-3}, 1, {"bus load": "fail: .*at 125000 bit/s"}),
+        ([NODE], {"bus": {"interface": "pcam", "channel": "x"}}, 2, {"configuration": "'pcam'.*'pcan'", "bus": None}),
+    ],
+)
+def test_each_obstacle_has_its_fix_and_no_drive_receives_a_byte(look, terminal, axes, top, status, expected):
+    master, path = terminal
+    line = {"line": {"port": path, "baud": 921600}}
+    found, got = look(*(line | axis if "unit" in axis else axis for axis in axes), **top)
+    assert got == status
+    for check, words in expected.items():
+        if words is None:
+            assert check not in found
+        else:
+            assert re.search(words, "{result}: {detail} -> {fix}".format(**found[check]))
+    with pytest.raises(BlockingIOError):
+        os.read(master, 4096)
 
 
 # Serial lines
 
 
-def test_a_line_that_is_free_passes_and_its_drive_hears_nothing(look, terminal):
-    master, path = terminal
-    found, status = look(serial(path))
-    assert status == 0
-    assert found["line of x"] == {
-        "check": "line of x",
-        "result": "pass",
-        "detail": f"{path} can be opened",
-        "fix": "",
-        "code": "",
-    }
-    assert found["rate of x"]["result"] == found["x: description"]["result"] == found["x: watchdog"]["result"] == "pass"
-    assert f"of 4 ms on {path}" in found["rate of x"]["detail"]
-    assert received_by_the_drive(master) == b""
-
-
-def test_a_line_is_given_back(look, terminal):
+def test_a_line_is_given_back_and_one_that_is_locked_is_reported_although_its_holder_is_not_known(
+    look, terminal, monkeypatch
+):
+    monkeypatch.setattr(ports, "holders", lambda port: [])  # as of another user's process
     for _ in range(2):
         assert look(serial(terminal[1]))[1] == 0
     descriptor = os.open(terminal[1], os.O_RDWR | os.O_NOCTTY)
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    found, status = look(serial(terminal[1]))
     os.close(descriptor)
+    assert status == 1
+    assert "another process has it" in found["line of x"]["detail"]
 
 
 def test_a_line_that_another_process_has_is_reported_with_that_process_and_left_as_it_is(look, terminal):
@@ -210,40 +217,8 @@ def test_a_line_that_another_process_has_is_reported_with_that_process_and_left_
             other.kill()
         assert tty.tcgetattr(line) == before
     assert status == 1
-    assert f"another process has it (process {other.pid}, sleep)" in found["line of x"]["detail"]
+    assert f"(process {other.pid}, sleep)" in found["line of x"]["detail"]
     assert found["line of x"]["fix"] == "end that process first"
-
-
-def test_a_line_that_is_locked_is_reported_although_its_holder_is_not_known(look, terminal, monkeypatch):
-    monkeypatch.setattr(ports, "holders", lambda port: [])  # as of another user's process
-    descriptor = os.open(terminal[1], os.O_RDWR | os.O_NOCTTY)
-    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    found, status = look(serial(terminal[1]))
-    os.close(descriptor)
-    assert status == 1
-    assert "another process has it: a line must have only one master" in found["line of x"]["detail"]
-
-
-@pytest.mark.parametrize("is_simulated", [False, True])
-def test_a_missing_port_is_reported(look, tmp_path, is_simulated):
-    found, status = look(serial(tmp_path / "ttyUSB7", **({"simulation": {}} if is_simulated else {})))
-    assert status == 1
-    assert "there is no such port; serial ports of this machine:" in found["line of x"]["detail"]
-    assert ("friction-hil simulate" in found["line of x"]["fix"]) == is_simulated
-
-
-def test_a_file_is_no_port(look, tmp_path):
-    (tmp_path / "file").write_text("")
-    found, status = look(serial(tmp_path / "file", simulation={}))
-    assert status == 1
-    assert "cannot be opened" in found["line of x"]["detail"]
-    assert "simulate" not in found["line of x"]["fix"]
-
-
-def test_an_address_that_is_none_is_a_mistake_of_the_configuration(look):
-    found, status = look(serial("tcp://nowhere"))
-    assert status == 2
-    assert "is no tcp://HOST:PORT" in found["configuration"]["detail"]
 
 
 def test_a_tcp_connection_sends_nothing(look):
@@ -259,7 +234,7 @@ def test_a_tcp_connection_sends_nothing(look):
     assert found["line of x"]["detail"] == f"{port} accepts connections"
     found, status = look(serial(port))
     assert status == 1
-    assert "no connection: Connection refused" in found["line of x"]["detail"]
+    assert "Connection refused" in found["line of x"]["detail"]
 
 
 @pytest.mark.parametrize(("latency_ms", "result"), [(1, "pass"), (2, "warn"), (4, "fail"), (16, "fail")])
@@ -272,64 +247,10 @@ def test_the_latency_of_an_adapter_is_judged_by_the_period(look, terminal, monke
     assert status == (result == "fail")
 
 
-def test_signals_that_no_manual_was_read_for_are_reported(look, terminal):
-    found, status = look(serial(terminal[1], KINCO, is_watchdog_required=False))
-    assert status == 0
-    assert found["x: description"]["result"] == "warn"
-    assert "Kinco FD5P / CD3: mode, position, velocity, torque_command" in found["x: description"]["detail"]
-    assert found["x: watchdog"]["result"] == "warn"
-
-
-def test_a_drive_that_would_not_notice_a_dead_daemon_is_a_mistake_where_that_is_required(look, terminal):
-    found, status = look(serial(terminal[1], KINCO))
-    assert status == 2
-    assert "Set is_watchdog_required: false to accept that" in found["configuration"]["detail"]
-    assert "x: watchdog" not in found
-
-
-def test_axes_on_one_line_are_reported_together_and_a_broken_description_hides_no_other(look, terminal, tmp_path):
-    line = serial(terminal[1])
-    found, status = look(line, {**line, "unit": 4}, {**line, "unit": 5, "description": "missing.yaml"})
-    assert status == 2
-    assert found["line of x, y, z"]["result"] == "pass"
-    assert found["x: description"]["result"] == found["y: description"]["result"] == "pass"
-    assert "z: description" not in found
-
-
 # CAN
 
 
-def test_a_bus_that_opens(look):
-    found, status = look(NODE, {**NODE, "node": 6}, bus={"interface": "virtual", "channel": f"doctor-{os.getpid()}"})
-    assert status == 0
-    assert {check: found[check]["result"] for check in ("bus", "x: node 5", "y: node 6")} == {
-        "bus": "pass",
-        "x: node 5": "pass",
-        "y: node 6": "pass",
-    }
-    assert "position as 608Fh says, velocity as 60A9h says" in found["x: units"]["detail"]
-
-
-@pytest.mark.parametrize(
-    ("bus", "result", "text"),
-    [
-        ({"interface": "socketcan", "channel": "can77"}, "fail", "there is no interface can77; CAN interfaces of"),
-        ({"interface": "slcan", "channel": "/dev/none"}, "fail", "/dev/none: there is no such device"),
-        ({"interface": "slcan", "channel": "/dev/null"}, "warn", "slcan /dev/null is not opened here"),
-    ],
-)
-def test_a_bus_that_does_not_open_or_is_not_opened(look, bus, result, text):
-    found, status = look(NODE, bus=bus)
-    assert (found["bus"]["result"], status) == (result, int(result == "fail"))
-    assert text in found["bus"]["detail"]
-
-
-def test_an_interface_that_python_can_does_not_have_is_a_mistake_of_the_configuration(look, write, capsys):
-    found, status = look(NODE, bus={"interface": "pcam", "channel": "x"})
-    assert "bus" not in found
-    assert status == 2
-    text = "bus.interface: python-can has no interface 'pcam'; did you mean 'pcan'? There are: "
-    assert found["configuration"]["detail"].startswith(text)
+def test_an_interface_that_python_can_does_not_have_is_a_mistake_of_the_configuration(write, capsys):
     path = write(NODE, bus={"interface": "foo", "channel": "x"})
     assert main(["config", "check", str(path)]) == 2
     err = capsys.readouterr().err
@@ -338,23 +259,13 @@ def test_an_interface_that_python_can_does_not_have_is_a_mistake_of_the_configur
     assert ", socketcan, " in err
 
 
-@pytest.mark.parametrize(("bitrate", "result"), [(1_000_000, "pass"), (125_000, "fail")])
-def test_the_load_of_a_bus(look, bitrate, result):
-    bus = {"interface": "slcan", "channel": "/dev/null", "bitrate": bitrate}
-    found, status = look(NODE, bus=bus, period_s=1e-3)
-    assert (found["bus load"]["result"], status) == (result, int(result == "fail"))
-    assert f"at {bitrate} bit/s" in found["bus load"]["detail"]
-
-
 def test_an_axis_that_another_daemon_drives(look, write):
-    bus = {"interface": "virtual", "channel": f"doctor-lock-{os.getpid()}"}
-    config = load(write(NODE, bus=bus)).bus
-    lock = AxisLock(config, 5, "x")
-    found, status = look(NODE, bus=bus)
+    lock = AxisLock(load(write(NODE, bus=VIRTUAL)).bus, 5, "x")
+    found, status = look(NODE, bus=VIRTUAL)
     lock.release()
     assert status == 1
-    assert f"another daemon already (process {os.getpid()})" in found["x: node 5"]["detail"]
-    assert look(NODE, bus=bus)[1] == 0
+    assert f"(process {os.getpid()})" in found["x: node 5"]["detail"]
+    assert look(NODE, bus=VIRTUAL)[1] == 0
 
 
 # A driver without checks

@@ -1,6 +1,7 @@
 """Checks of the machine, on system files that a test provides."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -9,59 +10,46 @@ from friction_hil.doctor import machine
 from friction_hil.numerics import jit
 from tests.system_files import lay
 
-VERSION = "proc__sys__kernel__version"
+VERSION, REALTIME = "proc__sys__kernel__version", "sys__kernel__realtime"
+
+
+def governors(*names):
+    cpus = "sys__devices__system__cpu__"
+    files = {f"{cpus}cpu{k}__cpufreq__scaling_governor": f"{name}\n" for k, name in enumerate(names)}
+    return files | {f"{cpus}cpufreq__boost": "1\n"}  # beside them, and no processor
+
+
+PREEMPT = "sys__kernel__debug__sched__preempt"
 
 
 @pytest.mark.parametrize(
-    ("files", "result", "text"),
+    ("check", "files", "words"),
     [
-        ({VERSION: "#1 SMP PREEMPT_RT Debian 6.1.76-1 (2024-02-01)\n"}, "pass", "PREEMPT_RT"),
-        ({VERSION: "#1 SMP PREEMPT RT Debian 4.19.1\n"}, "pass", "PREEMPT_RT"),
-        ({VERSION: "#1 SMP Debian\n", "sys__kernel__realtime": "1\n"}, "pass", "PREEMPT_RT"),
-        ({VERSION: "#1 SMP PREEMPT_DYNAMIC Debian\n", "sys__kernel__realtime": "0\n"}, "warn", "(PREEMPT_DYNAMIC)"),
+        (machine.preemption, {VERSION: "#1 SMP PREEMPT_RT Debian 6.1.76-1 (2024-02-01)\n"}, "pass: .*PREEMPT_RT"),
+        (machine.preemption, {VERSION: "#1 SMP PREEMPT RT Debian 4.19.1\n"}, "pass: .*PREEMPT_RT"),
+        (machine.preemption, {VERSION: "#1 SMP Debian\n", REALTIME: "1\n"}, "pass: .*PREEMPT_RT"),
+        (machine.preemption, {VERSION: "#1 SMP PREEMPT_DYNAMIC\n", REALTIME: "0\n"}, r"warn: .*\(PREEMPT_DYNAMIC\)"),
         (
-            {
-                VERSION: "#1 SMP PREEMPT_DYNAMIC Debian\n",
-                "sys__kernel__debug__sched__preempt": "none (voluntary) full\n",
-            },
-            "warn",
-            "(PREEMPT_DYNAMIC, set to voluntary)",
+            machine.preemption,
+            {VERSION: "#1 SMP PREEMPT_DYNAMIC Debian\n", PREEMPT: "none (voluntary) full\n"},
+            r"warn: .*\(PREEMPT_DYNAMIC, set to voluntary\)",
         ),
-        ({VERSION: "#1 SMP PREEMPT Debian\n"}, "warn", "(PREEMPT)"),
-        ({VERSION: "#1 SMP Debian 5.10 (2021-01-01)\n"}, "warn", "(not preemptible)"),
-        ({}, "warn", "preemption model: not reported by this system"),
+        (machine.preemption, {VERSION: "#1 SMP PREEMPT Debian\n"}, r"warn: .*\(PREEMPT\)"),
+        (machine.preemption, {VERSION: "#1 SMP Debian 5.10 (2021-01-01)\n"}, r"warn: .*\(not preemptible\)"),
+        (machine.preemption, {}, "warn: .*not reported"),
+        (machine.processor_clock, governors("performance", "performance"), r"pass: .*: performance \(2 processors\) "),
+        (
+            machine.processor_clock,
+            governors("performance", "powersave", "performance"),
+            r"warn: .*performance \(2 processors\), powersave \(1 processors\).* -> .*echo performance",
+        ),
+        (machine.processor_clock, governors(), "warn: .*not reported"),
     ],
 )
-def test_the_preemption_model(tmp_path, files, result, text):
-    found = machine.preemption(lay(tmp_path, **files))
-    assert found.result == result
-    assert text in found.detail
-    assert bool(found.fix) == (result != "pass")
-
-
-def governors(root, *names):
-    for number, name in enumerate(names):
-        lay(root, **{f"sys__devices__system__cpu__cpu{number}__cpufreq__scaling_governor": f"{name}\n"})
-    lay(root, sys__devices__system__cpu__cpufreq__boost="1\n")  # beside them, and no processor
-    return root
-
-
-def test_processors_that_never_slow_down_pass(tmp_path):
-    found = machine.processor_clock(governors(tmp_path, "performance", "performance"))
-    assert (found.result, found.detail) == ("pass", "frequency governor: performance (2 processors)")
-
-
-def test_one_processor_that_slows_down_is_enough_for_a_warning(tmp_path):
-    found = machine.processor_clock(governors(tmp_path, "performance", "powersave", "performance"))
-    assert found.result == "warn"
-    assert "performance (2 processors), powersave (1 processors)" in found.detail
-    assert "echo performance" in found.fix
-
-
-def test_an_unknown_governor_is_a_warning(tmp_path):
-    found = machine.processor_clock(governors(tmp_path))
-    assert found.result == "warn"
-    assert "not reported by this system" in found.detail
+def test_what_the_kernel_tells_of_preemption_and_clock_is_judged(tmp_path, check, files, words):
+    found = check(lay(tmp_path, **files))
+    assert re.match(words, f"{found.result}: {found.detail} -> {found.fix}")
+    assert bool(found.fix) == (found.result != "pass")
 
 
 def test_compiled_kernels(tmp_path):
@@ -75,7 +63,7 @@ def test_compiled_kernels(tmp_path):
 
 def test_a_user_without_a_home_keeps_no_kernels_and_starts_all_the_same(monkeypatch):
     def no_home():
-        raise RuntimeError("Could not determine home directory.")
+        raise RuntimeError
 
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(Path, "home", no_home)

@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from dataclasses import asdict
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -187,14 +188,11 @@ def test_a_loop_that_stands_proves_nothing_of_its_drives_and_json_has_no_nan():
 
 
 def test_code_is_compiled_before_the_first_rows_are_read(monkeypatch):
-    called = []
-    for name in ("steady_curve", "replay_segments"):
-        function = getattr(friction_map, name)
-        monkeypatch.setattr(
-            friction_map, name, lambda *given, _name=name, _function=function: called.append(_name) or _function(*given)
-        )
+    spies = [mock.Mock(wraps=getattr(friction_map, name)) for name in ("steady_curve", "replay_segments")]
+    monkeypatch.setattr(friction_map, "steady_curve", spies[0])
+    monkeypatch.setattr(friction_map, "replay_segments", spies[1])
     figures = LiveFigures(facts())
-    assert sorted(called) == ["replay_segments", "steady_curve"]
+    assert [spy.call_count for spy in spies] == [1, 1]
     figures.take(reading(rows(0)))
     assert figures.snapshot().axes["x"].friction.note == "no motion yet"  # of that nothing is left
 
@@ -284,18 +282,18 @@ def test_a_daemon_that_was_killed_is_over_and_one_that_stands_is_not(folder, mon
 
 
 def test_what_cannot_be_attached_is_named(folder):
-    with pytest.raises(errors.UsageError, match="no daemon called 'mill' runs here"):
+    with pytest.raises(errors.UsageError, match="no daemon called 'mill'"):
         attach("mill")
     daemon = Daemon()
     daemon.serve()
     answer = daemon.answer
     try:
         daemon.answer = lambda line, user: {"ok": False, "problems": ["do: nothing is called 'observe'; there are: x"]}
-        with pytest.raises(errors.FrictionHilError, match="of an earlier version of friction-hil; look at it with"):
+        with pytest.raises(errors.FrictionHilError, match="earlier version"):
             attach("mill")
         daemon.answer = lambda line, user: answer(line, user) | {"version": "99", "columns": ["cycle"]}
         before = len(os.listdir("/proc/self/fd"))
-        with pytest.raises(errors.FrictionHilError, match="is of friction-hil 99, and this is"):
+        with pytest.raises(errors.FrictionHilError, match="friction-hil 99"):
             attach("mill")
         assert len(os.listdir("/proc/self/fd")) <= before + 1  # of the server's side
     finally:

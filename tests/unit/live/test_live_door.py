@@ -25,12 +25,10 @@ def feed():
 def greeting(port, host=None, origin=None):
     """The first message of the protocol, or the status of the refusal."""
     headers = [] if origin is None else [("Origin", origin)]
+    given = {"subprotocols": ["foxglove.sdk.v1"], "additional_headers": headers, "close_timeout": 0.1}
     at = socket.create_connection(("127.0.0.1", port))
     try:
-        url = f"ws://{host or f'localhost:{port}'}/"
-        with connect(
-            url, sock=at, subprotocols=["foxglove.sdk.v1"], additional_headers=headers, close_timeout=0.1
-        ) as client:
+        with connect(f"ws://{host or f'localhost:{port}'}/", sock=at, **given) as client:
             return client.recv()
     except InvalidStatus as error:
         return error.response.status_code
@@ -42,24 +40,24 @@ def test_programs_and_allowed_pages_are_let_in(feed, host, origin):
     assert "serverInfo" in greeting(feed.port, host and f"{host}:{feed.port}", origin)
 
 
+EVIL = [
+    "http://evil.example",
+    "https://evil.example",
+    "null",
+    "http://localhost",
+    "http://app.foxglove.dev.evil.example",
+]
+
+
 @pytest.mark.parametrize(
-    "origin",
+    ("host", "origin"),
     [
-        "http://evil.example",
-        "https://evil.example",
-        "null",
-        "http://localhost",
-        "http://app.foxglove.dev.evil.example",
-        "",
+        *((None, origin) for origin in (*EVIL, "")),
+        *((host, None) for host in ("evil.example", "mill.evil.example", "localhost.evil.example")),
     ],
 )
-def test_pages_of_other_origins_are_refused(feed, origin):
-    assert greeting(feed.port, origin=origin) == 403
-
-
-@pytest.mark.parametrize("host", ["evil.example", "mill.evil.example", "localhost.evil.example"])
-def test_names_that_somebody_else_resolves_to_this_machine_are_refused(feed, host):
-    assert greeting(feed.port, f"{host}:{feed.port}") == 403
+def test_pages_of_other_origins_and_names_that_somebody_else_resolves_are_refused(feed, host, origin):
+    assert greeting(feed.port, host and f"{host}:{feed.port}", origin) == 403
 
 
 def test_the_library_listens_where_nobody_knows(feed):
@@ -70,7 +68,7 @@ def test_the_library_listens_where_nobody_knows(feed):
 def test_a_port_that_is_in_use_is_named():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(UsageError, match=f"cannot be served at 127.0.0.1:{port}: Address already in use"):
+        with pytest.raises(UsageError, match=f" 127.0.0.1:{port}: Address already in use"):
             FoxgloveFeed(port)
 
 
@@ -102,29 +100,23 @@ def answered(port, data):
     with socket.create_connection(("127.0.0.1", port), timeout=10.0) as client:
         client.sendall(data)
         client.shutdown(socket.SHUT_WR)
-        found = b""
-        while part := client.recv(1 << 16):
-            found += part
-        return found
+        with client.makefile("rb") as file:
+            return file.read()
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.binary(max_size=60), st.sampled_from([b"", b"GET / HTTP/1.1\r\n", b"GET / HTTP/1.1\r\nOrigin: http://a\r\n"]))
 def test_nothing_without_a_proper_host_gets_through(echo, noise, start):
-    data = start + noise.replace(b":", b"") + b"\r\n\r\n"
-    found = answered(echo, data)
+    found = answered(echo, start + noise.replace(b":", b"") + b"\r\n\r\n")
     assert found == b"" or found.startswith(b"HTTP/1.1 4")
 
 
 @pytest.mark.parametrize("size", [0, 1, 100_000])
 def test_what_comes_after_the_head_is_passed_on_as_it_is(echo, size):
     data = b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n" + bytes(range(256)) * (size // 256)
-    with socket.create_connection(("127.0.0.1", echo), timeout=10.0) as client:
+    with socket.create_connection(("127.0.0.1", echo), timeout=10.0) as client, client.makefile("rb") as file:
         client.sendall(data)
-        found = b""
-        while len(found) < len(data):
-            found += client.recv(1 << 16)
-    assert found == data
+        assert file.read(len(data)) == data
 
 
 @pytest.mark.parametrize(
@@ -137,7 +129,7 @@ def test_what_comes_after_the_head_is_passed_on_as_it_is(echo, size):
     ],
 )
 def test_headers_that_could_be_read_in_two_ways_are_refused(echo, head):
-    assert b"HTTP/1.1 4" in answered(echo, b"GET / HTTP/1.1\r\n" + head + b"\r\n\r\n")[:10]
+    assert answered(echo, b"GET / HTTP/1.1\r\n" + head + b"\r\n\r\n").startswith(b"HTTP/1.1 4")
 
 
 def test_a_door_through_which_nobody_went_closes_in_order(monkeypatch):

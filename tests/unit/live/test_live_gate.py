@@ -14,12 +14,8 @@ from friction_hil.live.web.token import new_token, token_of
 TOKEN = new_token()
 LOCAL = Gate(TOKEN, frozenset({"mill.example"}), is_reading_free=True)
 OPEN = Gate(TOKEN, frozenset(), is_reading_free=False)
-CHANGE = {
-    "host": "127.0.0.1:8080",
-    "authorization": f"Bearer {TOKEN}",
-    "content-type": "application/json",
-    "content-length": "2",
-}
+CHANGE = {"host": "127.0.0.1:8080", "authorization": f"Bearer {TOKEN}"}
+CHANGE |= {"content-type": "application/json", "content-length": "2"}
 
 
 def refusal(gate, method, path, headers):
@@ -60,15 +56,9 @@ def test_beyond_loopback_data_need_the_token_and_the_page_itself_does_not():
 
 
 @pytest.mark.parametrize("method", ["PUT", "DELETE", "OPTIONS", "PATCH", "CONNECT", "TRACE"])
-def test_nothing_but_reading_and_post(method):
+def test_nothing_but_reading_and_post_and_no_header_twice(method):
     assert refusal(LOCAL, method, "/api/set", CHANGE) == 405
-
-
-def test_a_header_that_is_there_twice_is_refused():
-    twice = [(b"host", b"127.0.0.1"), (b"host", b"evil.example")]
-    found = LOCAL.refusal("GET", "/", twice)
-    assert found is not None
-    assert found.status == 400
+    assert LOCAL.refusal("GET", "/", [(b"host", b"127.0.0.1"), (b"host", b"evil.example")]).status == 400
 
 
 def test_a_token_file_is_made_once_for_this_user_alone_and_refused_where_others_read_it(tmp_path):

@@ -17,6 +17,7 @@ from friction_hil.live.web.feed import Feed
 from friction_hil.live.web.serve import Serving, serve
 from tests.unit.live.test_live import Daemon, folder  # noqa: F401  a fixture
 
+pytestmark = pytest.mark.usefixtures("folder")
 TOKEN = "a-token-of-this-test-0123456789"
 
 
@@ -25,14 +26,14 @@ def free_port():
         return taken.getsockname()[1]
 
 
-@contextlib.contextmanager
-def beside(work, ending):
-    """Do something in a thread while this one serves; then the server ends."""
-    failures = []
+def serve_while(work, host="127.0.0.1"):
+    """Serve the page until a thread has done something at its port; return what the server said."""
+    port, ending, said, failures = free_port(), threading.Event(), [], []
 
     def run():
         try:
-            work()
+            until(lambda: asked(port, "/"))
+            work(port)
         except BaseException as error:  # noqa: BLE001
             failures.append(error)
         finally:
@@ -41,12 +42,23 @@ def beside(work, ending):
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        yield
+        serve(Serving("mill", port, None, host, (), TOKEN), ending, said.append)
     finally:
         ending.set()
         thread.join()
     if failures:
         raise failures[0]
+    return said
+
+
+def connected(stack, port, sent, buffer=4096):
+    """A client that has sent something and reads nothing."""
+    client = stack.enter_context(socket.socket())
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
+    client.connect(("127.0.0.1", port))
+    with contextlib.suppress(ConnectionError):
+        client.sendall(sent.encode())
+    return client
 
 
 def until(condition, timeout_s=20.0):
@@ -57,14 +69,12 @@ def until(condition, timeout_s=20.0):
     return value
 
 
-def asked(port, path, method="GET", content=None, host="127.0.0.1"):
+def asked(port, path, method="GET", content=None):
     """Status and text of an answer; None while there is none."""
-    connection = http.client.HTTPConnection(host, port, timeout=10)
-    headers = {"Authorization": f"Bearer {TOKEN}", "Content-Type": "application/json"}
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    headers = {"Authorization": f"Bearer {TOKEN}", "Content-Type": "application/json"} if method == "POST" else {}
     try:
-        connection.request(
-            method, path, None if content is None else json.dumps(content), headers if method == "POST" else {}
-        )
+        connection.request(method, path, None if content is None else json.dumps(content), headers)
         answer = connection.getresponse()
         return answer.status, answer.read().decode()
     except OSError:
@@ -73,34 +83,30 @@ def asked(port, path, method="GET", content=None, host="127.0.0.1"):
         connection.close()
 
 
-def test_a_server_whose_reader_fails_ends_and_does_not_show_old_values_as_live(folder):  # noqa: F811
+def test_a_server_whose_reader_fails_ends_and_does_not_show_old_values_as_live():
     daemon = Daemon()
     daemon.serve()
     daemon.push(1, state=99.0)  # of a version that is not known yet
     try:
         with pytest.raises(ValueError, match="99 is not a valid LoopState"):
-            serve(Serving("mill", free_port(), None, "127.0.0.1", (), TOKEN), threading.Event(), lambda line: None)
+            serve_while(lambda port: time.sleep(60.0))
     finally:
         daemon.end()
 
 
-def test_clients_that_ask_for_nothing_keep_nobody_out(folder, monkeypatch):  # noqa: F811
+def test_clients_that_ask_for_nothing_keep_nobody_out(monkeypatch):
     monkeypatch.setattr(serving, "_MOST_HEAD_S", 0.3)
-    port, ending = free_port(), threading.Event()
 
-    def work():
-        until(lambda: asked(port, "/"))
+    def work(port):
         with contextlib.ExitStack() as stack:
-            idle = [stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(80)]
-            idle[0].sendall(b"GET / HTTP/1.1\r\nHost: ")
+            idle = [connected(stack, port, sent) for sent in ("GET / HTTP/1.1\r\nHost: ", *[""] * 79)]
             for each in idle:
                 each.settimeout(10.0)
                 with contextlib.suppress(ConnectionResetError):
                     assert each.recv(1) == b""
             assert asked(port, "/")[0] == 200
 
-    with beside(work, ending):
-        serve(Serving("mill", port, None, "127.0.0.1", (), TOKEN), ending, lambda line: None)
+    serve_while(work)
 
 
 HEAD = f"Host: localhost\r\nAuthorization: Bearer {TOKEN}\r\nContent-Type: application/json\r\n"
@@ -117,76 +123,59 @@ HEAD = f"Host: localhost\r\nAuthorization: Bearer {TOKEN}\r\nContent-Type: appli
     ],
     ids=["nothing", "half a head", "one request", "half a body", "no answer read"],
 )
-def test_a_stop_has_a_place_whatever_others_do_with_theirs(folder, sent):  # noqa: F811
-    port, ending = free_port(), threading.Event()
-
-    def work():
-        until(lambda: asked(port, "/"))
+def test_a_stop_has_a_place_whatever_others_do_with_theirs(sent):
+    def work(port):
         with contextlib.ExitStack() as stack:
             for _ in range(serving._MOST_CONNECTIONS + 8):
-                client = stack.enter_context(socket.socket())
-                client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-                client.connect(("127.0.0.1", port))
-                with contextlib.suppress(ConnectionError):
-                    client.sendall(sent.encode())
+                connected(stack, port, sent)
             for _ in range(3):
                 status, text = asked(port, "/api/stop", "POST", {})
-                assert (status, "no daemon called 'mill' runs here" in text) == (409, True)
+                assert (status, "no daemon called 'mill'" in text) == (409, True)
 
-    with beside(work, ending):
-        serve(Serving("mill", port, None, "127.0.0.1", (), TOKEN), ending, lambda line: None)
-
-
-def streamed(port):
-    """The status of the answer to a page that opens."""
-    with socket.create_connection(("127.0.0.1", port), timeout=20.0) as client:
-        client.sendall(b"GET /api/stream HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        return int(client.recv(100).split()[1])
+    serve_while(work)
 
 
 @pytest.mark.parametrize("buffer", [2304, 131_072])
-def test_pages_that_read_nothing_give_their_places_to_others(folder, monkeypatch, buffer):  # noqa: F811
+def test_pages_that_read_nothing_give_their_places_to_others(monkeypatch, buffer):
     """All places are taken by clients that read nothing of an endless stream; the times are shortened."""
     monkeypatch.setattr(app, "_MOST_SEND_S", 0.2)
     monkeypatch.setattr(hub, "_ALIVE_S", 0.02)
     monkeypatch.setattr(hub, "_ALIVE", b" " * 20_000 + b"\n")
-    port, ending = free_port(), threading.Event()
+    request = "GET /api/stream HTTP/1.1\r\nHost: localhost\r\n\r\n"
 
-    def work():
-        until(lambda: asked(port, "/"))
+    def streamed(port):
+        with contextlib.ExitStack() as stack:
+            client = connected(stack, port, request)
+            client.settimeout(20.0)
+            return int(client.recv(100).split()[1])
+
+    def work(port):
         with contextlib.ExitStack() as stack:
             for _ in range(hub._MOST_CLIENTS):
-                client = stack.enter_context(socket.socket())
-                client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
-                client.connect(("127.0.0.1", port))
-                client.sendall(b"GET /api/stream HTTP/1.1\r\nHost: localhost\r\n\r\n")
+                connected(stack, port, request, buffer)
             until(lambda: streamed(port) == 200, timeout_s=60.0)
 
-    with beside(work, ending):
-        serve(Serving("mill", port, None, "127.0.0.1", (), TOKEN), ending, lambda line: None)
+    serve_while(work)
 
 
-def test_a_page_beyond_loopback_is_read_with_the_token_only_and_says_how_it_is_reached(folder):  # noqa: F811
-    port, ending, said = free_port(), threading.Event(), []
-
-    def work():
-        status, text = until(lambda: asked(port, "/api/stream"))
-        assert (status, "this needs the token" in text) == (401, True)
-        assert asked(port, "/metrics")[0] == 401
-        assert asked(port, "/")[0] == 200
+def test_a_page_beyond_loopback_is_read_with_the_token_only_and_says_how_it_is_reached():
+    def work(port):
+        ports.append(port)
+        assert [asked(port, path)[0] for path in ("/api/stream", "/metrics", "/")] == [401, 401, 200]
         assert asked(port, "/api/set", "POST", {"values": {"x.model": "/etc/hostname"}})[0] == 409
 
-    with beside(work, ending):
-        serve(Serving("mill", port, None, "0.0.0.0", (), TOKEN), ending, said.append)
-    assert said[0] == f"page: http://{socket.gethostname()}:{port}/#token={TOKEN}"
-    assert "can be reached from other machines" in said[1]
-    assert said[2] == "waiting for mill"
+    ports = []
+    page, reached, waiting = serve_while(work, "0.0.0.0")
+    assert page == f"page: http://{socket.gethostname()}:{ports[0]}/#token={TOKEN}"
+    assert "from other machines" in reached
+    assert waiting == "waiting for mill"
 
 
-def test_a_page_names_model_files_beside_the_configuration_and_nothing_else(folder, tmp_path):  # noqa: F811
-    feed, ending, said = Feed("mill", None, lambda line: said.append(line)), threading.Event(), []
-    values = {"values": {"x.model": "/etc/hostname"}}
-    assert feed.act("set", values)["problems"] == ["no daemon called 'mill' runs here"]
+def test_a_page_names_model_files_beside_the_configuration_and_nothing_else():
+    ending, said = threading.Event(), []
+    feed = Feed("mill", None, said.append)
+    (problem,) = feed.act("set", {"values": {"x.model": "/etc/hostname"}})["problems"]
+    assert "no daemon called 'mill'" in problem
     daemon = Daemon()
     daemon.serve()
     thread = threading.Thread(target=feed.run, args=(ending,))
@@ -195,37 +184,31 @@ def test_a_page_names_model_files_beside_the_configuration_and_nothing_else(fold
         until(lambda: any("attached to mill" in line for line in said))
         for value in ("/etc/hostname", ["a"], {"friction": {}}, None):
             answer = feed.act("set", {"values": {"x.model": value}})
-            assert answer["ok"] is False
-            assert "is no model file beside the configuration" in answer["problems"][0]
+            assert (answer["ok"], "no model file" in answer["problems"][0]) == (False, True)
     finally:
         ending.set()
         thread.join()
         daemon.end()
 
 
-def test_a_port_that_is_in_use_is_named_with_what_to_do(capsys):
+def test_a_port_that_is_in_use_and_extras_that_are_missing_are_named_with_what_to_do(capsys, monkeypatch):
+    def refused(*words):
+        assert main(["live", *words]) == 2
+        return capsys.readouterr().err
+
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        assert main(["live", "mill", "--port", port]) == 2
-        assert f"the page cannot be served at 127.0.0.1:{port}: Address already in use; take another --port" in (
-            capsys.readouterr().err
-        )
-        assert main(["live", "mill", "--foxglove", port]) == 2
-        assert "take another port with --foxglove" in capsys.readouterr().err
-    assert main(["live", "mill", "--host", "nowhere.invalid"]) == 2
-    assert "the page cannot be served at nowhere.invalid:8080" in capsys.readouterr().err
-    assert main(["live", "../mill"]) == 2
-
-
-def test_extras_that_are_missing_are_named_with_the_command_that_brings_them(capsys, monkeypatch):
+        said = refused("mill", "--port", port)
+        assert f" 127.0.0.1:{port}: Address already in use; take another --port" in said
+        assert "take another port with --foxglove" in refused("mill", "--foxglove", port)
+    assert " nowhere.invalid:8080" in refused("mill", "--host", "nowhere.invalid")
+    assert refused("../mill")
     monkeypatch.setattr(live, "find_spec", lambda name: None if name in ("uvicorn", "foxglove") else name)
-    assert main(["live", "mill"]) == 2
-    assert "the page needs uvicorn: pip install 'friction-hil[dashboard]'" in capsys.readouterr().err
-    assert main(["live", "mill", "--foxglove", "0"]) == 2
-    assert "the Foxglove WebSocket needs foxglove: pip install 'friction-hil[live]'" in capsys.readouterr().err
+    assert "uvicorn: pip install 'friction-hil[dashboard]'" in refused("mill")
+    assert "foxglove: pip install 'friction-hil[live]'" in refused("mill", "--foxglove", "0")
 
 
-def test_the_token_of_a_file_is_not_printed_and_that_of_a_descriptor_is(folder, tmp_path, capfd, monkeypatch):  # noqa: F811
+def test_the_token_of_a_file_is_not_printed_and_that_of_a_descriptor_is(tmp_path, capfd, monkeypatch):
     file = tmp_path / "token"
     file.write_text(TOKEN)
     file.chmod(0o600)

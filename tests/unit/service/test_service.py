@@ -6,6 +6,7 @@ import shutil
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from friction_hil.service import files, install, remove
 from friction_hil.service.install import services
 from friction_hil.service.state import parse
 from tests.processes import write_configuration
+from tests.servo_drives import axis_dict
 
 EXECUTABLE = "/opt/friction-hil/bin/friction-hil"
 
@@ -29,14 +31,21 @@ EXECUTABLE = "/opt/friction-hil/bin/friction-hil"
 @pytest.fixture
 def configuration(tmp_path):
     """A configuration on SocketCAN, with a model file beside it."""
-    path = write_configuration(tmp_path)
-    values = yaml.safe_load(path.read_text())
+    path = write_configuration(tmp_path, bus={"interface": "socketcan", "channel": "can0"})
     (tmp_path / "models").mkdir()
-    (tmp_path / "models/x.yaml").write_text(yaml.safe_dump({"version": 1, **values["axes"]["x"]["model"]}))
-    values["axes"]["x"]["model"] = "models/x.yaml"
-    values["bus"] = {"interface": "socketcan", "channel": "can0"}
-    path.write_text(yaml.safe_dump(values))
-    return path
+    model = {"version": 1, **axis_dict()["model"]}
+    (tmp_path / "models/x.yaml").write_text(yaml.safe_dump(model))
+    return changed(path, lambda values: values["axes"]["x"].update(model="models/x.yaml"))
+
+
+def changed(path, change, to=None):
+    """A configuration with a change, in its place or at another path."""
+    values = yaml.safe_load(path.read_text())
+    change(values)
+    to = to or path
+    to.parent.mkdir(exist_ok=True)
+    to.write_text(yaml.safe_dump(values))
+    return to
 
 
 def installed(root, configuration, name="table", **options):
@@ -52,13 +61,10 @@ def test_systemd_finds_no_mistake_in_the_unit(configuration, tmp_path):
     command = root / EXECUTABLE[1:]
     command.parent.mkdir(parents=True)
     command.touch(mode=0o755)
-    for folder in (
-        "/usr/lib/systemd/system",
-        "/lib/systemd/system",
-    ):  # what the unit refers to: basic.target and others
-        if (source := root.__class__(folder)).is_dir() and not (root / folder[1:]).exists():
-            (root / folder[1:]).parent.mkdir(parents=True, exist_ok=True)
-            (root / folder[1:]).symlink_to(source)
+    for folder in ("usr/lib/systemd/system", "lib/systemd/system"):  # what the unit refers to: basic.target and others
+        if Path("/", folder).is_dir() and not (root / folder).exists():
+            (root / folder).parent.mkdir(parents=True, exist_ok=True)
+            (root / folder).symlink_to(Path("/", folder))
     words = [analyze, "verify", "--man=no", "--recursive-errors=one", f"--root={root}", "friction-hil@table.service"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     about = [line for line in done.stderr.splitlines() if "friction" in line]
@@ -81,7 +87,7 @@ def test_a_service_has_unit_devices_user_and_a_copy_of_what_it_needs(configurati
     assert "systemctl daemon-reload" in done.to_run
     assert not done.commands
 
-    with pytest.raises(UsageError, match=r"table exists already; --force replaces the service table"):
+    with pytest.raises(UsageError, match="table exists already; --force"):
         installed(root, configuration)
     installed(root, configuration, overwrite=True)
     installed(root, configuration, "other")
@@ -90,7 +96,7 @@ def test_a_service_has_unit_devices_user_and_a_copy_of_what_it_needs(configurati
     data.mkdir(parents=True)
     assert remove("table", root).removed[0] == folder
     assert services(root) == ["other"]
-    with pytest.raises(UsageError, match=r"no service is called 'table'.* There are: other"):
+    with pytest.raises(UsageError, match=r"'table'.*: other"):
         remove("table", root)
     assert remove("other", root).kept == [data]
     assert [path for path in root.rglob("*") if path.is_file()] == []
@@ -98,9 +104,7 @@ def test_a_service_has_unit_devices_user_and_a_copy_of_what_it_needs(configurati
 
 @pytest.mark.parametrize("umask", [0o000, 0o022, 0o077])
 def test_nobody_else_reads_the_copy_of_a_token(configuration, tmp_path, umask):
-    values = yaml.safe_load(configuration.read_text())
-    values["live"] = {"dashboard": 8080, "token_file": "mill.token"}
-    configuration.write_text(yaml.safe_dump(values))
+    changed(configuration, lambda values: values.update(live={"dashboard": 8080, "token_file": "mill.token"}))
     (tmp_path / "mill.token").write_text("abcdefghijklmnopqrstuvwxyz\n")
     (tmp_path / "mill.token").chmod(0o600)
     folder, before = tmp_path / "root/etc/friction-hil/table", os.umask(umask)
@@ -118,68 +122,62 @@ def test_nobody_else_reads_the_copy_of_a_token(configuration, tmp_path, umask):
     assert f"chown friction-hil: {folder / 'mill.token'}" in done.to_run
 
 
+@pytest.mark.parametrize("name", ["", "../x", "a/b", "x y", ".x", "-x", "x" * 49, "x\n", "é"])
+def test_a_name_that_is_none_writes_nothing(name, configuration, tmp_path):
+    with pytest.raises(UsageError, match="name of a service"):
+        installed(tmp_path / "root", configuration, name)
+    assert not (tmp_path / "root").exists()
+
+
 def test_a_daemon_may_be_called_as_its_service(configuration, tmp_path):
     installed(tmp_path / "root", configuration, "x-axis_1.b")
     assert services(tmp_path / "root") == ["x-axis_1.b"]
     assert is_name("x-axis_1.b")
 
 
-@pytest.mark.parametrize("name", ["", "../x", "a/b", "x y", ".x", "-x", "x" * 49, "x\n", "é"])
-def test_a_name_that_is_none_writes_nothing(name, configuration, tmp_path):
-    with pytest.raises(UsageError, match="is no name of a service"):
-        installed(tmp_path / "root", configuration, name)
-    assert not (tmp_path / "root").exists()
+def with_model(path):
+    return lambda values: values["axes"]["x"].update(model=str(path))
 
 
-def test_what_the_service_could_not_run_is_refused_before_anything_is_written(configuration, tmp_path):
-    root = tmp_path / "root"
-    with pytest.raises(UsageError, match=r"/home/.*the service does not see.*/opt/friction-hil"):
-        install("table", configuration, root, "/home/someone/.venv/bin/friction-hil", overwrite=False)
-    values = yaml.safe_load(configuration.read_text())
-    values["axes"]["x"]["compensation"]["gain"] = 7.0
-    broken = tmp_path / "broken.yaml"
-    broken.write_text(yaml.safe_dump(values))
+def test_what_the_service_could_not_run_is_refused_before_anything_is_written(configuration, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[install.__module__], "_HIDDEN", (f"{tmp_path}/home/", "/home/"))
+    root, hidden = tmp_path / "root", tmp_path / "home"
+    hidden.mkdir()
+    (hidden / "x.yaml").write_bytes((tmp_path / "models/x.yaml").read_bytes())
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin/python").symlink_to(hidden / "python")  # of an environment whose interpreter is a user's
+
+    broken = changed(
+        configuration, lambda values: values["axes"]["x"]["compensation"].update(gain=7.0), tmp_path / "broken.yaml"
+    )
     with pytest.raises(ConfigurationError, match=r"broken\.yaml:\d+: axes\.x\.compensation\.gain"):
         installed(root, broken)
-    inner = tmp_path / "inner"
-    inner.mkdir()
-    values = yaml.safe_load(configuration.read_text())
-    values["axes"]["x"]["model"] = "../models/x.yaml"
-    (inner / "machine.yaml").write_text(yaml.safe_dump(values))
-    with pytest.raises(UsageError, match=r"\.\./models/x\.yaml lies outside of .*inner; move it beside"):
-        installed(root, inner / "machine.yaml")
+    outside = changed(configuration, with_model("../models/x.yaml"), tmp_path / "inner/machine.yaml")
+    with pytest.raises(UsageError, match=r"\.\./models/x\.yaml .*inner"):
+        installed(root, outside)
+    with pytest.raises(UsageError, match=r"home/x\.yaml .*home/"):
+        installed(root, changed(configuration, with_model(hidden / "x.yaml"), tmp_path / "named.yaml"))
+    for executable, words in (
+        ("/home/someone/.venv/bin/friction-hil", "/home/.*/opt/friction-hil"),
+        (f"{tmp_path}/bin/friction-hil", "home/.*; install friction_hil"),
+        ("/opt/my machine/friction-hil", "' '"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            install("table", configuration, root, executable, overwrite=False)
     assert not root.exists()
 
 
 def test_recordings_are_not_copied_and_are_refused_where_the_service_may_not_write(configuration, tmp_path):
-    values = yaml.safe_load(configuration.read_text())
+    def install_with(path, root):
+        changed(configuration, lambda values: values.update(recording={"path": path}))
+        return installed(tmp_path / root, configuration)
+
     (tmp_path / "run.mcap").write_bytes(b"gigabytes")
-    configuration.write_text(yaml.safe_dump(values | {"recording": {"path": "run.mcap"}}))
-    assert not [path for path in installed(tmp_path / "root", configuration).written if path.suffix == ".mcap"]
+    assert not [path for path in install_with("run.mcap", "root").written if path.suffix == ".mcap"]
     for path in ("/data/run.mcap", "../../run.mcap"):
-        configuration.write_text(yaml.safe_dump(values | {"recording": {"path": path}}))
         with pytest.raises(UsageError, match=r"recording\.path: "):
-            installed(tmp_path / "other", configuration)
+            install_with(path, "other")
     assert not (tmp_path / "other").exists()
-
-
-def test_files_that_the_service_does_not_see_are_refused(configuration, tmp_path, monkeypatch):
-    monkeypatch.setattr(sys.modules[install.__module__], "_HIDDEN", (f"{tmp_path}/home/",))
-    (tmp_path / "home").mkdir()
-    (tmp_path / "home/x.yaml").write_bytes((tmp_path / "models/x.yaml").read_bytes())
-    values = yaml.safe_load(configuration.read_text())
-    values["axes"]["x"]["model"] = f"{tmp_path}/home/x.yaml"
-    named = tmp_path / "named.yaml"
-    named.write_text(yaml.safe_dump(values))
-    with pytest.raises(UsageError, match=r"home/x\.yaml lies below .*home/, which the service does not see; move it"):
-        installed(tmp_path / "root", named)
-    (tmp_path / "bin").mkdir()
-    (tmp_path / "bin/python").symlink_to(tmp_path / "home/python")  # of an environment whose interpreter is a user's
-    with pytest.raises(UsageError, match=r"home/, which the service does not see; install friction_hil for"):
-        install("table", configuration, tmp_path / "root", f"{tmp_path}/bin/friction-hil", overwrite=False)
-    with pytest.raises(UsageError, match="a unit cannot run a command whose path has ' '"):
-        install("table", configuration, tmp_path / "root", "/opt/my machine/friction-hil", overwrite=False)
-    assert not (tmp_path / "root").exists()
 
 
 def test_a_service_that_is_replaced_does_not_wait_for_the_former_device(configuration, tmp_path):
@@ -187,10 +185,8 @@ def test_a_service_that_is_replaced_does_not_wait_for_the_former_device(configur
     devices = root / "etc/systemd/system/friction-hil@table.service.d/devices.conf"
     installed(root, configuration)
     assert devices.exists()
-    values = yaml.safe_load(configuration.read_text())
-    configuration.write_text(
-        yaml.safe_dump(values | {"bus": {"interface": "udp_multicast", "channel": "239.74.163.2", "port": 43113}})
-    )
+    multicast = {"interface": "udp_multicast", "channel": "239.74.163.2", "port": 43113}
+    changed(configuration, lambda values: values.update(bus=multicast))
     assert installed(root, configuration, overwrite=True).removed == [devices]
     assert not devices.exists()
 
@@ -230,14 +226,8 @@ def test_devices_have_the_names_of_systemd(path, unit):
 def test_the_state_is_read_from_systemctl():
     text = "LoadState=loaded\nActiveState=failed\nSubState=failed\nStatusText=fault: x: a=b [FH-103]\nMainPID=0\n"
     state = parse(text + "NRestarts=2\nResult=watchdog\nExecMainStatus=6\n")
-    assert (state.active, state.pid, state.restarts, state.result, state.exit_status) == (
-        "failed",
-        None,
-        2,
-        "watchdog",
-        6,
-    )
-    assert state.status == "fault: x: a=b [FH-103]"
+    assert (state.active, state.pid, state.restarts) == ("failed", None, 2)
+    assert (state.result, state.exit_status, state.status) == ("watchdog", 6, "fault: x: a=b [FH-103]")
     assert not parse("LoadState=not-found\n").is_loaded
 
 
@@ -256,10 +246,11 @@ def test_the_command_says_what_it_wrote_and_what_comes_next(configuration, tmp_p
 
 
 def test_services_that_are_not_active_are_exit_status_1(tmp_path, monkeypatch, capsys):
-    systemctl = tmp_path / "systemctl"
-    systemctl.write_text(
-        "#!/bin/sh\necho LoadState=loaded; echo ActiveState=$STATE; echo SubState=$2; echo MainPID=7\n"
+    systemctl, shown = (
+        tmp_path / "systemctl",
+        "LoadState=loaded; echo ActiveState=$STATE; echo SubState=$2; echo MainPID=7",
     )
+    systemctl.write_text(f"#!/bin/sh\necho {shown}\n")
     systemctl.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     monkeypatch.setenv("STATE", "active")
@@ -270,7 +261,7 @@ def test_services_that_are_not_active_are_exit_status_1(tmp_path, monkeypatch, c
     assert json.loads(capsys.readouterr().out)["services"]["table"]["pid"] == 7
     systemctl.write_text("#!/bin/sh\necho no bus >&2; exit 1\n")
     assert main(["service", "status", "table"]) == 1
-    assert "the state of the service is unknown: no bus" in capsys.readouterr().err
+    assert "unknown: no bus" in capsys.readouterr().err
 
 
 class _Rows:
