@@ -11,16 +11,12 @@ import ctypes
 import importlib
 import json
 import os
-import select
-import signal
 import socket
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Iterator
 from functools import cache
-from typing import IO, Any
+from typing import Any
 
 COMMAND = [sys.executable, "-m", "friction_hil"]
 _PRELOADED = (
@@ -49,7 +45,6 @@ _PRELOADED = (
 )
 _SET_BY_PYTEST = ("PYTEST_CURRENT_TEST",)  # changes with each test
 _READ_ON_USE = ("XDG_STATE_HOME",)  # no import depends on it: what a fork is told counts
-_STREAMS = ("stdin", "stdout", "stderr")
 _PR_SET_CHILD_SUBREAPER = 36
 _MAX_JOB_BYTES = 65536
 
@@ -68,7 +63,7 @@ def installed_in(python: str) -> Iterator[None]:
         _python = before
 
 
-def start(*arguments: object, **options: Any) -> "Command | subprocess.Popen[str]":
+def start(*arguments: object, **options: Any) -> subprocess.Popen[str]:
     """Start a command of friction-hil.
 
     Parameters
@@ -80,7 +75,7 @@ def start(*arguments: object, **options: Any) -> "Command | subprocess.Popen[str
         environment that an import may see, Popen starts an interpreter of its own.
     """
     words = [_python, *COMMAND[1:], *map(str, arguments)]
-    if set(options) <= {*_STREAMS, "cwd"} and _environment() == _server(_python).environment:
+    if set(options) <= {"stdin", "stdout", "stderr", "cwd"} and _environment() == _server(_python).environment:
         return Command(words, **options)
     return subprocess.Popen(words, text=True, **options)
 
@@ -119,130 +114,19 @@ def _server(python: str) -> _Server:
     return _Server(python)
 
 
-class Command:
-    """A command forked by the server, with the part of Popen's interface that tests use; all streams are text."""
+class Command(subprocess.Popen[str]):
+    """A command forked by the server: a child of this process like any other, with its streams as texts."""
 
-    def __init__(
-        self,
-        args: list[str],
-        *,
-        stdin: int | IO[Any] | None = None,
-        stdout: int | IO[Any] | None = None,
-        stderr: int | IO[Any] | None = None,
-        cwd: str | os.PathLike[str] | None = None,
-    ) -> None:
-        self.args = args
-        self.returncode: int | None = None
-        self.stdin: IO[str] | None = None
-        self.stdout: IO[str] | None = None
-        self.stderr: IO[str] | None = None
-        self._readers: dict[str, _Reader] = {}
-        theirs: list[int] = []
-        with contextlib.ExitStack() as opened:
-            for name, wanted in zip(_STREAMS, (stdin, stdout, stderr), strict=True):
-                theirs.append(self._open(name, wanted, theirs, opened))
-            self.pid = _server(args[0]).fork(args[len(COMMAND) :], theirs, os.fspath(cwd or os.getcwd()))
-        # only now, so that nothing is left behind when forking fails
-        self._exit = os.pidfd_open(self.pid)
+    def __init__(self, args: list[str], **options: Any) -> None:
+        super().__init__(args, text=True, **options)
 
-    def _open(self, name: str, wanted: int | IO[Any] | None, before: list[int], opened: contextlib.ExitStack) -> int:
-        """Return the command's end of one stream; what is opened for it alone is closed with ``opened``."""
-        own = _STREAMS.index(name)
-        if wanted is None:
-            return own
-        if wanted == subprocess.STDOUT:
-            return before[1]
-        if wanted == subprocess.DEVNULL:
-            theirs = os.open(os.devnull, os.O_RDWR)
-        elif wanted == subprocess.PIPE:
-            read_end, write_end = os.pipe()
-            theirs, ours = (read_end, write_end) if name == "stdin" else (write_end, read_end)
-            setattr(self, name, os.fdopen(ours, "w" if name == "stdin" else "r"))
-        else:
-            return wanted if isinstance(wanted, int) else wanted.fileno()
-        opened.callback(os.close, theirs)
-        return theirs
-
-    def poll(self) -> int | None:
-        """Return the exit status, or None while the command runs."""
-        return self._reap(0.0)
-
-    def wait(self, timeout: float | None = None) -> int:
-        """Return the exit status when the command has ended; minus the number of the signal that ended it."""
-        status = self._reap(timeout)
-        if status is None:
-            assert timeout is not None
-            raise subprocess.TimeoutExpired(self.args, timeout)
-        return status
-
-    def _reap(self, timeout: float | None) -> int | None:
-        if self.returncode is None:
-            poll = select.poll()
-            poll.register(self._exit, select.POLLIN)
-            if poll.poll(None if timeout is None else timeout * 1e3):
-                self.returncode = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
-                os.close(self._exit)
-        return self.returncode
-
-    def send_signal(self, number: int) -> None:
-        """Send a signal, unless the command has ended."""
-        if self.poll() is None:
-            signal.pidfd_send_signal(self._exit, number)
-
-    def kill(self) -> None:
-        """Send SIGKILL."""
-        self.send_signal(signal.SIGKILL)
-
-    def communicate(self, input: str | None = None, timeout: float | None = None) -> tuple[str, str]:
-        """Write ``input``, close standard input and return all output and errors once the command has ended.
-
-        A stream that is no pipe gives an empty text. After `TimeoutExpired` another call goes on from there.
-        """
-        deadline = None if timeout is None else time.monotonic() + timeout
-        for name in ("stdout", "stderr"):
-            if (stream := getattr(self, name)) is not None and name not in self._readers:
-                self._readers[name] = _Reader(stream)
-        if self.stdin is not None and not self.stdin.closed:
-            with contextlib.suppress(BrokenPipeError):
-                self.stdin.write(input or "")
-            with contextlib.suppress(BrokenPipeError):
-                self.stdin.close()
-        for reader in self._readers.values():
-            reader.join(_left(deadline))
-            if reader.is_alive():
-                assert timeout is not None
-                raise subprocess.TimeoutExpired(self.args, timeout)
-        self.wait(_left(deadline))
-        output, errors = (self._readers[name].text if name in self._readers else "" for name in _STREAMS[1:])
-        return output, errors
-
-    def __enter__(self) -> "Command":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for stream in (self.stdout, self.stderr, self.stdin):
-            if stream is not None:
-                with contextlib.suppress(BrokenPipeError):
-                    stream.close()
-        self.wait()
-
-
-class _Reader(threading.Thread):
-    """Reads a stream to its end."""
-
-    def __init__(self, stream: IO[str]) -> None:
-        super().__init__(daemon=True)
-        self.text = ""
-        self._stream = stream
-        self.start()
-
-    def run(self) -> None:
-        with self._stream:
-            self.text = self._stream.read()
-
-
-def _left(deadline: float | None) -> float | None:
-    return None if deadline is None else max(0.0, deadline - time.monotonic())
+    def _execute_child(self, args: list[str], *others: Any, **_: Any) -> None:
+        cwd, streams = others[4], others[9:15]  # three pairs of ends, ours and theirs; -1 where nothing is redirected
+        theirs = [streams[0], streams[3], streams[5]]
+        given = [own if end == -1 else end for own, end in enumerate(theirs)]
+        self.pid = _server(args[0]).fork(args[len(COMMAND) :], given, os.fspath(cwd or os.getcwd()))
+        self._child_created = True
+        self._close_pipe_fds(*streams)  # type: ignore[attr-defined]
 
 
 @contextlib.contextmanager

@@ -66,9 +66,6 @@ def at(position=0.0, velocity=0.0, acceleration=0.0):
     return Setpoint(position, velocity, acceleration)
 
 
-# --- the torque
-
-
 @pytest.mark.parametrize("is_compiled", [False, True])
 @pytest.mark.parametrize("mode", ["csp", "csv", "cst"])
 def test_the_torque_rises_from_zero_by_a_step_in_each_period(mode, is_compiled):
@@ -148,9 +145,6 @@ def test_another_feed_forward_comes_without_a_step_and_is_all_there_is_after_its
     assert other.torques(ENABLING, 3) == pytest.approx([0.0, 0.1, 0.2]), "before the first cycle too"
 
 
-# --- where an axis is held
-
-
 @pytest.mark.parametrize("drive", [ENABLED, DriveState.SWITCHED_ON])
 @pytest.mark.parametrize("state", RESTING)
 @pytest.mark.parametrize("mode", ["csp", "csv", "cst"])
@@ -171,9 +165,6 @@ def test_an_axis_that_never_moved_or_waited_for_the_others_is_not_held_while_it_
     waited = Axis("csp")
     waited.write(FIRST_MOTION)
     assert waited.write(DISABLING, position=0.2).position == 0.2
-
-
-# --- the loop's own controller
 
 
 def torque_of(error=0.0, speed=0.0):
@@ -228,9 +219,6 @@ def test_a_fault_ends_the_controller_and_an_axis_that_waited_in_cst_is_disabled_
     assert waited.torques(FIRST_MOTION, 2) == pytest.approx([WEIGHT] * 2)
     assert waited.write(FIRST_MOTION, position=-0.1).torque == pytest.approx(WEIGHT + torque_of(0.1))
     assert waited.torques(DISABLING, 3) == pytest.approx([WEIGHT] * 3)
-
-
-# --- the set-point
 
 
 def test_in_csp_what_is_sent_is_the_path_with_the_offset_of_the_motor():

@@ -78,6 +78,9 @@ def loop():
     return Loop()
 
 
+RUNNING, WAITING = (LoopState.RUNNING, DriveState.OPERATION_ENABLED), (LoopState.WAITING, DriveState.SWITCH_ON_DISABLED)
+
+
 @pytest.fixture
 def ask(loop, monkeypatch):
     """A function that returns the answer to a request."""
@@ -91,37 +94,38 @@ def ask(loop, monkeypatch):
     os.close(loop.journal.descriptor)
 
 
+@pytest.fixture
+def status(ask):
+    """A function that returns what is known of axis x."""
+    return lambda: ask(do="status")["axes"]["x"]
+
+
 def test_what_a_standing_loop_did_not_answer_is_withdrawn_so_that_no_axis_is_enabled_later(loop, ask):
-    answer = ask(do="start")
-    assert "the request was withdrawn" in answer["problems"][0]
+    assert "withdrawn" in ask(do="start")["problems"][0]
     assert loop.taken() is None
-
-
-def test_a_stop_waits_for_a_standing_loop_and_nothing_takes_its_place(loop, ask):
-    assert "it stops as soon as it goes on" in ask(do="stop")["problems"][0]
-    assert "a stop waits for it" in ask(do="start")["problems"][0]
+    assert "as soon as it goes on" in ask(do="stop")["problems"][0]  # a stop waits for the loop ...
+    assert "a stop waits for it" in ask(do="start")["problems"][0]  # ... and nothing takes its place
     assert loop.taken() is Action.STOP
 
 
 def test_a_stop_comes_before_all_that_waits_for_a_loop_that_stands_and_always_finds_a_place(loop, ask, monkeypatch):
     monkeypatch.setattr(desk, "_ANSWER_S", 0.3)
-    refused, answers = threading.Event(), []
+    refused, problems = threading.Event(), []
 
     def tell():
-        answers.append(ask(do="tell", text="hello"))
-        if "requests are being answered already" in answers[-1].get("problems", [""])[0]:
+        problems.append(ask(do="tell", text="hello").get("problems", [""])[0])
+        if "answered already" in problems[-1]:
             refused.set()
 
     others = [threading.Thread(target=tell) for _ in range(desk._MOST_OTHERS + 1)]
     for each in others:
         each.start()
     assert refused.wait(10.0)  # all others wait for the loop, or for each other
-    assert "it stops as soon as it goes on" in ask(do="stop")["problems"][0]
+    assert "as soon as it goes on" in ask(do="stop")["problems"][0]
     assert loop.taken() is Action.STOP
     assert ask(do="status")["ok"]
     for each in others:
         each.join()
-    problems = [answer["problems"][0] for answer in answers]
     assert sum("withdrawn" in each for each in problems) == 1  # the one whose turn it was
     assert sum("a stop waits for it" in each for each in problems) == desk._MOST_OTHERS - 1
 
@@ -130,25 +134,22 @@ def test_nothing_is_known_of_drives_while_the_loop_stands(loop, ask):
     answer = ask(do="status")
     assert (answer["state"], answer["axes"]["x"]["drive_state"]) == ("unknown", "unknown")
     assert "it stands" in answer["warnings"][-1]
-    with loop.going_on([(LoopState.WAITING, DriveState.SWITCH_ON_DISABLED)]):
-        answer = ask(do="status")
-        stopped = ask(do="stop")
+    with loop.going_on([WAITING]):
+        answer, stopped = ask(do="status"), ask(do="stop")
     assert (answer["state"], answer["axes"]["x"]["drive_state"]) == ("waiting", "switch on disabled")
     assert answer["warnings"] == []
     assert (stopped["is_done"], stopped["drives"]) == (True, {"x": "switch on disabled"})
 
 
-def test_status_says_that_compensation_is_off_after_it_was_taken_back(loop, ask):
-    rows = [(LoopState.RUNNING, DriveState.OPERATION_ENABLED)]
-    with loop.going_on(rows):
-        before = ask(do="status")["axes"]["x"]["enabled"]
-        loop.ring.push_event(loop.cycle, "warning", "x: it is taken back [FH-129]")
-        loop.ring.push_event(loop.cycle, "warning", "y: another axis [FH-129]")
-        after = ask(do="status")
+def test_status_says_that_compensation_is_off_after_it_was_taken_back(loop, ask, status):
+    with loop.going_on([RUNNING]):
+        assert status()["enabled"] is True
+        for name in ("x", "y"):
+            loop.ring.push_event(loop.cycle, "warning", f"{name}: it is taken back [FH-129]")
+        assert status()["enabled"] is False
+        assert "x: it is taken back [FH-129]" in ask(do="status")["warnings"]
         loop.is_enabled = 1.0
-        again = ask(do="status")["axes"]["x"]["enabled"]
-    assert (before, after["axes"]["x"]["enabled"], again) == (True, False, True)
-    assert "x: it is taken back [FH-129]" in after["warnings"]
+        assert status()["enabled"] is True
 
 
 def test_a_start_that_a_fault_ends_is_answered_at_once(loop, ask):
@@ -176,47 +177,45 @@ def test_a_path_that_no_file_can_have_is_refused_in_words(ask, path):
     assert "error in friction-hil" not in problem
 
 
-def test_what_is_on_trial_is_taken_back_when_the_process_that_judges_it_hangs(loop, ask, monkeypatch):
+def test_what_is_on_trial_is_taken_back_when_the_process_that_judges_it_hangs(loop, ask, status, monkeypatch):
     """It is alive, but says nothing of the rows of the last seconds: as after SIGSTOP."""
     monkeypatch.setattr(desk, "_WATCH_S", 0.01)
     monkeypatch.setattr(desk, "_ANSWER_S", 60.0)
     for _ in range(100):
-        loop.row(LoopState.RUNNING, DriveState.OPERATION_ENABLED)
+        loop.row(*RUNNING)
     loop.board.say(loop.cycle, {"axes": {"x": first_report("on", "rad", 0.9)}})
-    before = ask(do="status")["axes"]["x"]["gain"]
-    with (
-        subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as judge,
-        loop.going_on([(LoopState.RUNNING, DriveState.OPERATION_ENABLED)]),
-    ):
+    before = status()["gain"]
+    waits = [sys.executable, "-c", "input()"]
+    with subprocess.Popen(waits, stdin=subprocess.PIPE) as judge, loop.going_on([RUNNING]):
         words = {"process": judge.pid, "upon": 0, "axes": ["x"]}
         answer = ask(do="set", values={"x.gain": 0.4}, reason="learning tries", learning=words)
         assert answer["ok"], answer
-        assert ask(do="status")["axes"]["x"]["gain"] == 0.4
+        assert status()["gain"] == 0.4
         loop.cycle += round(desk._HANGS_S / 1e-3)
         end_s = time.monotonic() + 60.0
-        while (now := ask(do="status"))["axes"]["x"]["gain"] != before and time.monotonic() < end_s:
+        while (now := status())["gain"] != before and time.monotonic() < end_s:
             time.sleep(0.01)
         judge.communicate(b"\n")
         for thread in threading.enumerate():
             if "_await_end" in thread.name:  # it sees the death, too
                 thread.join(60.0)
-    assert now["axes"]["x"]["gain"] == before
-    assert now["axes"]["x"]["learning"]["reason"] == "its process has done nothing for 10 s"
+    assert now["gain"] == before
+    assert now["learning"]["reason"] == "its process has done nothing for 10 s"
 
 
-def test_the_process_that_learns_does_not_hang_while_it_compiles_before_its_first_row(loop, ask):
+def test_the_process_that_learns_does_not_hang_while_it_compiles_before_its_first_row(loop, status):
     loop.board.say(-1, {"axes": {"x": first_report("on", "rad", 0.9)}})
     loop.cycle += round(2.0 * desk._HANGS_S / 1e-3)
-    loop.row(LoopState.RUNNING, DriveState.OPERATION_ENABLED)
-    assert ask(do="status")["axes"]["x"]["learning"] == first_report("on", "rad", 0.9)
+    loop.row(*RUNNING)
+    assert status()["learning"] == first_report("on", "rad", 0.9)
 
 
-def test_status_has_the_error_without_compensation_and_a_newer_one_replaces_it(loop, ask):
+def test_status_has_the_error_without_compensation_and_a_newer_one_replaces_it(loop, status):
     known = {"rms": 2.57e-4, "peak": 6.1e-4, "seconds": 9.5}
-    with loop.going_on([(LoopState.RUNNING, DriveState.OPERATION_ENABLED)]):
-        assert ask(do="status")["axes"]["x"]["error_without"] is None
-        loop.ring.push_event(loop.cycle, "error_without", error_without("x", "rad", 9.0, 9.0, 1.0))
-        loop.ring.push_event(loop.cycle, "error_without", error_without("x", "rad", **known))
+    with loop.going_on([RUNNING]):
+        assert status()["error_without"] is None
+        for figures in ((9.0, 9.0, 1.0), known.values()):
+            loop.ring.push_event(loop.cycle, "error_without", error_without("x", "rad", *figures))
         loop.ring.push_event(loop.cycle, "error_without", "x: of a version that is not known yet")
-        assert ask(do="status")["axes"]["x"]["error_without"] == known
-    assert ask(do="status")["axes"]["x"]["error_without"] == known  # it was measured, though the loop stands now
+        assert status()["error_without"] == known
+    assert status()["error_without"] == known  # it was measured, though the loop stands now

@@ -1,9 +1,12 @@
 """Simulated drives that share a mechanism: the key in the configuration, and nodes on one bus."""
 
+import contextlib
 import copy
+import functools
 import itertools
+import operator
+import re
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +22,6 @@ from friction_hil.config.simulation import simulated_servos
 from friction_hil.daemon.assembly import periodic_path
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import ConfigurationError, OptionError
-from friction_hil.motion.trajectory import Path as MotionPath
 from friction_hil.rehearsal import AxisRun, Motion, Rehearsal, rehearse, simulated_machines
 from friction_hil.tuning import TuneSettings, tune
 from tests.servo_drives import ServoDrives, make_loop
@@ -34,17 +36,11 @@ def edited(machine: str = "gantry", **changes: Any) -> dict[str, Any]:
     data = yaml.safe_load(dump(self_contained(load(FOLDER / f"{machine}.yaml"))))
     for path, value in changes.items():
         *steps, last = path.split("__")
-        place = data
-        for step in steps:
-            place = place[step]
+        place = functools.reduce(operator.getitem, steps, data)
+        place[last] = copy.deepcopy(value)
         if value is None:
             del place[last]
-        else:
-            place[last] = copy.deepcopy(value)
     return data
-
-
-# --- configuration
 
 
 def test_a_configuration_keeps_its_mechanism_without_its_file() -> None:
@@ -60,53 +56,39 @@ def test_a_configuration_keeps_its_mechanism_without_its_file() -> None:
 
 def test_other_axes_of_the_file_stay_alone() -> None:
     data = edited()
-    data["axes"] = {"x": copy.deepcopy(data["axes"]["y1"]), **data["axes"]}
-    data["axes"]["x"]["node"] = 3
+    data["axes"] = {"x": {**copy.deepcopy(data["axes"]["y1"]), "node": 3}, **data["axes"]}
     configuration = from_dict(data, "test")
     servos = simulated_servos(configuration, configuration.axes)
-    servos["x"].command(10, 200.0)
-    servos["y1"].command(10, 200.0)
+    for name in ("x", "y1"):
+        servos[name].command(10, 200.0)
     for name in ("x", "y1", "y2"):
         servos[name].advance(8000)
     assert servos["x"].total_inertia == 14.8
     assert servos["x"].true_position > servos["y1"].true_position > servos["y2"].true_position > 1e-5
 
 
-MODBUS = {"driver": "modbus", "line": {"port": "/dev/ttyUSB0"}, "unit": 1, "description": "kinco_fd5p.yaml"}
+INERTIA = "        inertia: 14.8\n"
+LOAD = "        load: {inertia: 9.0, stiffness: 1e6}\n"
+GAIN = "velocity_gain: 9000.0, integral_hz: 5.0}\n"
 
 
 @pytest.mark.parametrize(
     ("old", "new", "field", "words"),
     [
+        ("axes: [y1, y2]", "axes: [y1, z2]", "mechanism.axes[1]", "'z2'.*: y1, y2"),
+        ("axes: [y1, y2]", "axes: [y1, y1]", "mechanism.axes", "not y1 twice"),
+        ("kind: gantry", "kind: gantri", "mechanism.kind", "'gantry', 'two_link_arm'"),
+        ("span: 1.2 ", "span: 0.0 ", "mechanism.span", "above 0, not 0.0"),
+        ("span: 1.2 ", "span: .inf ", "mechanism.span", "finite"),
+        ("span: 1.2 ", "spam: 1.2 ", "mechanism.spam", "'span'"),
+        ("  mechanism: ", "  machanism: ", "machanism", "'mechanism'"),
+        (f"        axis: linear\n{INERTIA}", INERTIA, "axes.y2.simulation.mechanics.axis", "linear"),
+        (INERTIA, INERTIA + LOAD, "axes.y2.simulation.mechanics.load", "y2 .* rigid"),
         (
-            "axes: [y1, y2]",
-            "axes: [y1, z2]",
-            "simulation.mechanism.axes[1]",
-            "there is no axis 'z2'; there are: y1, y2",
-        ),
-        ("axes: [y1, y2]", "axes: [y1, y1]", "simulation.mechanism.axes", "two different axes, not y1 twice"),
-        ("kind: gantry", "kind: gantri", "simulation.mechanism.kind", "must be one of 'gantry', 'two_link_arm'"),
-        ("span: 1.2 ", "span: 0.0 ", "simulation.mechanism.span", "must be above 0, not 0.0"),
-        ("span: 1.2 ", "span: .inf ", "simulation.mechanism.span", "must be a finite number"),
-        ("span: 1.2 ", "spam: 1.2 ", "simulation.mechanism.spam", "did you mean 'span'?"),
-        ("  mechanism: ", "  machanism: ", "simulation.machanism", "did you mean 'mechanism'?"),
-        (
-            "        axis: linear\n        inertia: 14.8\n",
-            "        inertia: 14.8\n",
-            "axes.y2.simulation.mechanics.axis",
-            "must be linear",
-        ),
-        (
-            "        inertia: 14.8\n",
-            "        inertia: 14.8\n        load: {inertia: 9.0, stiffness: 1e6}\n",
-            "axes.y2.simulation.mechanics.load",
-            "y2 moves through a rigid joint",
-        ),
-        (
-            "velocity_gain: 9000.0, integral_hz: 5.0}\n",
+            GAIN,
             "velocity_gain: 9000.0}\n      integration_hz: 160000\n",
             "axes.y2.simulation.integration_hz",
-            "is 160000, but that of y1 is 80000",
+            "160000.* y1 is 80000",
         ),
     ],
 )
@@ -116,41 +98,36 @@ def test_mistakes_are_reported_with_their_line(tmp_path: Path, old: str, new: st
     path.write_text(TEXT.replace(old, new))
     with pytest.raises(ConfigurationError) as caught:
         load(path)
+    field = field if field.startswith("axes.") else f"simulation.{field}"
     [problem] = [each for each in caught.value.problems if each.field == field]
-    assert words in problem.message
+    assert re.search(words, problem.message)
     assert problem.line is not None
 
 
-def test_an_axis_without_simulated_drive_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"axes\[1\]: y2 has no 'simulation' section"):
+MODBUS = {"driver": "modbus", "line": {"port": "/dev/ttyUSB0"}, "description": "kinco_fd5p.yaml", "mode": "csv"}
+
+
+def test_axes_on_serial_lines_and_without_simulated_drive_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"axes\[1\]: y2 .*'simulation'"):
         from_dict(edited(axes__y2__simulation=None), "test")
-
-
-def test_axes_on_serial_lines_are_refused() -> None:
     axes = {}
     for unit, name in enumerate(("y1", "y2"), start=1):
         axis = edited()["axes"][name]
-        shared = {key: axis[key] for key in ("mode", "limits", "model", "trajectory")}
-        axes[name] = {**shared, **MODBUS, "unit": unit, "mode": "csv", "simulation": axis["simulation"]}
+        shared = {key: axis[key] for key in ("limits", "model", "trajectory", "simulation")}
+        axes[name] = {**shared, **MODBUS, "unit": unit}
         del axes[name]["simulation"]["canopen"], axes[name]["simulation"]["trajectory"]
     with pytest.raises(ConfigurationError) as caught:
         from_dict(edited(axes=axes, bus=None), "test")
     messages = [each.message for each in caught.value.problems if each.field.startswith("simulation.")]
     assert len(messages) == 2
-    assert "y1 has the driver modbus: simulated drives on serial lines" in messages[0]
-    assert "use the driver canopen" in messages[0]
+    assert "y1 has the driver modbus" in messages[0]
 
 
 def test_tune_refuses_to_twist_a_gantry(tmp_path: Path) -> None:
-    configuration = load(FOLDER / "gantry.yaml")
     settings = TuneSettings(folder=tmp_path / "results", names=("y2",), is_simulated=True)
-    with pytest.raises(OptionError, match="y2: simulation: moves one beam with y1") as caught:
-        tune(configuration, settings, None)  # type: ignore[arg-type]
-    assert "friction-hil identify" in str(caught.value)
+    with pytest.raises(OptionError, match=r"y2: simulation: .* y1.*friction-hil identify"):
+        tune(load(FOLDER / "gantry.yaml"), settings, None)  # type: ignore[arg-type]
     assert not settings.folder.exists()
-
-
-# --- in the loop of the daemon
 
 
 @pytest.mark.deep
@@ -185,7 +162,13 @@ def rehearsed_errors(configuration: Configuration) -> dict[str, list[float]]:
     runs = []
     for axis in machine.axes:
         trajectory: Any = axis.config.trajectory
-        motion = Motion(from_zero(periodic_path(trajectory)), 1.0 / trajectory.frequency, ramp_s=0.25, start_s=2.5)
+        path = periodic_path(trajectory)
+        motion = Motion(
+            lambda s, path=path: (path(s)[0] - path(0.0)[0], *path(s)[1:]),
+            1.0 / trajectory.frequency,
+            ramp_s=0.25,
+            start_s=2.5,
+        )
         runs.append(AxisRun(Rehearsal(axis.config, axis.facts, 1e-3), axis.servo, axis.config.model, motion))
     found: dict[str, list[float]] = {axis.name: [] for axis in machine.axes}
     for is_compensated in (False, True):
@@ -193,14 +176,6 @@ def rehearsed_errors(configuration: Configuration) -> dict[str, list[float]]:
         for axis, run, trace in zip(machine.axes, runs, traces, strict=True):
             found[axis.name].append(float(np.std(trace["error"][-round(1e3 * run.motion.duration_s) :])))
     return found
-
-
-def from_zero(path: MotionPath) -> MotionPath:
-    start = path(0.0)[0]
-    return lambda s: (path(s)[0] - start, *path(s)[1:])
-
-
-# --- nodes on a bus
 
 
 class Bench:
@@ -214,13 +189,18 @@ class Bench:
         self.bus = can.Bus(interface="virtual", channel=channel)
         self.drives = SimulatedCanopenDrives(configuration, configuration.axes, pace="sync")
         self.drives.open()
+        words = [(0x6040, "h", word) for word in (6, 7, 15)]
+        for index, code, value in ((0x6060, "b", 10), *words, (0x6071, "h", 400)):
+            command = {"b": 0x2F, "h": 0x2B}[code]
+            self.send(0x601, struct.pack(f"<BHB{code}", command, index, 0, value).ljust(8, b"\0"))
+        self.run(5)
 
     def send(self, can_id: int, data: bytes) -> None:
         self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
-    def write(self, node: int, index: int, code: str, value: int) -> None:
-        command = {"b": 0x2F, "h": 0x2B}[code]
-        self.send(0x600 + node, struct.pack(f"<BHB{code}", command, index, 0, value).ljust(8, b"\0"))
+    def run(self, count: int) -> None:
+        passed = itertools.count()
+        self.drives.run(lambda: next(passed) >= count)
 
     def positions(self, syncs: int) -> list[tuple[int, int]]:
         """Node and 6064h, read after each SYNC, in the order of the answers."""
@@ -228,49 +208,24 @@ class Bench:
             self.send(0x080, b"")
             for node in (1, 2):
                 self.send(0x600 + node, struct.pack("<BHB4x", 0x40, 0x6064, 0))
-        count = itertools.count()
-        self.drives.run(lambda: next(count) >= 3 * syncs)
+        self.run(3 * syncs)
         found = []
         while (message := self.bus.recv(0.0)) is not None:
             if message.data[:4] == struct.pack("<BHB", 0x43, 0x6064, 0):
                 found.append((message.arbitration_id - 0x580, struct.unpack_from("<i", message.data, 4)[0]))
         return found
 
-    def enable(self, node: int) -> None:
-        self.write(node, 0x6060, "b", 10)
-        for word in (0x06, 0x07, 0x0F):
-            self.write(node, 0x6040, "h", word)
-        self.write(node, 0x6071, "h", 400)
-        count = itertools.count()
-        self.drives.run(lambda: next(count) >= 5)
-
     def close(self) -> None:
         self.drives.close()
         self.bus.shutdown()
 
 
-@pytest.fixture
-def bench() -> Any:
-    made: list[Bench] = []
-
-    def make(*names: str) -> Bench:
-        made.append(Bench(names))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
-
-
-def test_a_motor_takes_the_other_end_of_the_beam_along_whatever_the_order_of_the_nodes(
-    bench: Callable[..., Bench],
-) -> None:
+def test_a_motor_takes_the_other_end_of_the_beam_along_whatever_the_order_of_the_nodes() -> None:
     """The same bits with the axes in either order; and both nodes show the same instant at a SYNC."""
     courses = []
     for names in (("y1", "y2"), ("y2", "y1"), ("y1", "y2")):
-        one = bench(*names)
-        one.enable(1)
-        courses.append(one.positions(60))
+        with contextlib.closing(Bench(names)) as bench:
+            courses.append(bench.positions(60))
     assert courses[0] == courses[1] == courses[2]
     first, second = ([position for node, position in courses[0] if node == wanted] for wanted in (1, 2))
     assert len(first) == len(second) == 60

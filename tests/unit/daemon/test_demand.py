@@ -61,12 +61,17 @@ def test_setpoints_rounded_to_counts_give_a_quieter_velocity_than_their_differen
     assert math.hypot(*errors) < 0.9 * math.hypot(*plain)
 
 
-def test_a_rest_is_a_rest():
-    demand = estimator()
+def test_a_rest_is_a_rest_and_a_long_gap_is_not_bridged():
+    demand, other = estimator(), estimator()
     for k in range(50):
         heard = demand.take(k, 1000.0 + motion(min(k, 20) * T))
     assert heard[:3] == (1000.0 + motion(20 * T), 0.0, 0.0)
     assert abs(heard[3]) < 1.0  # of 300 when it stopped
+    for k in range(30):
+        heard = other.take(k, motion(k * T + DELAY) if k < 20 else math.nan)
+        if 20 <= k < 23:
+            assert heard[0] == pytest.approx(motion(k * T), abs=1e-5)
+        assert k < 23 or all(map(math.isnan, heard))
 
 
 def test_without_a_demand_it_begins_anew():
@@ -92,14 +97,3 @@ def test_lost_setpoints_do_not_turn_the_velocity_round(heard, acceleration, spee
         slack = 0.05 + 12 * T * abs(acceleration)  # the acceleration is filtered, and a gap filled in by a line
         for value, at_s in ((velocity, k * T), (ahead, k * T + LEAD)):
             assert math.isnan(value) or value == pytest.approx(speed + acceleration * at_s, abs=slack)
-
-
-def test_a_long_gap_is_not_bridged():
-    demand = estimator()
-    for k in range(20):
-        demand.take(k, motion(k * T + DELAY))
-    for k in range(20, 23):
-        heard = demand.take(k, math.nan)
-        assert heard[0] == pytest.approx(motion(k * T), abs=1e-5)
-    for k in range(23, 30):
-        assert all(map(math.isnan, demand.take(k, math.nan)))

@@ -6,6 +6,7 @@ import pytest
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.work.config import check_files
 from friction_hil.config import load, self_contained
+from friction_hil.daemon.control.message import Action
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.static_torque import static_torque, static_torque_note
 from friction_hil.drive import DriveState, Request
@@ -13,10 +14,11 @@ from friction_hil.motion.trajectory import sine_path
 from friction_hil.rehearsal import Motion, Rehearsal
 from friction_hil.servo.config import ServoConfig, ServoMechanics
 from friction_hil.servo.parts import Gravity as Pendulum
-from tests.loop_run import Run
+from tests.loop_run import LIMITS, Run
 from tests.messages import codes_in
 from tests.readme_commands import ROOT
 from tests.servo_drives import PERIOD_S, axis_dict, configuration
+from tests.unit.daemon.test_control_changes import Changed
 from tests.unit.rehearsal.test_rehearsal import facts
 
 SINE, COSINE = 0.3, 0.25  # N m
@@ -129,15 +131,6 @@ def test_nothing_is_commanded_in_csp_where_it_is_off(changes):
     assert not command.any()
 
 
-def test_without_power_nothing_is_commanded():
-    command, state, drive = run(axis("cst"), duration_s=1.0).columns("command", "state", "drive_state")
-    off = (drive != DriveState.OPERATION_ENABLED) & (state >= LoopState.DISABLING)
-    assert off.any()
-    assert not command[(state < LoopState.ENABLING)].any()
-    assert not command[off][2:].any()
-    assert command[state == LoopState.ENABLING].any()
-
-
 @pytest.mark.parametrize(("mode", "error"), [("cst", 1.0), ("cst", 0.7), ("csp", 1.0), ("csv", 1.0)])
 def test_it_does_not_sag_until_the_brake_has_closed(mode, error):
     """Wherever the path has left it; in cst the loop's controller holds what the model does not know."""
@@ -166,22 +159,6 @@ def test_a_drive_that_keeps_its_power_gets_no_torque_for_ever():
     assert (one.requests()[-1], one.torques()[-1]) == (Request.DISABLE, 0.0)
 
 
-def test_after_a_fault_it_is_fed_forward_as_long_as_the_drive_has_power():
-    """A drive that brakes by itself carries the weight the better for it; one in fault has let go of the axis."""
-
-    def fails(cycle, feedback):
-        if cycle == 300:
-            feedback[0].message = "test"
-        if cycle >= 320:
-            feedback[0].state, feedback[0].velocity = DriveState.FAULT, 5.0
-
-    command, state, drive = run(axis("csp"), duration_s=1.0, disturb=fails).columns("command", "state", "drive_state")
-    stopping = state == LoopState.FAULT_STOPPING
-    assert np.abs(command[stopping & (drive != DriveState.FAULT)]).min() > 0.1
-    assert (stopping & (drive == DriveState.FAULT)).any()
-    assert not command[np.flatnonzero(drive == DriveState.FAULT)[2:]].any()  # 0.5 N m, at 0.3 N m a cycle
-
-
 @pytest.mark.parametrize("has_gravity", [True, False])
 def test_a_rehearsal_has_the_error_of_the_loop(has_gravity):
     given = axis("cst", gravity=has_gravity)
@@ -200,3 +177,40 @@ def test_a_weight_that_raises_the_friction_leaves_less_of_the_limit_for_itself()
     both = max(abs(friction.steady_state([-1e-9, 1e-9], load_torque=20.0)))
     assert static_torque(lift).largest == 20.0
     assert static_torque(lift).bound == pytest.approx(lift.limits.torque - lift.compensation.gain * both)
+
+
+OFFSET = 0.05  # N m, of the model: held as long as the drive has power
+
+
+def with_offset(**changes):
+    given = axis_dict(**changes)
+    given["model"]["mechanics"]["offset"] = OFFSET
+    return given
+
+
+def test_a_drive_that_keeps_its_power_after_the_request_to_disable_gets_no_compensation():
+    """It has stopped the axis before the compensation has faded out: only what holds the load stays."""
+
+    def breaks(cycle, feedback):
+        if cycle >= 1200:
+            feedback[0].message = "something is wrong"
+
+    run = Run(with_offset(compensation={"fade_s": 1.0}), duration_s=2.0, disturb=breaks, power_off_cycles=150)
+    assert run.result.faults
+    state, drive, command, compensation = run.columns("state", "drive_state", "command", "compensation")
+    kept = (state == LoopState.DISABLING) & (drive != DriveState.SWITCH_ON_DISABLED)
+    assert kept.sum() > 100
+    assert np.abs(compensation[kept]).min() > 0.005, "there is one that could be sent"
+    first = 1 + int(2.0 * LIMITS["torque"] / (LIMITS["torque_slew"] * PERIOD_S))
+    assert command[kept][first:] == pytest.approx(OFFSET)
+
+
+def test_a_daemon_that_waits_commands_no_torque():
+    slow = LIMITS | {"torque_slew": 2.0}  # what was commanded before would last for some cycles
+    run = Changed(with_offset(limits=slow), plan={400: Action.STOP}, until=1500)
+    state, command = run.columns("state", "command")
+    waiting = state == LoopState.WAITING
+    assert waiting.sum() > 50
+    assert np.abs(command[np.flatnonzero(waiting)[0] - 1]) > 0.01, "there was one"
+    assert set(command[waiting]) == {0.0}
+    assert {c.torque for c, waits in zip(run.commands[0], waiting, strict=False) if waits} == {0.0}

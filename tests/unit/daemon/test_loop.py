@@ -15,8 +15,6 @@ from tests.loop_run import BELIEVED, LIMITS, MODES, ORDINARY, SINE, STOPPED_BY_F
 from tests.messages import codes_in
 from tests.servo_drives import PERIOD_S
 
-# --- physics
-
 
 @pytest.mark.parametrize("mode", MODES)
 def test_compensation_takes_the_friction_out_of_the_error(mode):
@@ -66,9 +64,6 @@ def test_two_runs_are_the_same_bits():
         return np.array(Run(axis(model=model(**BELIEVED)), axis("cst", node=2), duration_s=0.5).sink.rows)
 
     np.testing.assert_array_equal(rows().view(np.int64), rows().view(np.int64))
-
-
-# --- limits in every cycle
 
 
 def test_torque_and_slew_are_in_force_when_they_are_reached():
@@ -132,9 +127,6 @@ def test_no_disturbance_of_the_feedback_breaks_a_limit_or_leaves_a_drive_enabled
     assert Request.QUICK_STOP not in asked or run.result.faults
 
 
-# --- time
-
-
 @pytest.mark.parametrize(("exchange_us", "is_told"), [(600, False), (1400, True)])
 def test_an_exchange_that_outlasts_the_period_is_told_before_anything_moves(exchange_us, is_told):
     clock = SteppedClock()
@@ -175,9 +167,6 @@ def test_while_the_drives_are_idle_nothing_is_missed():
     assert (run.result.missed, run.result.faults) == (0, [])
 
 
-# --- listening
-
-
 def test_a_dry_run_listens_computes_and_sends_nothing():
     """It needs no room for the path either."""
 
@@ -194,9 +183,6 @@ def test_a_dry_run_listens_computes_and_sends_nothing():
     moving = np.abs(velocity) > 0.5
     assert np.all((compensation * velocity)[moving][100:] > 0.0)
     assert run.drives.pending == [None]
-
-
-# --- enabling
 
 
 def test_an_axis_that_waits_for_the_others_does_not_sink():

@@ -12,8 +12,6 @@ from tests.loop_run import CONTROLLER, LIMITS, MODES, ORDINARY, SINE, STOPPED_BY
 from tests.messages import codes_in
 from tests.servo_drives import PERIOD_S
 
-# --- ways to end
-
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("stop_at", [30, 60, 200, 700])
@@ -155,9 +153,6 @@ def test_notices_of_the_drives_are_recorded_each_time_and_listed_once():
     assert run.events("notice") == [*told[:2], told[0], told[2], told[0], told[2]]
 
 
-# --- a drive that is silent
-
-
 def reads_back(*states):
     """Drives that say in which states they were left."""
     return lambda drives: setattr(drives, "read_back", states or None)
@@ -187,9 +182,6 @@ def test_only_gaps_that_ended_count_as_bridged_and_the_reasons_are_named():
     gaps = run.axes[0].gaps
     assert (gaps.bridged, gaps.reasons) == (14, {"busy": 4, "no reply": 10})
     assert gaps.stale > 5000
-
-
-# --- a drive out of reach
 
 
 def lost(state=DriveState.UNKNOWN, until=100_000):
@@ -327,9 +319,6 @@ def test_an_axis_that_its_quick_stop_does_not_stop_is_told_of(until, fault):
     assert ("quick stop active" in run.result.faults[1]) == (fault == "y FH-115")
 
 
-# --- faults at the start
-
-
 def in_fault(clears=True, again_when_enabled=0):
     """A drive found in fault; it may not leave it, or fall back as often as given when it is enabled."""
     falls = [again_when_enabled]
@@ -387,9 +376,6 @@ def test_a_reset_of_the_drives_fault_does_not_hide_a_failed_computation():
     assert "x FH-111" in codes_in(run.result.faults)
     assert Request.ENABLE not in run.requests()
     run.assert_left_disabled()
-
-
-# --- no feedback
 
 
 def test_without_any_feedback_nothing_is_enabled():

@@ -6,6 +6,7 @@ What Python allocates is counted, to the byte; `tools/bench loop memory` measure
 import os
 import tracemalloc
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -25,14 +26,6 @@ INDEX_BYTES = 2000  # of a chunk of a second, in the index that the file gets at
 NOISE_BYTES = 20_000
 
 
-class Discard:
-    def push(self, row):
-        pass
-
-    def event(self, cycle, name, text):
-        pass
-
-
 def test_the_loop_keeps_nothing_of_a_cycle():
     taken = []
 
@@ -45,7 +38,8 @@ def test_the_loop_keeps_nothing_of_a_cycle():
             tracemalloc.start()
 
     config = configuration(x=axis())
-    loop, *_ = make_loop(config, Drives(config, before), sink=Discard(), duration_s=WARM_S + COUNTED_S + 0.2)
+    discard = SimpleNamespace(push=lambda row: None, event=lambda cycle, name, text: None)
+    loop, *_ = make_loop(config, Drives(config, before), sink=discard, duration_s=WARM_S + COUNTED_S + 0.2)
     try:
         result = loop.run()
     finally:
@@ -56,15 +50,8 @@ def test_the_loop_keeps_nothing_of_a_cycle():
 
 
 def test_the_process_that_records_keeps_no_more_than_an_entry_of_a_chunk(tmp_path: Path):
-    job = Job(
-        axes=["x", "y"],
-        columns=list(NAMES),
-        state_width=6,
-        period_s=PERIOD_S,
-        started_unix_ns=1_700_000_000_000_000_000,
-        path=str(tmp_path / "run.mcap"),
-        black_box=str(tmp_path / "run.mcap"),
-    )
+    paths = dict.fromkeys(("path", "black_box"), str(tmp_path / "run.mcap"))
+    job = Job(["x", "y"], list(NAMES), 6, PERIOD_S, 1_700_000_000_000_000_000, **paths)
     ring = RingWriter(job.row_width, ROWS_PER_S)
     reader = RingReader(ring.descriptor)
     outputs = _Outputs(job, reader, allocate(job, os.memfd_create("minute")), -1)

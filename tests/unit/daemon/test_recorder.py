@@ -7,7 +7,6 @@ import shutil
 import signal
 import socket
 import stat
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -318,11 +317,3 @@ def test_a_part_without_rows_is_left_out_and_reported(bench, tmp_path):
         whole = fh.recordings.read(tmp_path / "run.mcap")
         assert whole["cycle"].tolist() == [*range(100), *range(200, 300)]
         assert any("run-2.mcap" in problem for problem in whole.problems[1:])
-
-
-def test_a_job_without_limits_makes_one_file(bench, tmp_path):
-    recorder = bench()
-    assert replace(recorder.job) == recorder.job
-    recorder.push(2000)
-    recorder.close()
-    assert names_in(tmp_path) == {"run.mcap"}

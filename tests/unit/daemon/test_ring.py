@@ -1,5 +1,6 @@
 """The shared-memory ring: order, losses, torn rows, and a reader that takes over from another."""
 
+import math
 import os
 import subprocess
 import sys
@@ -10,7 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from friction_hil.compensator import CompensatorInputs, input_checksum
 from friction_hil.daemon.ring import EVENT_SLOTS, RingReader, RingWriter
+from friction_hil.daemon.row import AxisRow, row_width
+from friction_hil.recordings import columns
 
 WIDTH, CAPACITY = 3, 8
 
@@ -22,13 +26,17 @@ def ring() -> Iterator[RingWriter]:
     os.close(writer.descriptor)
 
 
+@pytest.fixture
+def reader(ring: RingWriter) -> RingReader:
+    return RingReader(ring.descriptor)
+
+
 def push(ring: RingWriter, count: int) -> None:
     for _ in range(count):
         ring.push(np.full(WIDTH, float(ring.rows_pushed)))
 
 
-def test_rows_arrive_in_order_and_once(ring: RingWriter) -> None:
-    reader = RingReader(ring.descriptor)
+def test_rows_arrive_in_order_and_once_and_every_bit_of_them(ring: RingWriter, reader: RingReader) -> None:
     assert reader.drain().shape == (0, WIDTH)
     push(ring, 5)
     assert not reader.is_drained
@@ -37,17 +45,12 @@ def test_rows_arrive_in_order_and_once(ring: RingWriter) -> None:
     push(ring, 2)
     np.testing.assert_array_equal(reader.drain()[:, 0], [5.0, 6.0])
     assert reader.lost == 0
-
-
-def test_every_bit_of_a_row_is_kept(ring: RingWriter) -> None:
     odd = np.array([0x7FF0000000000001, -1, 1], np.int64).view(np.float64)  # signalling NaN, NaN, denormal
-    reader = RingReader(ring.descriptor)
     ring.push(odd)
     assert reader.drain().tobytes() == odd.tobytes()
 
 
-def test_slow_reader_loses_the_oldest_rows_and_knows_how_many(ring: RingWriter) -> None:
-    reader = RingReader(ring.descriptor)
+def test_slow_reader_loses_the_oldest_rows_and_knows_how_many(ring: RingWriter, reader: RingReader) -> None:
     push(ring, CAPACITY + 3)
     np.testing.assert_array_equal(reader.drain()[:, 0], np.arange(3.0, 11.0))
     assert reader.lost == 3
@@ -62,30 +65,24 @@ def test_nothing_is_seen_twice_or_uncounted(steps: list[int | str]) -> None:
     reader = RingReader(ring.descriptor)
     held: list[float] = []
     safe: list[float] = []
-    for step in steps:
+    for step in [*steps, "drain", "release all"]:
         if isinstance(step, int):
             push(ring, step)
         elif step == "drain":
             held += reader.drain()[:, 0].tolist()
-        elif step == "release":
-            count = (len(held) + 1) // 2
-            reader.release(count, 0)
-            safe += held[:count]
-            held = held[count:]
-        else:
+        elif step == "replace":
             reader, held = RingReader(ring.descriptor), []
+        else:
+            count = len(held) if step == "release all" else (len(held) + 1) // 2
+            reader.release(count, 0)
+            safe, held = safe + held[:count], held[count:]
         assert safe + held == sorted(set(safe + held))
-    held += reader.drain()[:, 0].tolist()
-    reader.release(len(held), 0)
-    safe += held
     assert len(safe) + reader.lost == ring.rows_pushed
     assert ring.free_slots() == CAPACITY
-    assert safe == sorted(set(safe))
     os.close(ring.descriptor)
 
 
-def test_free_slots_count_what_the_reader_still_needs(ring: RingWriter) -> None:
-    reader = RingReader(ring.descriptor)
+def test_free_slots_count_what_the_reader_still_needs(ring: RingWriter, reader: RingReader) -> None:
     push(ring, 6)
     assert ring.free_slots() == 2
     reader.drain()
@@ -96,33 +93,24 @@ def test_free_slots_count_what_the_reader_still_needs(ring: RingWriter) -> None:
     assert ring.free_slots() == 0
 
 
-def test_a_row_being_written_is_not_taken(ring: RingWriter) -> None:
-    reader = RingReader(ring.descriptor)
+def test_a_row_being_written_is_not_taken(ring: RingWriter, reader: RingReader) -> None:
     push(ring, 3)
-    numbers = ring._numbers
-    numbers[1, 0] = 99  # the writer has begun to overwrite row 1 ...
+    ring._numbers[1, 0] = 99  # the writer has begun to overwrite row 1 ...
     np.testing.assert_array_equal(reader.drain()[:, 0], [0.0, 2.0])
-    numbers[2, -1] = 99  # ... and a row whose end belongs to another lap
+    ring._numbers[2, -1] = 99  # ... and a row whose end belongs to another lap
     other = RingReader(ring.descriptor)
     assert other.drain()[:, 0].tolist() == [0.0]
     assert (reader.lost, other.lost) == (1, 2)
 
 
-def test_events(ring: RingWriter) -> None:
-    reader = RingReader(ring.descriptor)
+def test_events(ring: RingWriter, reader: RingReader) -> None:
     ring.push_event(3.0, "fault", "zu heiß")
     ring.push_event(4.0, "ü" * 100, "é" * 500)
-    first, second = reader.drain_events()
-    assert first == (3.0, "fault", "zu heiß")
-    assert second == (4.0, "ü" * 20, "é" * 94)
+    assert reader.drain_events() == [(3.0, "fault", "zu heiß"), (4.0, "ü" * 20, "é" * 94)]
     for number in range(EVENT_SLOTS + 5):
         ring.push_event(number, "set", str(number))
     assert [cycle for cycle, _, _ in reader.drain_events()] == list(range(5, EVENT_SLOTS + 5))
     assert reader.events_lost == 5
-
-
-def test_closing_is_seen_by_the_reader(ring: RingWriter) -> None:
-    reader = RingReader(ring.descriptor)
     assert not reader.is_closed
     ring.close_writing()
     assert reader.is_closed
@@ -169,3 +157,44 @@ def test_another_process_sees_only_whole_rows_while_it_is_overtaken() -> None:
     assert process.returncode == 0
     assert seen + lost == 100_000
     os.close(ring.descriptor)
+
+
+DEMANDS = {"position_demand": 4.5, "velocity_demand": 5.5, "velocity_demand_ahead": 6.5}
+INPUTS = CompensatorInputs(
+    **{"cycle": 7.0, "position": 1.5, "velocity": 2.5, "torque": 3.5, **DEMANDS, "is_fresh": True, "is_enabled": False},
+    **{"acceleration_demand_ahead": 14.5, "temperature": 15.5},
+)
+OTHERS = {"velocity_estimate": 7.5, "compensation": 8.5, "command": 9.5, "state": 2, "drive_state": 5}
+
+
+def row(shadows=(), state_size=0):
+    return AxisRow(np.full(row_width(shadows) + state_size, math.nan), shadows)
+
+
+def test_every_value_stands_in_the_column_of_its_name():
+    one = row()
+    one.write_cycle(0.007, INPUTS, **OTHERS)
+    one.write_timing(11.5, 12.5, 13.5, 19.0)
+    one.write_estimates(16.5, 17.5, 18.5)
+    expected = INPUTS._asdict() | OTHERS | {"time_s": 0.007, "late_us": 11.5, "exchange_us": 12.5, "path_lag_s": 13.5}
+    expected |= {"change": 19.0, "load_estimate": 16.5, "temperature_estimate": 17.5, "motor_offset": 18.5}
+    expected |= {"checksum": input_checksum(*INPUTS)}
+    unknown = dict.fromkeys(("torque_demand", "load_torque", "load_position", "compensation_uncertainty"), math.nan)
+    written = dict(zip(columns.NAMES, one.values.tolist(), strict=True))
+    np.testing.assert_equal(written, {name: float(value) for name, value in (expected | unknown).items()})
+
+
+def test_shadows_follow_the_columns_and_states_follow_the_shadows():
+    one = row(["a", "b"], 5)
+    one.write_shadow("b", 0.25)
+    one.write_states([np.array([1.0, 2.0]), np.array([3.0])])
+    np.testing.assert_equal(one.values[len(columns.NAMES) :], [math.nan, 0.25, 1.0, 2.0, 3.0, math.nan, math.nan])
+
+
+def test_a_cleared_row_keeps_time_and_cycle_alone():
+    one = row(["a"], 2)
+    one.write_cycle(0.007, INPUTS, **OTHERS)
+    one.clear(0.008, 8)
+    written = one.values.tolist()
+    assert written[:2] == [0.008, 8.0]
+    assert np.isnan(written[2:]).all()

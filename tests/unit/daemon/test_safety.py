@@ -33,9 +33,6 @@ def heard(position=0.0, velocity=0.0, torque=0.0, state=ENABLED, is_fresh=True, 
     return Feedback(position, velocity, torque, state, is_fresh, error, message, missing)
 
 
-# --- what feedback is used
-
-
 @thorough
 @given(any_float, any_float, any_float, st.booleans())
 def test_only_fresh_finite_feedback_is_used_and_remembered(position, velocity, torque, is_fresh):
@@ -90,9 +87,6 @@ def test_the_position_in_use_never_moves_faster_than_twice_the_limit(positions):
             assert abs(one.position - before) <= 2.0 * 10.0 * PERIOD_S * passed + 1e-4
             before, passed = one.position, 0
         assert one.position == before
-
-
-# --- what is a fault
 
 
 @pytest.mark.parametrize(
@@ -340,9 +334,6 @@ def test_a_slow_motion_is_no_fault_where_the_drive_reports_whole_rpm():
         feedback = heard(speed * PERIOD_S * cycle, step * round(speed / step))
         one.take(feedback)
         assert one.find_fault(feedback, LoopState.RUNNING, speed, math.nan) is None
-
-
-# --- standstill
 
 
 @pytest.mark.parametrize(("period_s", "held"), [(1e-3, 10), (5e-3, 5), (0.1, 1)])

@@ -20,7 +20,6 @@ PAIRS = [("coulomb", "sigma2", -0.7), ("static", "stribeck_velocity", 0.5)]
 
 
 def test_it_is_the_scatter_of_models_whose_parameters_scatter():
-    model = fh.models.create("lugre", **TRUE_FRICTION)
     names, scale = list(ERRORS), 1e-2  # small errors: the torque is linear in them
     correlation = np.eye(len(names))
     for one, other, value in PAIRS:
@@ -28,18 +27,12 @@ def test_it_is_the_scatter_of_models_whose_parameters_scatter():
         correlation[i, j] = correlation[j, i] = value
     deviations = scale * np.array(list(ERRORS.values()))
     covariance = correlation * np.outer(deviations, deviations)
-    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(names)), covariance, 2000)
-    torques = [
-        fh.models.create(
-            "lugre",
-            **{
-                name: value + dict(zip(names, row, strict=True)).get(name, 0.0) for name, value in TRUE_FRICTION.items()
-            },
-        ).steady_state(VELOCITY)
-        for row in drawn
-    ]
-    found = steady_uncertainty(model, VELOCITY, dict(zip(names, deviations, strict=True)), PAIRS)
-    np.testing.assert_allclose(found, np.std(torques, axis=0), rtol=0.06)
+    mean = [TRUE_FRICTION[name] for name in names]
+    drawn = np.random.default_rng(1).multivariate_normal(mean, covariance, 2000)
+    models = [fh.models.create("lugre", **TRUE_FRICTION | dict(zip(names, row, strict=True))) for row in drawn]
+    errors = dict(zip(names, deviations, strict=True))
+    found = steady_uncertainty(fh.models.create("lugre", **TRUE_FRICTION), VELOCITY, errors, PAIRS)
+    np.testing.assert_allclose(found, np.std([each.steady_state(VELOCITY) for each in models], axis=0), rtol=0.06)
 
 
 def test_each_direction_has_its_own_and_what_is_unknown_counts_as_exact():
@@ -50,15 +43,10 @@ def test_each_direction_has_its_own_and_what_is_unknown_counts_as_exact():
     np.testing.assert_allclose(found, [0.003, 0.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "fit",
-    [
-        None,
-        {},
-        {"standard_errors": None},
-        {"standard_errors": {"coulomb": "small", "viscous": math.nan, "static": -1.0}},
-    ],
-)
+UNUSABLE = {"coulomb": "small", "viscous": math.nan, "static": -1.0}
+
+
+@pytest.mark.parametrize("fit", [None, {}, {"standard_errors": None}, {"standard_errors": UNUSABLE}])
 def test_a_file_without_errors_gives_none(fit):
     assert errors_of(fit) == ({}, [])
     model = {**axis_dict()["model"], "fit": fit}
@@ -85,14 +73,17 @@ def filled(job, journal, state=1.0, **values):
     return rows[:, at]
 
 
+def job_of(table, factors, **compensation):
+    metadata = {"configuration": {"axes": {"x": {"compensation": compensation}}}}
+    return Job(["x"], list(columns.NAMES), 2, 1e-3, 0, metadata=metadata, uncertainty={"x": table}, factors=factors)
+
+
 def test_rows_get_the_uncertainty_of_the_model_and_the_gain_in_force():
-    given = configuration(x=axis(compensation={"gain": 0.9, "gain_negative": 0.5}))
-    table = uncertainty_table(given.axes["x"])
-    model = given.axes["x"].model.friction_model
-    metadata = {"configuration": {"axes": {"x": {"compensation": {"gain": 0.9, "gain_negative": 0.5}}}}}
-    job = Job(["x"], list(columns.NAMES), 2, 1e-3, 0, metadata=metadata, uncertainty={"x": table}, factors=[0, 1])
-    journal = make_journal()
-    whole = steady_uncertainty(model, VELOCITY, ERRORS, PAIRS)
+    gains = {"gain": 0.9, "gain_negative": 0.5}
+    given = configuration(x=axis(compensation=gains)).axes["x"]
+    table, journal = uncertainty_table(given), make_journal()
+    job = job_of(table, [0, 1], **gains)
+    whole = steady_uncertainty(given.model.friction_model, VELOCITY, ERRORS, PAIRS)
     found = filled(job, journal, velocity_estimate=VELOCITY, change=0.0)
     np.testing.assert_allclose(found, np.where(VELOCITY > 0.0, 0.9, 0.5) * whole, rtol=0.05)
     wider = {**table, "forward": [10.0 * each for each in table["forward"]]}
@@ -105,9 +96,7 @@ def test_rows_get_the_uncertainty_of_the_model_and_the_gain_in_force():
 
 
 def test_what_is_faded_out_is_certain_and_a_row_without_values_has_none():
-    metadata = {"configuration": {"axes": {"x": {"compensation": {"gain": 1.0, "gain_negative": None}}}}}
-    table = uncertainty_table(configuration(x=axis()).axes["x"])
-    job = Job(["x"], list(columns.NAMES), 2, 1e-3, 0, metadata=metadata, uncertainty={"x": table}, factors=[1])
+    job = job_of(uncertainty_table(configuration(x=axis()).axes["x"]), [1], gain=1.0, gain_negative=None)
     state = [[1.0, 1.0], [1.0, 0.25], [1.0, 0.0], [math.nan, math.nan], [1.0, 1.0]]
     velocity = [1.0, 1.0, 1.0, 1.0, math.nan]
     whole, part, none, *unknown = filled(job, make_journal(), state, velocity_estimate=velocity, change=0.0)

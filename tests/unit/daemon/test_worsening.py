@@ -92,8 +92,6 @@ def test_without_a_baseline_nothing_is_claimed(baseline_s):
     assert judged(friction(3.0), baseline_s=baseline_s) is None
 
 
-# --- whole runs
-
 COMPENSATION = {"fade_s": 0.1, "baseline_s": 2.0}
 
 

@@ -8,6 +8,7 @@ import re
 import socket
 import subprocess
 import tty
+from pathlib import Path
 
 import pytest
 import yaml
@@ -17,7 +18,9 @@ from friction_hil_drivers.serial_line import ports
 from friction_hil.cli import main
 from friction_hil.config import load
 from friction_hil.doctor import checks as doctor
+from friction_hil.doctor import codes
 from friction_hil.drive import Driver
+from friction_hil.drive.finding import Finding, complaints
 from friction_hil.errors import BusError, ConfigurationError, ParameterError, UsageError
 from tests.servo_drives import axis_dict
 
@@ -81,9 +84,6 @@ def terminal():
     os.close(slave)
 
 
-# The machine
-
-
 def test_a_machine_alone(capsys, monkeypatch):
     load_driver = doctor.load_driver
 
@@ -101,9 +101,6 @@ def test_a_machine_alone(capsys, monkeypatch):
     assert "configuration" not in checks
     broken = findings[checks.index("driver modbus")]
     assert (broken["result"], "no module named pymodbus" in broken["detail"]) == ("warn", True)
-
-
-# The configuration
 
 
 def test_mistakes_of_a_configuration_are_reported_beside_the_machine(look, write):
@@ -190,9 +187,6 @@ def test_each_obstacle_has_its_fix_and_no_drive_receives_a_byte(look, terminal, 
         os.read(master, 4096)
 
 
-# Serial lines
-
-
 def test_a_line_is_given_back_and_one_that_is_locked_is_reported_although_its_holder_is_not_known(
     look, terminal, monkeypatch
 ):
@@ -247,9 +241,6 @@ def test_the_latency_of_an_adapter_is_judged_by_the_period(look, terminal, monke
     assert status == (result == "fail")
 
 
-# CAN
-
-
 def test_an_interface_that_python_can_does_not_have_is_a_mistake_of_the_configuration(write, capsys):
     path = write(NODE, bus={"interface": "foo", "channel": "x"})
     assert main(["config", "check", str(path)]) == 2
@@ -268,17 +259,11 @@ def test_an_axis_that_another_daemon_drives(look, write):
     assert look(NODE, bus=VIRTUAL)[1] == 0
 
 
-# A driver without checks
-
-
 def test_a_driver_without_checks_is_reported(look, terminal, monkeypatch):
     monkeypatch.setattr(doctor, "load_driver", lambda name: Driver)
     found, status = look(serial(terminal[1]))
     assert status == 0
     assert found["driver modbus"]["result"] == "warn"
-
-
-# For people, and the errors
 
 
 def test_people_read_each_check_with_its_fix(write, terminal, tmp_path, capsys):
@@ -301,3 +286,30 @@ def test_an_error_has_its_fix_in_its_message_and_apart(kind):
         assert (str(error), error.detail, error.fix) == ("no port; plug it in", "no port", "plug it in")
     assert (str(kind("no port")), kind("no port").fix) == ("no port", "")
     assert ConfigurationError([]).fix == ""
+
+
+ROOT = Path(__file__).parents[3]
+SOURCES = [
+    path
+    for folder in (ROOT / "friction_hil", ROOT / "drivers")
+    for path in folder.rglob("*.py")
+    if path != Path(codes.__file__)
+]
+IN_CODE = re.compile(r'"(FH-[34]\d\d)"')
+
+
+def test_the_codes_in_use_are_those_that_are_explained():
+    assert list(codes.CODES) == sorted(codes.CODES)
+    assert set(codes.CODES) == {code for path in SOURCES for code in IN_CODE.findall(path.read_text(encoding="utf-8"))}
+
+
+def test_no_two_codes_have_the_same_message():
+    assert len({each.message for each in codes.CODES.values()}) == len(codes.CODES)
+
+
+def test_the_code_ends_the_message():
+    finding = Finding("memory", "warn", "memory is not locked", "raise memlock", "FH-310")
+    assert list(complaints([finding, Finding("kernel", "pass", "PREEMPT_RT")])) == [
+        "memory is not locked; raise memlock [FH-310]"
+    ]
+    assert str(Finding("kernel", "pass", "PREEMPT_RT")) == "PREEMPT_RT"

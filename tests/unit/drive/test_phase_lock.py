@@ -1,6 +1,7 @@
 """The lock to another clock's SYNC: jitter, drift, missing SYNCs, jumps, two producers."""
 
 import random
+import re
 
 import pytest
 
@@ -53,11 +54,16 @@ def test_a_drift_that_changes_leaves_no_lasting_error():
     assert abs(lock.sync_ns(3000) - true) < 100
 
 
-def test_missing_syncs_are_bridged():
+def test_missing_syncs_are_bridged_and_they_and_late_wakeups_do_not_disturb_acquisition():
     lock = locked(ppm=150.0)
     for cycle in range(10):
         lock.take(cycle, round((100 + cycle) * T * (1.0 + 150e-6)))
     assert lock.sync_ns(60) == pytest.approx(160 * T * (1.0 + 150e-6), abs=1000)
+    given = stamps(100, ppm=-120.0, missing=(17, 18, 60))
+    given[30] += 700_000
+    lock = PhaseLock(PERIOD_S)
+    assert lock.acquire(given) == ""
+    assert lock.deviation_ppm == pytest.approx(-120.0, abs=10.0)
 
 
 def test_single_outliers_change_nothing_and_a_jump_of_the_other_clock_is_followed():
@@ -71,25 +77,15 @@ def test_single_outliers_change_nothing_and_a_jump_of_the_other_clock_is_followe
     assert lock.sync_ns(20) == pytest.approx(120 * T + 400_000, abs=1)
 
 
-def test_missing_syncs_and_late_wakeups_do_not_disturb_acquisition():
-    given = stamps(100, ppm=-120.0, missing=(17, 18, 60))
-    given[30] += 700_000
-    lock = PhaseLock(PERIOD_S)
-    assert lock.acquire(given) == ""
-    assert lock.deviation_ppm == pytest.approx(-120.0, abs=10.0)
-
-
 @pytest.mark.parametrize(
     ("given", "reason"),
     [
         (stamps(9), "too few"),
         ([2 * one for one in stamps(50)], "every 2 ms and not every 1 ms"),
         (sorted([*stamps(50), *(one + 500_000 for one in stamps(50))]), "every 0.5 ms"),
-        (sorted([*stamps(50), *(one + 200_000 for one in stamps(50))]), ""),
+        (sorted([*stamps(50), *(one + 200_000 for one in stamps(50))]), "."),
         (stamps(50, ppm=20_000), "every 1.02 ms and not every 1 ms"),
     ],
 )
 def test_what_gives_no_lock_is_said(given, reason):
-    problem = PhaseLock(PERIOD_S).acquire(given)
-    assert problem
-    assert reason in problem
+    assert re.search(reason, PhaseLock(PERIOD_S).acquire(given))

@@ -1,13 +1,19 @@
 """Who may ask what of the page's server, and where its token comes from."""
 
 import os
+import socket
 import string
+import threading
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from friction_hil.errors import UsageError
+from friction_hil.live.web.door import Door
+from friction_hil.live.web.foxglove_feed import FoxgloveFeed
 from friction_hil.live.web.gate import Gate, host_name, is_loopback
 from friction_hil.live.web.token import new_token, token_of
 
@@ -77,3 +83,129 @@ def test_a_token_file_is_made_once_for_this_user_alone_and_refused_where_others_
         token_of(tmp_path)
     with pytest.raises(UsageError, match=os.strerror(2)):
         token_of(tmp_path / "no" / "folder")
+
+
+@pytest.fixture(scope="module")
+def feed():
+    made = FoxgloveFeed(0, ("Mill", "app.foxglove.dev"))
+    yield made
+    made.close()
+
+
+def greeting(port, host=None, origin=None):
+    """The first message of the protocol, or the status of the refusal."""
+    headers = [] if origin is None else [("Origin", origin)]
+    given = {"subprotocols": ["foxglove.sdk.v1"], "additional_headers": headers, "close_timeout": 0.1}
+    at = socket.create_connection(("127.0.0.1", port))
+    try:
+        with connect(f"ws://{host or f'localhost:{port}'}/", sock=at, **given) as client:
+            return client.recv()
+    except InvalidStatus as error:
+        return error.response.status_code
+
+
+@pytest.mark.parametrize("host", [None, "127.0.0.1", "[::1]", "mill", "MILL."])
+@pytest.mark.parametrize("origin", [None, "file://", "app://foxglove", "https://app.foxglove.dev"])
+def test_programs_and_allowed_pages_are_let_in(feed, host, origin):
+    assert "serverInfo" in greeting(feed.port, host and f"{host}:{feed.port}", origin)
+
+
+EVIL = [
+    "http://evil.example",
+    "https://evil.example",
+    "null",
+    "http://localhost",
+    "http://app.foxglove.dev.evil.example",
+]
+
+
+@pytest.mark.parametrize(
+    ("host", "origin"),
+    [
+        *((None, origin) for origin in (*EVIL, "")),
+        *((host, None) for host in ("evil.example", "mill.evil.example", "localhost.evil.example")),
+    ],
+)
+def test_pages_of_other_origins_and_names_that_somebody_else_resolves_are_refused(feed, host, origin):
+    assert greeting(feed.port, host and f"{host}:{feed.port}", origin) == 403
+
+
+def test_the_library_listens_where_nobody_knows(feed):
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", feed._server.port), timeout=5.0)
+
+
+def test_a_port_that_is_in_use_is_named():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(UsageError, match=f" 127.0.0.1:{port}: Address already in use"):
+            FoxgloveFeed(port)
+
+
+@pytest.fixture(scope="module")
+def echo():
+    """A door to a server that sends everything back."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def serve():
+            while True:
+                try:
+                    client, _ = listening.accept()
+                except OSError:
+                    return
+                with client:
+                    while part := client.recv(1 << 16):
+                        client.sendall(part)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        door = Door("127.0.0.1", 0, listening.getsockname(), Gate("", (), is_reading_free=True))
+        yield door.port
+        door.close()
+        listening.shutdown(socket.SHUT_RDWR)
+        thread.join(10.0)
+
+
+def answered(port, data):
+    with socket.create_connection(("127.0.0.1", port), timeout=10.0) as client:
+        client.sendall(data)
+        client.shutdown(socket.SHUT_WR)
+        with client.makefile("rb") as file:
+            return file.read()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.binary(max_size=60), st.sampled_from([b"", b"GET / HTTP/1.1\r\n", b"GET / HTTP/1.1\r\nOrigin: http://a\r\n"]))
+def test_nothing_without_a_proper_host_gets_through(echo, noise, start):
+    found = answered(echo, start + noise.replace(b":", b"") + b"\r\n\r\n")
+    assert found == b"" or found.startswith(b"HTTP/1.1 4")
+
+
+@pytest.mark.parametrize("size", [0, 1, 100_000])
+def test_what_comes_after_the_head_is_passed_on_as_it_is(echo, size):
+    data = b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n" + bytes(range(256)) * (size // 256)
+    with socket.create_connection(("127.0.0.1", echo), timeout=10.0) as client, client.makefile("rb") as file:
+        client.sendall(data)
+        assert file.read(len(data)) == data
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"Host: localhost\r\nHost: evil.example",
+        b"Host: localhost\r\nOrigin: http://localhost\r\nOrigin: http://evil.example",
+        b" Host: localhost",
+        b"Host : localhost",
+    ],
+)
+def test_headers_that_could_be_read_in_two_ways_are_refused(echo, head):
+    assert answered(echo, b"GET / HTTP/1.1\r\n" + head + b"\r\n\r\n").startswith(b"HTTP/1.1 4")
+
+
+def test_a_door_through_which_nobody_went_closes_in_order(monkeypatch):
+    failures = []
+    monkeypatch.setattr(threading, "excepthook", failures.append)
+    door = Door("127.0.0.1", 0, ("127.0.0.1", 1), Gate("", (), is_reading_free=True))
+    door.close()
+    assert failures == []
+    assert door._loop.is_closed()

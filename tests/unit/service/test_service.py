@@ -246,11 +246,8 @@ def test_the_command_says_what_it_wrote_and_what_comes_next(configuration, tmp_p
 
 
 def test_services_that_are_not_active_are_exit_status_1(tmp_path, monkeypatch, capsys):
-    systemctl, shown = (
-        tmp_path / "systemctl",
-        "LoadState=loaded; echo ActiveState=$STATE; echo SubState=$2; echo MainPID=7",
-    )
-    systemctl.write_text(f"#!/bin/sh\necho {shown}\n")
+    systemctl, shown = tmp_path / "systemctl", "LoadState=loaded\nActiveState=$STATE\nSubState=$2\nMainPID=7"
+    systemctl.write_text(f'#!/bin/sh\necho "{shown}"\n')
     systemctl.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     monkeypatch.setenv("STATE", "active")
