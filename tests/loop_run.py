@@ -59,6 +59,27 @@ class Fails:
         return getattr(self.other, name)
 
 
+def heard(begin=0, end=math.inf, k=0, **values):
+    """A disturbance: from one cycle to another the feedback of a drive has these values."""
+
+    def disturb(cycle, feedback):
+        if begin <= cycle < end:
+            for name, value in values.items():
+                setattr(feedback[k], name, value)
+
+    return disturb
+
+
+def in_state(state, *cycles, k=0):
+    """A hook by which a drive is in this state in these cycles, whatever it was asked for."""
+
+    def before(drives):
+        if drives.cycle in cycles:
+            drives.states[k] = state
+
+    return before
+
+
 class Drives(ServoDrives):
     """Keeps every command; ``before`` is asked before each cycle and may do anything to the drives."""
 

@@ -27,7 +27,7 @@ from friction_hil.recordings import columns
 from friction_hil.recordings.fingerprint import fingerprint
 from friction_hil.recordings.mcap_writer import McapWriter
 from friction_hil.replay.verify import verify
-from tests.loop_run import Run
+from tests.loop_run import Run, heard, in_state
 from tests.messages import codes_in
 from tests.networks import model_file, random_network
 from tests.servo_drives import PERIOD_S, TRUE_FRICTION, axis_dict, configuration
@@ -75,7 +75,7 @@ class Changed(Run):
 
     def before(self, drives):
         if self.first is not None:
-            self.first(self)
+            self.first(drives)
         if len(self.refusals) < self.asked and (answer := self.writer.wait(self.asked, 0.0)) is not None:
             self.refusals.append(answer[1])
         wanted = self.plan.get(drives.cycle)
@@ -122,10 +122,6 @@ def models(tmp_path_factory):
 @pytest.fixture(scope="module")
 def changed(models):
     """A run of two axes through changes of every kind."""
-
-    def warm(cycle, feedback):
-        feedback[0].temperature = 60.0 if 500 < cycle < 900 else np.nan
-
     plan = {
         260: {"x.gain": 0.6},
         261: {"x.gain": 1.1, "x.gain_negative": 0.7, "y.dead_band": 0.1},
@@ -138,6 +134,10 @@ def changed(models):
         1300: Action.START,
         1500: {"x.model": models["stribeck"]},
     }
+
+    def warm(cycle, feedback):
+        feedback[0].temperature = 60.0 if 500 < cycle < 900 else np.nan
+
     return Changed(quick(), quick(node=2), plan=plan, until=1700, disturb=warm)
 
 
@@ -266,16 +266,6 @@ def test_a_model_of_the_same_family_begins_with_the_present_state(changed):
     np.testing.assert_allclose(change.friction[0], state, rtol=0.2)
 
 
-def in_state(drive, *cycles):
-    """A hook that finds the first drive in this state in these cycles."""
-
-    def before(run):
-        if run.drives.cycle in cycles:
-            run.drives.states[0] = drive
-
-    return before
-
-
 def test_a_fault_of_a_daemon_that_waits_is_reset_by_somebody_before_a_start():
     plan = {200: Action.START, 600: Action.START, 650: Action.RESET, 700: Action.START}
     run = Changed(quick(), plan=plan, until=1000, before=in_state(DriveState.FAULT, 400), is_waiting=True)
@@ -295,12 +285,8 @@ def test_a_fault_of_a_daemon_that_waits_is_reset_by_somebody_before_a_start():
 
 
 def test_an_axis_whose_computation_failed_is_not_started_again():
-    def disturb(cycle, feedback):
-        if cycle == 400:
-            feedback[0].velocity = "fast"
-
     plan = {200: Action.START, 600: Action.RESET, 700: Action.START}
-    run = Changed(quick(), plan=plan, until=900, disturb=disturb, is_waiting=True)
+    run = Changed(quick(), plan=plan, until=900, disturb=heard(400, 401, velocity="fast"), is_waiting=True)
     assert run.refusals[:2] == ["", ""]
     assert run.refusals[2].startswith("x: its computation has failed")
     assert Request.ENABLE not in [command.request for command in run.commands[0]][402:]
@@ -366,12 +352,14 @@ def test_figures_are_those_of_the_last_motion_also_when_the_run_ends_while_it_wa
 
 
 def test_garbage_in_the_journal_is_reported_once_and_changes_nothing():
-    def scribble(run):
-        if 100 <= (cycle := run.drives.cycle) < 900 and cycle % 3 == 0:
-            first, _ = loop_pages(run.journal.descriptor)
-            os.pwrite(run.journal.descriptor, np.random.default_rng(cycle).bytes(600), first)
+    class Scribbled(Changed):
+        def before(self, drives):
+            if 100 <= drives.cycle < 900 and drives.cycle % 3 == 0:
+                first, _ = loop_pages(self.journal.descriptor)
+                os.pwrite(self.journal.descriptor, np.random.default_rng(drives.cycle).bytes(600), first)
+            super().before(drives)
 
-    quiet, run = (Changed(quick(), plan={}, until=1000, before=each) for each in (None, scribble))
+    quiet, run = (each(quick(), plan={}, until=1000) for each in (Changed, Scribbled))
     assert len(run.result.warnings) == 1
     assert "journal of the control socket" in run.result.warnings[0]
     np.testing.assert_array_equal(run.column("compensation"), quiet.column("compensation"))

@@ -1,4 +1,4 @@
-"""The journal of the changes: whole entries arrive, and nothing else is ever taken for one."""
+"""The journal of the changes: whole entries arrive, nothing else is taken for one, and files hold what they need."""
 
 import itertools
 import json
@@ -143,20 +143,6 @@ def test_another_model_needs_a_state():
         unpack(pack(Change(1, Action.NONE, [AxisChange(None, other.record)])), [PRESENT.record])
 
 
-def test_who_gets_a_descriptor_for_reading_cannot_write_and_nobody_can_cut_off_what_the_loop_reads(ends):
-    reader, writer = ends
-    entry = {"number": 1, "axes": {}, "before": 0, "time_s": 0.0}
-    writer.post(1, b"a block", entry)
-    descriptor = read_only(reader.descriptor)
-    assert journal.entries(descriptor) == [entry]
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        os.pwrite(descriptor, b"garbage", 0)
-    assert os.fstat(descriptor).st_mode & 0o777 == 0o400  # so that it is not opened again for writing
-    with pytest.raises(PermissionError):
-        os.ftruncate(writer.descriptor, 0)
-    os.close(descriptor)
-
-
 def test_no_number_is_used_twice_and_a_stop_waits_until_it_is_answered(ends):
     reader, writer = ends
     writer.post(1, b"stop", is_stop=True)
@@ -165,6 +151,19 @@ def test_no_number_is_used_twice_and_a_stop_waits_until_it_is_answered(ends):
     writer.post(2, b"start")
     writer.withdraw()  # the loop has taken it at this moment, and answers late
     assert (writer.next_number, writer.is_stop_waiting) == (3, False)
+
+
+def test_who_gets_a_descriptor_for_reading_cannot_write_and_nobody_can_cut_off_what_the_loop_reads(ends):
+    reader, writer = ends
+    writer.post(1, b"a block", numbered(1))
+    descriptor = read_only(reader.descriptor)
+    assert journal.entries(descriptor) == [numbered(1)]
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.pwrite(descriptor, b"garbage", 0)
+    assert os.fstat(descriptor).st_mode & 0o777 == 0o400  # so that it is not opened again for writing
+    with pytest.raises(PermissionError):
+        os.ftruncate(writer.descriptor, 0)
+    os.close(descriptor)
 
 
 class Death(BaseException):
@@ -194,7 +193,7 @@ def dies(call, moment):
 
 def test_a_writer_that_is_killed_at_any_moment_leaves_whole_entries_and_a_successor_goes_on():
     def entry(number):  # the third makes the first superfluous
-        return {"number": number, "axes": {}, "before": number - 1, "time_s": 500.0 * (number > 2)}
+        return numbered(number, number - 1, 500.0 * (number > 2))
 
     for moment in itertools.count(1):
         descriptor = make_journal(room(1))

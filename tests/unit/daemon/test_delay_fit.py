@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from friction_hil.cli.work.run import _hint
 from friction_hil.daemon.delay_fit import DelaySums
 from friction_hil.daemon.figures import AxisFigures, Condition, FollowingErrors
+from tests.loop_run import heard
 from tests.unit.daemon import test_follower
 
 T = 4e-3
@@ -88,10 +89,7 @@ def test_both_conditions_are_compared_without_the_delay():
 
 @pytest.mark.parametrize("has_demand", [True, False])
 def test_a_sidecar_without_a_demand_says_that_no_error_can_be_given(has_demand):
-    def disturb(cycle, heard):
-        if not has_demand:
-            heard.position_demand = math.nan
-
+    disturb = heard(0 if not has_demand else 10**6, position_demand=math.nan)
     axis = test_follower.Run(test_follower.Machine(disturb=disturb), duration_s=0.6).axis
     assert axis.lacks_demand == (not has_demand)
     figures = AxisFigures("rad", None, None, True, 0, lacks_demand=axis.lacks_demand)

@@ -17,6 +17,7 @@ from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Mode
 from friction_hil.errors import ConfigurationError
+from tests.loop_run import heard
 from tests.servo_drives import PERIOD_S, ServoDrives, axis_dict, make_loop
 
 ENABLED = DriveState.OPERATION_ENABLED
@@ -46,7 +47,7 @@ class Machine(ServoDrives):
 
     is_follower = True
 
-    def __init__(self, *, state=lambda cycle: ENABLED, disturb=lambda cycle, heard: None):
+    def __init__(self, *, state=lambda cycle: ENABLED, disturb=lambda cycle, feedback: None):
         super().__init__(configuration(), disturb=self.hear)
         self.state, self.also = state, disturb
         self.offset, self.offsets = 0.0, []
@@ -65,9 +66,9 @@ class Machine(ServoDrives):
             servo.command(0, 0.0)
 
     def hear(self, cycle, feedback):
-        heard = feedback[0]
-        heard.missing, heard.position_demand, heard.is_offset_wanted = "", self.target(), True
-        self.also(cycle, heard)
+        one = feedback[0]
+        one.missing, one.position_demand, one.is_offset_wanted = "", self.target(), True
+        self.also(cycle, feedback)
 
     def send(self, commands):
         self.offset = commands[0].torque
@@ -103,7 +104,7 @@ def at_the_socket(asked):
     journal, answers = JournalReader(make_journal(room(1))), []
     writer = JournalWriter(journal.descriptor)
 
-    def disturb(cycle, heard):
+    def disturb(cycle, feedback):
         if cycle in asked:
             writer.post(cycle, pack(Change(cycle, asked[cycle])))
         elif cycle - 1 in asked:
@@ -179,7 +180,7 @@ def test_compensation_reduces_the_following_error():
 def test_a_dry_run_computes():
     stop = StopRequest()
 
-    def disturb(cycle, heard):
+    def disturb(cycle, feedback):
         stop.is_requested = cycle > 300
 
     run = Run(Machine(disturb=disturb), stop=stop, dry_run=True)
@@ -200,19 +201,11 @@ def test_a_drive_that_its_master_disables_gets_no_offset_and_is_compensated_agai
     assert run.largest(850, 1000) > 0.05
 
 
-def in_another_mode(cycle, heard):
-    heard.is_offset_wanted = False
-
-
-def with_an_error(cycle, heard):
-    heard.error = "8611h following error"
-
-
 @pytest.mark.parametrize(
     ("state", "disturb", "words"),
     [
-        (DriveState.FAULT, with_an_error, "state fault (8611h following error)"),
-        (ENABLED, in_another_mode, "is in another mode"),
+        (DriveState.FAULT, heard(error="8611h following error"), "state fault (8611h following error)"),
+        (ENABLED, heard(is_offset_wanted=False), "is in another mode"),
     ],
 )
 def test_a_run_in_which_nothing_is_compensated_says_why_once(state, disturb, words):
@@ -223,7 +216,8 @@ def test_a_run_in_which_nothing_is_compensated_says_why_once(state, disturb, wor
 
 @pytest.mark.parametrize("state", [DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE, DriveState.QUICK_STOP_ACTIVE])
 def test_a_fault_of_the_drive_is_its_masters_business(state):
-    run = Run(Machine(state=lambda cycle: state if cycle >= 400 else ENABLED, disturb=with_an_error))
+    said = heard(error="8611h following error")
+    run = Run(Machine(state=lambda cycle: state if cycle >= 400 else ENABLED, disturb=said))
     assert run.result.faults == []
     assert set(run.sent[400:]) == {0.0}
     assert "(8611h following error)" in run.warnings[0]
@@ -233,10 +227,10 @@ def test_a_fault_of_the_drive_is_its_masters_business(state):
 def test_another_mode_fades_the_compensation_out_at_its_own_pace_and_may_set_the_position_anew(jump):
     """As homing does."""
 
-    def disturb(cycle, heard):
-        heard.is_offset_wanted = not 400 <= cycle < 700
-        heard.position += jump * (cycle >= 500)
-        heard.position_demand += jump * (cycle >= 500)
+    def disturb(cycle, feedback):
+        feedback[0].is_offset_wanted = not 400 <= cycle < 700
+        feedback[0].position += jump * (cycle >= 500)
+        feedback[0].position_demand += jump * (cycle >= 500)
 
     run = Run(Machine(disturb=disturb), duration_s=1.5)
     assert run.result.faults == []
@@ -245,26 +239,22 @@ def test_another_mode_fades_the_compensation_out_at_its_own_pace_and_may_set_the
     assert run.largest(800) > 0.05
 
 
-def faster(cycle, heard):
-    heard.position += 0.04 * max(cycle - 400, 0)  # 40 rad/s
+def faster(cycle, feedback):
+    feedback[0].position += 0.04 * max(cycle - 400, 0)  # 40 rad/s
 
 
-def silent(cycle, heard):
-    if cycle > 400:
-        heard.is_fresh, heard.missing = False, "TPDO 181h of node 1 did not come in time after SYNC"
-
-
-def unsynchronised(cycle, heard):
-    if cycle > 400:
-        heard.message = "SYNC (080h) did not come for 11 periods [FH-248]"
-
-
-def astray(cycle, heard):
-    heard.position_demand += cycle > 400
+def astray(cycle, feedback):
+    feedback[0].position_demand += cycle > 400
 
 
 @pytest.mark.parametrize(
-    ("disturb", "reason"), [(faster, "FH-107"), (silent, "TPDO 181h"), (unsynchronised, "FH-248"), (astray, "FH-109")]
+    ("disturb", "reason"),
+    [
+        (faster, "FH-107"),
+        (heard(401, is_fresh=False, missing="TPDO 181h did not come"), "TPDO 181h"),
+        (heard(401, message="SYNC (080h) did not come [FH-248]"), "FH-248"),
+        (astray, "FH-109"),
+    ],
 )
 def test_a_fault_fades_the_offset_out_and_the_machine_runs_on(disturb, reason):
     run = Run(Machine(disturb=disturb))

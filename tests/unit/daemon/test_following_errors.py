@@ -1,4 +1,4 @@
-"""Following error of a run: which cycles count, against a plain computation over whole arrays."""
+"""Following error of runs and recordings: which cycles count, against plain computations and known errors."""
 
 import math
 import re

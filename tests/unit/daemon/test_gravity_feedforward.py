@@ -1,4 +1,4 @@
-"""Feed-forward of gravity and offset, in each mode: a simulated pendulum that neither sags nor drifts."""
+"""Feed-forward of gravity and offset, in each mode: a pendulum neither sags nor drifts, nor has torque for ever."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from friction_hil.motion.trajectory import sine_path
 from friction_hil.rehearsal import Motion, Rehearsal
 from friction_hil.servo.config import ServoConfig, ServoMechanics
 from friction_hil.servo.parts import Gravity as Pendulum
-from tests.loop_run import LIMITS, Run
+from tests.loop_run import LIMITS, Run, heard
 from tests.messages import codes_in
 from tests.readme_commands import ROOT
 from tests.servo_drives import PERIOD_S, axis_dict, configuration
@@ -191,10 +191,7 @@ def with_offset(**changes):
 def test_a_drive_that_keeps_its_power_after_the_request_to_disable_gets_no_compensation():
     """It has stopped the axis before the compensation has faded out: only what holds the load stays."""
 
-    def breaks(cycle, feedback):
-        if cycle >= 1200:
-            feedback[0].message = "something is wrong"
-
+    breaks = heard(1200, message="something is wrong")
     run = Run(with_offset(compensation={"fade_s": 1.0}), duration_s=2.0, disturb=breaks, power_off_cycles=150)
     assert run.result.faults
     state, drive, command, compensation = run.columns("state", "drive_state", "command", "compensation")

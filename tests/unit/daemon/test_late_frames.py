@@ -13,7 +13,7 @@ from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import Command, DriveState, Feedback
 from friction_hil.motion.trajectory import PathTime
-from tests.loop_run import LIMITS, MODES, LateClock, Run, axis
+from tests.loop_run import LIMITS, MODES, LateClock, Run, axis, heard
 from tests.servo_drives import PERIOD_S, ServoDrives, configuration
 
 SINE = {"kind": "sine", "amplitude": 0.5, "frequency": 0.5, "ramp_s": 0.1}  # 1.57 rad/s
@@ -285,10 +285,6 @@ def test_a_loop_that_is_too_slow_for_its_period_does_not_slow_the_motion_down():
 
 
 def test_a_fault_names_the_periods_that_were_missed_shortly_before():
-    def pushed(cycle, feedback):
-        if cycle >= 720:
-            feedback[0].velocity = 9.0
-
-    run = stalled({700: 4}, axis(**moving("csp", 5.0)), disturb=pushed, duration_s=1.0)
+    run = stalled({700: 4}, axis(**moving("csp", 5.0)), disturb=heard(720, velocity=9.0), duration_s=1.0)
     assert run.result.faults[0].endswith("4 periods were missed 22 ms before [FH-107]")
     assert run.events("fault") == run.result.faults

@@ -1,4 +1,4 @@
-"""Clocks, and what is asked of the operating system: nothing here waits for time to pass."""
+"""Clocks, pacing by them, and what is asked of the operating system: nothing here waits for time to pass."""
 
 import copy
 import ctypes

@@ -206,13 +206,13 @@ def test_a_disk_that_is_full_loses_rows_until_there_is_room(bench, tmp_path, cap
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         signal.signal(signal.SIGXFSZ, handler)
-    assert "the recording stops: File too large" in capfd.readouterr().err
-    recorder.push(100)  # too soon to try again
-    monkeypatch.setattr(recorder_module, "_free_bytes", lambda _: 1000)
-    recorder.now_s = 6.0
-    recorder.push(100)  # no room yet
-    monkeypatch.undo()
-    recorder.push(100)  # too soon after that
+    assert "File too large" in capfd.readouterr().err
+    # too soon to try again, no room yet, and too soon after that
+    for recorder.now_s, free in ((0.0, None), (6.0, 1000), (6.0, None)):
+        with monkeypatch.context() as patched:
+            if free is not None:
+                patched.setattr(recorder_module, "_free_bytes", lambda _, free=free: free)
+            recorder.push(100)
     assert names_in(tmp_path) == {"run.mcap"}
     recorder.now_s = 12.0
     recorder.push(100)
@@ -220,7 +220,7 @@ def test_a_disk_that_is_full_loses_rows_until_there_is_room(bench, tmp_path, cap
     recorder.close()
     whole = fh.recordings.read(tmp_path / "run.mcap")
     assert whole["cycle"].tolist() == [*range(200), *range(750, 850)]
-    assert any("550 cycles are missing" in problem for problem in whole.problems)
+    assert any("550 cycles" in problem for problem in whole.problems)
     assert (recorder.ring.rows_kept, recorder.ring.rows_lost) == (300, 550)
 
 

@@ -1,4 +1,4 @@
-"""The shared-memory ring: order, losses, torn rows, and a reader that takes over from another."""
+"""The shared-memory ring: order, losses, torn rows, a reader that takes over; and the columns of a row."""
 
 import math
 import os

@@ -6,21 +6,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from friction_hil.daemon import sequence
 from friction_hil.daemon.safety import STANDSTILL_S, LoopState
-from friction_hil.daemon.sequence import (
-    DISABLE_TIMEOUT_S,
-    ENABLE_TIMEOUT_S,
-    FADE_TIMEOUT_S,
-    LOST_POWERED_TIMEOUT_S,
-    QUICK_STOP_TIMEOUT_S,
-    REQUESTS,
-    SETTLE_S,
-    STANDSTILL_TIMEOUT_S,
-    RunInputs,
-    RunStateMachine,
-    Timeout,
-    timeout_faults,
-)
+from friction_hil.daemon.sequence import REQUESTS, RunInputs, RunStateMachine, Timeout, timeout_faults
 from friction_hil.drive import DriveState, Feedback, Request
 from friction_hil.drive.codes import FaultCode
 
@@ -50,7 +38,7 @@ class Run:
 
     def reach(self, state):
         """Go there without any fault."""
-        self.pass_time(SETTLE_S)
+        self.pass_time(sequence.SETTLE_S)
         if state >= LoopState.RUNNING:
             self.pass_time(is_enabled=True)
         if state >= LoopState.STOPPING:
@@ -61,7 +49,7 @@ class Run:
 
 def test_an_ordinary_run():
     run = Run()
-    assert run.pass_time(SETTLE_S - DT) is LoopState.IDLE
+    assert run.pass_time(sequence.SETTLE_S - DT) is LoopState.IDLE
     assert run.pass_time() is LoopState.ENABLING
     assert run.pass_time(1.0, is_powered=True) is LoopState.ENABLING
     assert run.pass_time(is_powered=True, is_enabled=True) is LoopState.RUNNING
@@ -77,18 +65,18 @@ def test_an_ordinary_run():
 
 
 @pytest.mark.parametrize(
-    ("ending", "after"),
+    ("what", "after"),
     [
         ({}, LoopState.RUNNING),
-        ({"has_fault": True}, LoopState.FAULT_STOPPING),
-        ({"is_stop_requested": True}, LoopState.FAULT_STOPPING),
+        ({"is_first_motion_due": True, "has_fault": True}, LoopState.FAULT_STOPPING),
+        ({"is_first_motion_due": True, "is_stop_requested": True}, LoopState.FAULT_STOPPING),
     ],
 )
-def test_a_first_motion_comes_before_the_path_and_is_ended_by_the_drives_quick_stop(ending, after):
-    run, going = Run().reach(LoopState.ENABLING), {"is_first_motion_due": True}
-    assert run.pass_time(is_enabled=True, **going) is LoopState.FIRST_MOTION
-    assert run.pass_time(3.0, is_enabled=True, is_powered=True, **going) is LoopState.FIRST_MOTION
-    assert run.pass_time(is_enabled=True, is_powered=True, **ending and going, **ending) is after
+def test_a_first_motion_comes_before_the_path_and_is_ended_by_the_drives_quick_stop(what, after):
+    run, powered = Run().reach(LoopState.ENABLING), {"is_enabled": True, "is_powered": True}
+    assert run.pass_time(is_enabled=True, is_first_motion_due=True) is LoopState.FIRST_MOTION
+    assert run.pass_time(3.0, is_first_motion_due=True, **powered) is LoopState.FIRST_MOTION
+    assert run.pass_time(**powered, **what) is after
 
 
 @pytest.mark.parametrize("state", [LoopState.RUNNING, LoopState.STOPPING])
@@ -123,31 +111,6 @@ def test_before_power_a_fault_or_a_stop_ends_the_run(what):
     assert Run().pass_time(**{what: True}) is LoopState.DONE
     run = Run().reach(LoopState.ENABLING)
     assert run.pass_time(is_powered=True, is_enabled=True, **{what: True}) is LoopState.DISABLING
-
-
-@pytest.mark.parametrize(
-    ("state", "held", "timeout_s", "code"),
-    [
-        (LoopState.ENABLING, {}, ENABLE_TIMEOUT_S, FaultCode.NOT_ENABLED),
-        (LoopState.STOPPING, STANDING | {"is_standing": False}, STANDSTILL_TIMEOUT_S, None),
-        (LoopState.FAULT_STOPPING, {"has_fault": True}, QUICK_STOP_TIMEOUT_S, FaultCode.NO_STANDSTILL),
-        (LoopState.DISABLING, {}, DISABLE_TIMEOUT_S, FaultCode.STILL_POWERED),
-    ],
-)
-def test_every_wait_has_a_timeout(state, held, timeout_s, code):
-    run = Run()
-    if state <= LoopState.STOPPING:
-        run.reach(state)
-    else:
-        run.reach(LoopState.RUNNING).pass_time(has_fault=True, is_powered=True)
-        while run.machine.state is not state:
-            run.pass_time(has_fault=True, is_powered=True, is_standing=True)
-    assert run.pass_time(timeout_s - 2 * DT, is_powered=True, **held) is state
-    after = LoopState.DONE if state is LoopState.DISABLING else LoopState.DISABLING
-    assert run.pass_time(3 * DT, is_powered=True, **held) is after
-    timeout = run.machine.take_timeout()
-    assert (timeout is None) if code is None else timeout.code is code
-    assert run.machine.take_timeout() is None
 
 
 def test_a_listener_stays_idle_until_it_is_told_to_go():
@@ -197,8 +160,9 @@ def test_every_run_ends_in_bounded_time(events, last, why):
     last.is_kept_after_fault &= why == "pause"
     last.is_pause_requested |= why == "pause"
     last.is_setpoint_standing = True  # the compensation may fade for a day, by fade_s
-    disabling_s = max(DISABLE_TIMEOUT_S, LOST_POWERED_TIMEOUT_S)
-    bound = time_s + FADE_TIMEOUT_S + STANDSTILL_TIMEOUT_S + QUICK_STOP_TIMEOUT_S + disabling_s + 0.1
+    disabling_s = max(sequence.DISABLE_TIMEOUT_S, sequence.LOST_POWERED_TIMEOUT_S)
+    stopping_s = sequence.FADE_TIMEOUT_S + sequence.STANDSTILL_TIMEOUT_S + sequence.QUICK_STOP_TIMEOUT_S
+    bound = time_s + stopping_s + disabling_s + 0.1
     # who waits without power, waits with a fault too
     may_wait = why == "pause" or (why == "fault" and machine.state is LoopState.WAITING)
     while machine.state not in ((LoopState.DONE, LoopState.WAITING) if may_wait else (LoopState.DONE,)):
@@ -212,7 +176,7 @@ def test_every_run_ends_in_bounded_time(events, last, why):
 def test_a_stop_waits_for_standstill_from_the_rest_of_set_point_and_compensation_on(ramp, fade, moves):
     """Cycles after the request: the axis follows its ramp, and may go on moving after that, as one that hunts does."""
     run = Run().reach(LoopState.STOPPING)
-    rest, waits, stands = max(ramp, fade), round(STANDSTILL_TIMEOUT_S / DT), round(STANDSTILL_S / DT)
+    rest, waits, stands = max(ramp, fade), round(sequence.STANDSTILL_TIMEOUT_S / DT), round(STANDSTILL_S / DT)
     cycle = 0
     while run.machine.state is LoopState.STOPPING:
         cycle += 1
@@ -245,21 +209,21 @@ def test_after_a_fault_a_run_that_is_kept_waits_and_another_ends(is_kept, after)
 
 
 @pytest.mark.parametrize(
-    ("state", "held", "seconds"),
+    ("state", "held", "seconds", "code"),
     [
-        (LoopState.IDLE, {}, 0.05),
-        (LoopState.ENABLING, {}, 5.0),
-        (LoopState.STOPPING, {"is_setpoint_standing": True}, 10.0),  # compensation that does not fade out
-        (LoopState.STOPPING, {"is_setpoint_standing": True, "is_faded_out": True}, 2.0),
-        (LoopState.FAULT_STOPPING, {"is_powered": True}, 5.0),
-        (LoopState.FAULT_STOPPING, {"is_powered": True, "is_standing": True}, 0.05),
-        (LoopState.DISABLING, {"is_powered": True}, 2.0),
-        (LoopState.DISABLING, {"is_lost_powered": True}, 5.0),
-        (LoopState.DISABLING, {"is_lost_unknown": True}, 1.0),
-        (LoopState.DISABLING, {"is_lost_powered": True, "is_lost_unknown": True}, 5.0),
+        (LoopState.IDLE, {}, 0.05, None),
+        (LoopState.ENABLING, {}, 5.0, FaultCode.NOT_ENABLED),
+        (LoopState.STOPPING, {"is_setpoint_standing": True}, 10.0, None),  # compensation that does not fade out
+        (LoopState.STOPPING, {"is_setpoint_standing": True, "is_faded_out": True}, 2.0, None),
+        (LoopState.FAULT_STOPPING, {"is_powered": True, "has_fault": True}, 5.0, FaultCode.NO_STANDSTILL),
+        (LoopState.FAULT_STOPPING, {"is_powered": True, "is_standing": True}, 0.05, None),
+        (LoopState.DISABLING, {"is_powered": True}, 2.0, FaultCode.STILL_POWERED),
+        (LoopState.DISABLING, {"is_lost_powered": True}, 5.0, None),
+        (LoopState.DISABLING, {"is_lost_unknown": True}, 1.0, None),
+        (LoopState.DISABLING, {"is_lost_powered": True, "is_lost_unknown": True}, 5.0, None),
     ],
 )
-def test_the_time_of_each_wait_is_a_number_of_its_own(state, held, seconds):
+def test_every_wait_has_a_timeout_of_its_own(state, held, seconds, code):
     """The numbers are written out here: a stop that takes twice as long by a change of one is another stop."""
     machine, period_s = RunStateMachine(is_listening=False), 1e-3
     machine.state = state
@@ -270,6 +234,11 @@ def test_the_time_of_each_wait_is_a_number_of_its_own(state, held, seconds):
         k += 1
     more_s = 2.0 if state is LoopState.STOPPING and seconds == 10.0 else 0.0  # then standstill is waited for
     assert (k - 1) * period_s == pytest.approx(seconds + more_s, abs=2.5 * period_s)
+    ends = {LoopState.IDLE: LoopState.ENABLING, LoopState.DISABLING: LoopState.DONE}
+    assert machine.state is ends.get(state, LoopState.DISABLING)
+    timeout = machine.take_timeout()
+    assert (timeout is None) if code is None else timeout.code is code
+    assert machine.take_timeout() is None
 
 
 POWERED, OFF, MOVES, STANDS = DriveState.OPERATION_ENABLED, DriveState.SWITCH_ON_DISABLED, False, True

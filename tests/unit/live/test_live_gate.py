@@ -1,4 +1,4 @@
-"""Who may ask what of the page's server, and where its token comes from."""
+"""Who may ask what of the page's server and of the Foxglove WebSocket, and where the token comes from."""
 
 import os
 import socket
