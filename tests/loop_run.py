@@ -9,6 +9,7 @@ from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Request
+from tests.messages import codes_in
 from tests.servo_drives import PERIOD_S, TRUE_FRICTION, ServoDrives, axis_dict, configuration, make_loop
 
 BELIEVED = TRUE_FRICTION | {"coulomb": 0.07, "static": 0.13, "sigma0": 2400.0, "stribeck_velocity": 0.23}
@@ -105,11 +106,9 @@ class Drives(ServoDrives):
 
 
 class Run:
-    """A run, and what there is to see of it afterwards."""
+    """A run whose faults are those of the given codes (None: any), and what there is to see of it afterwards."""
 
-    def __init__(
-        self, *axes, before=None, disturb=None, servo=None, power_off_cycles=0, on_axes=None, stop_at=None, **loop
-    ):
+    def __init__(self, *axes, before=None, on_axes=None, stop_at=None, faults=(), **given):
         self.config = configuration(**dict(zip("xyz", axes or (axis(),), strict=False)))
         stop = StopRequest()
 
@@ -119,18 +118,26 @@ class Run:
             if before is not None:
                 before(drives)
 
-        self.drives = Drives(self.config, hook, disturb=disturb, servo=servo, power_off_cycles=power_off_cycles)
-        self.loop, self.sink, self.axes = make_loop(self.config, self.drives, stop=stop, **loop)
+        of_drives = {name: given.pop(name) for name in ("disturb", "servo", "power_off_cycles") if name in given}
+        self.drives = Drives(self.config, hook, **of_drives)
+        self.loop, self.sink, self.axes = make_loop(self.config, self.drives, stop=stop, **given)
         if on_axes is not None:
             on_axes(self.axes)
         self.result = self.loop.run()
         self.commands = self.drives.commands
+        found = codes_in(self.result.faults)
+        assert faults is None or found == list(faults), f"{self.result.faults}, and not {faults}"
 
     def column(self, name, axis="x"):
         return np.array(self.sink.column(axis, name))
 
     def columns(self, *names):
         return [self.column(name) for name in names]
+
+    def running(self, *names, axis="x"):
+        """Columns of an axis while the axes run."""
+        rows = self.column("state", axis) == LoopState.RUNNING
+        return [self.column(name, axis)[rows] for name in names]
 
     def requests(self, k=0):
         """The requests to a drive, in their order, without repetitions."""
@@ -145,8 +152,8 @@ class Run:
 
     def error(self, axis="x"):
         """Following error while the axes run."""
-        running = self.column("state", axis) == LoopState.RUNNING
-        return (self.column("position_demand", axis) - self.column("position", axis))[running]
+        demand, position = self.running("position_demand", "position", axis=axis)
+        return demand - position
 
     def assert_left_disabled(self):
         assert self.drives.closed == 1

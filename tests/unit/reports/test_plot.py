@@ -129,7 +129,7 @@ def test_missed_periods_and_a_fault_are_marked(tmp_path, capsys):
         if cycle == 2300:
             feedback[0].state, feedback[0].error = feedback[0].state.FAULT, "overcurrent"
 
-    run = Run(AXES["csp"], duration_s=DURATION_S, disturb=pushed)
+    run = Run(AXES["csp"], duration_s=DURATION_S, disturb=pushed, faults=None)
     assert run.events("fault")
     path = write(tmp_path / "run.mcap", run, dropped=(700, 701, 702, 1200))
     facts = plotted(capsys, path)["axes"]["x"]
