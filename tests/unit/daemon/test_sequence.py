@@ -173,6 +173,7 @@ def test_every_run_ends_in_bounded_time(events, last, why):
 
 @settings(max_examples=60, deadline=None)
 @given(ramp=st.integers(0, 500), fade=st.integers(0, 500), moves=st.integers(0, 800))
+@example(ramp=0, fade=0, moves=800)
 def test_a_stop_waits_for_standstill_from_the_rest_of_set_point_and_compensation_on(ramp, fade, moves):
     """Cycles after the request: the axis follows its ramp, and may go on moving after that, as one that hunts does."""
     run = Run().reach(LoopState.STOPPING)

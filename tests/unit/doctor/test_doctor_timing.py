@@ -79,6 +79,7 @@ isolation, sleep_states, load = timing.isolation, timing.sleep_states, timing.pr
         (load, {0, 1}, {"proc__loadavg": ""}, "warn FH-332: "),
         (load, {0, 1}, {"proc__loadavg": "nonsense 1 2"}, "warn FH-332: "),
         (load, {0, 1}, {"proc__loadavg": "1.40 9.00 9.00 2/345 6789\n"}, "pass : "),
+        (load, {0, 1}, {"proc__loadavg": "1.80 9.00 9.00 2/345 6789\n"}, "warn FH-331: "),
         (load, {1}, {"proc__loadavg": "1.40 9.00 9.00 2/345 6789\n"}, "warn FH-331: "),  # it may use one only
         (load, {0, 1}, {"proc__loadavg": "3.00 0.10 0.10 2/345 6789\n"}, "warn FH-331: "),
     ],
@@ -121,7 +122,7 @@ def test_lists_of_processors_are_read(text, cpus):
             "4:cpu:/\n3:memory:/a",
             {"cpu__cpu.cfs_quota_us": "-1", "cpu__cpu.rt_runtime_us": "0"}
             | {"memory__a__memory.limit_in_bytes": "9223372036854771712"},
-            "warn FH-325: no real-time priority",
+            "warn FH-325: no real-time priority (?!.*memory is limited)",
         ),
         ("0::/a", {"a__cpu.max": "no numbers"}, "warn FH-326: unknown"),
         ("nonsense", {}, "warn FH-326: unknown"),

@@ -6,7 +6,7 @@ import string
 import threading
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -38,6 +38,7 @@ def test_addresses_and_names_that_were_allowed_are_served(host):
 
 
 @given(st.text(string.ascii_letters + string.digits + ".-:[]@/\\ \xe9\0", max_size=40))
+@example("evil:1:80")
 def test_no_other_name_is_served(host):
     known = host_name(host)
     is_known = known in ("localhost", "mill.example") or (known is not None and known.replace(".", "").isdigit())
