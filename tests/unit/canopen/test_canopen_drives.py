@@ -1,6 +1,8 @@
 """The driver on a bus that hands every frame to a simulated drive and back."""
 
 import re
+import subprocess
+import sys
 
 import can
 import numpy as np
@@ -178,3 +180,23 @@ def test_otherwise_it_is_told_where_the_unit_comes_from(code, keys, source):
     assert re.match(source, row.source)
     is_noted = any("60A9h" in note and "taken as absent" in note for note in facts.notes)
     assert is_noted is (code != NO_OBJECT)
+
+
+# --- reading a configuration does not wait for libraries that only an open bus needs
+
+
+CODE = """
+import sys
+sys.path[:0] = {path!r}
+from friction_hil_drivers.canopen import CanopenDrives
+from friction_hil_drivers.canopen.simulated import SimulatedCanopenDrives
+print(CanopenDrives.Options.__name__, SimulatedCanopenDrives.Options.__name__)
+print(*sorted(name for name in ("can", "canopen", "msgpack") if name in sys.modules))
+"""
+
+
+def test_the_drivers_options_need_no_bus_library() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", CODE.format(path=sys.path)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines() == ["CanopenOptions SimulationOptions", ""]

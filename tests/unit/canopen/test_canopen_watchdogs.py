@@ -5,15 +5,21 @@ Time is that of the simulated node, so nothing here depends on the speed of the 
 
 import math
 import struct
+import time
 
 import pytest
+from friction_hil_drivers.canopen.connect.watchdog_times import contradictions, watchdog_times
 from friction_hil_drivers.canopen.connect.watchdogs import Watch, feeders
+from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.cia402.access import Abort, AbortError
+from hypothesis import given
+from hypothesis import strategies as st
 
+from friction_hil.cli import main
 from friction_hil.config.schema import Realtime
 from friction_hil.drive import DriveState, Request
 from friction_hil.errors import ConfigurationError, DriveError
-from tests.canopen_bench import NODE, Bench, BenchBus, Driven
+from tests.canopen_bench import NODE, Bench, BenchBus, BusClock, Driven, TimedBus
 from tests.servo_drives import axis_dict, configuration
 
 RPDO4 = 0x505
@@ -298,3 +304,164 @@ REFUSED = {
 def test_the_refusal_names_the_cause_that_was_found(drive, lacking, cause):
     with pytest.raises(DriveError, match=cause):
         drive(**lacking)
+
+
+# --- times: longer than what the loop bridges, and not much longer
+
+
+PERIODS = st.sampled_from([2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3, 1e-2, 0.1])
+
+
+def silence_ms(period_s, max_missed, between_ms):
+    """The longest silence of a daemon that is well: between two frames, and all that it bridges in between."""
+    return between_ms + 1e3 * period_s * max_missed
+
+
+@given(PERIODS, st.integers(1, 40))
+def test_by_default_nothing_trips_while_the_loop_bridges(period_s, max_missed):
+    times = watchdog_times(period_s, max_missed)
+    period_ms = 1e3 * period_s
+    assert list(contradictions(period_s, max_missed, times)) == []
+    assert times.timer_ms > silence_ms(period_s, max_missed, times.feed_cycles * period_ms)
+    assert times.loss_ms > silence_ms(period_s, max_missed, 1e3 * times.beat_s)
+    assert times.timer_ms <= times.loss_ms <= times.timer_ms + 3, "each acts as soon as the bridged periods allow"
+    assert times.beat_s / period_s == pytest.approx(round(times.beat_s / period_s))
+    assert times.timer_ms <= max(20.0, 1.4 * period_ms * (max_missed + 2))
+    assert times.feed_cycles == 1 or times.feed_cycles * period_ms <= times.timer_ms / 4
+
+
+@given(PERIODS, st.integers(1, 40), st.floats(0.002, 2.0), st.floats(0.005, 2.0))
+def test_times_that_are_given_are_kept_or_refused(period_s, max_missed, watchdog_s, heartbeat_s):
+    times = watchdog_times(period_s, max_missed, heartbeat_s, watchdog_s)
+    assert (times.timer_ms, times.heartbeat_ms) == (round(1e3 * watchdog_s), round(1e3 * heartbeat_s))
+    refused = {key for key, _ in contradictions(period_s, max_missed, times)}
+    period_ms = 1e3 * period_s
+    if times.timer_ms <= silence_ms(period_s, max_missed, times.feed_cycles * period_ms):
+        assert "watchdog_s" in refused
+    if times.loss_ms <= silence_ms(period_s, max_missed, times.heartbeat_ms):
+        assert "heartbeat_s" in refused
+    for key, text in contradictions(period_s, max_missed, times):
+        least = float(text.split("at least ")[1].split(" s")[0])
+        given_s = {"watchdog_s": watchdog_s, "heartbeat_s": heartbeat_s}
+        again = watchdog_times(period_s, max_missed, **{**given_s, key: least})
+        assert key not in {other for other, _ in contradictions(period_s, max_missed, again)}, text
+
+
+def test_the_demo_stops_within_30_ms():
+    times = watchdog_times(1e-3, 20)
+    assert (times.timer_ms, times.feed_cycles, times.heartbeat_ms, times.loss_ms) == (25, 3, 20, 28)
+
+
+@pytest.mark.parametrize(("key", "value"), [("watchdog_s", 0.02), ("heartbeat_s", 0.01)])
+def test_a_contradiction_is_told_with_its_arithmetic(key, value):
+    times = watchdog_times(1e-3, 20, **{key: value})
+    [(found, text)] = contradictions(1e-3, 20, times)
+    assert found == key
+    assert "realtime.max_missed 20 + 2 cycles of 1 ms = 22 ms" in text
+    assert {"watchdog_s": "20 ms after the last command", "heartbeat_s": "30 ms after the last heartbeat"}[key] in text
+
+
+@given(PERIODS, st.integers(20, 2000))
+def test_the_bridged_periods_that_a_drive_can_meet_have_a_time_that_it_takes(period_s, least_ms):
+    times = watchdog_times(period_s, 1)
+    if times.timer_ms >= least_ms:
+        return
+    again = watchdog_times(period_s, times.met_by(least_ms))
+    assert again.timer_ms >= least_ms
+    fewer = times.met_by(least_ms) - 1
+    assert fewer < 1 or watchdog_times(period_s, fewer).timer_ms < least_ms
+
+
+# --- doctor --try-watchdog: what a drive does when a watchdog lapses, as far as it is seen
+
+
+class Tried(TimedBus):
+    """A drive and a computer that is busy with something else now and then, in simulated time."""
+
+    def __init__(self):
+        self.bench = Bench(is_paced_by_sync=False, manners={"timer_at_sync_only": True})
+        super().__init__([self.bench], 0.0)
+        self.stalls_ms = []
+        self.is_fed = False
+        self.states = set()
+
+    def send(self, msg, timeout=None):
+        self.is_fed = self.is_fed or msg.arbitration_id == 0x77E
+        super().send(msg, timeout)
+
+    def recv(self, timeout=None):
+        if self.is_fed and self.stalls_ms and timeout:
+            self.pass_until(self.now_ms + self.stalls_ms.pop())
+        return super().recv(timeout)
+
+    def pass_until(self, now_ms):
+        super().pass_until(now_ms)
+        self.states.add(self.bench.node.drive.state.name)
+
+
+@pytest.fixture
+def tried(monkeypatch):
+    """Try the watchdogs of a simulated drive; return the findings and the bus."""
+
+    def attempt(*, prepare=None, stalls_ms=(), answer_ms=0.0):
+        bus = Tried()
+        monkeypatch.setattr(time, "monotonic", lambda: 1e-3 * bus.now_ms)
+        monkeypatch.setattr(time, "sleep", lambda wait_s: bus.pass_until(bus.now_ms + 1e3 * wait_s))
+        if prepare is not None:
+            prepare(bus.bench.node)
+        config = configuration(x=axis_dict(node=NODE))
+        drives = CanopenDrives(config, config.axes, BusClock(bus), dry_run=False, bus=bus)
+        drives.connect()
+        bus.stalls_ms, bus.answer_ms = list(stalls_ms), answer_ms
+        try:
+            return list(drives.try_own_watchdogs("x")), bus
+        finally:
+            drives.close()
+            bus.shutdown()
+
+    return attempt
+
+
+def results(findings):
+    return [(finding.result, finding.code) for finding in findings]
+
+
+@pytest.mark.parametrize("answer_ms", [0.0, 15.0, 60.0])
+def test_each_means_is_tried_and_what_was_seen_is_told(tried, answer_ms):
+    (rpdo, heartbeat), bus = tried(answer_ms=answer_ms)
+    assert (rpdo.check, rpdo.result, rpdo.code) == ("x: RPDO 4", "warn", "FH-443")
+    assert "8250h" in rpdo.detail
+    assert "no reaction seen without torque" in rpdo.detail
+    assert (heartbeat.check, heartbeat.result) == ("x: heartbeat (1016h:01)", "pass"), heartbeat.detail
+    assert "NMT state pre-operational" in heartbeat.detail
+    assert "OPERATION_ENABLED" not in bus.states  # no torque at any time
+    assert "SWITCHED_ON" in bus.states
+    assert bus.bench.node.drive.state.name == "SWITCH_ON_DISABLED"
+
+
+SEEN, ALWAYS_LATE = [("warn", "FH-443"), ("pass", "")], [("warn", "FH-442")] * 2
+
+
+@pytest.mark.parametrize(("stalls", "expected"), [(1, SEEN), (2, SEEN), (1000, ALWAYS_LATE)])
+def test_a_drive_that_this_computer_fed_too_late_is_tried_again(tried, stalls, expected):
+    """A computer that is always late proves nothing."""
+    findings, bus = tried(stalls_ms=[300.0] * stalls)
+    assert results(findings) == expected, findings
+    assert bool(bus.stalls_ms) is (stalls == 1000)
+    assert stalls < 1000 or all("this computer fed the drive" in finding.detail for finding in findings)
+
+
+def test_a_watchdog_that_does_nothing_is_not_said_to_work(tried):
+    def keep_quiet(node):
+        node.dictionary.at(0x1029, 1).value = 1  # stays in Operational
+        node.dictionary.at(0x1014, 0).value |= 0x80000000
+
+    findings, bus = tried(prepare=keep_quiet)
+    assert results(findings) == [("fail", "FH-442")] * 2
+    assert all("not seen to act" in finding.detail for finding in findings)
+    assert "OPERATION_ENABLED" not in bus.states
+
+
+def test_without_a_configuration_there_is_nothing_to_try(capsys):
+    assert main(["doctor", "--try-watchdog"]) == 2
+    assert "--try-watchdog needs CONFIG" in capsys.readouterr().err

@@ -83,17 +83,19 @@ def test_a_unit_of_velocity_is_decoded_with_its_prefix(code, scale, measure, tex
     assert signed == unit
 
 
-def test_zero_says_nothing_and_an_unknown_code_is_no_unit():
-    assert decode_velocity_unit(0) is None
-    assert decode_position_unit(0) is None
-    for decode, code in (
+@pytest.mark.parametrize(
+    ("decode", "code"),
+    [
         (decode_velocity_unit, 0x00B50000),  # a position
         (decode_position_unit, 0x00B50300),  # a velocity
         (decode_velocity_unit, 0x00770300),
         (decode_velocity_unit, 0x00B57700),
-    ):
-        with pytest.raises(ValueError, match=f"{code:08X}h"):
-            decode(code)
+    ],
+)
+def test_zero_says_nothing_and_an_unknown_code_is_no_unit(decode, code):
+    assert decode(0) is None
+    with pytest.raises(ValueError, match=f"{code:08X}h"):
+        decode(code)
 
 
 @given(st.integers(-12, 12), st.sampled_from([0x01, 0x10, 0x41, 0xB4, 0xB5]), st.sampled_from([0x03, 0x47, 0x48]))

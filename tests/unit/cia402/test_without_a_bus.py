@@ -18,7 +18,7 @@ from friction_hil_drivers.cia402.codec import (
 )
 from friction_hil_drivers.cia402.journal import Journal
 from friction_hil_drivers.cia402.load_encoder import LoadEncoderOptions, require_object, with_scale
-from friction_hil_drivers.cia402.objects import DataType, Object
+from friction_hil_drivers.cia402.objects import INTERPOLATION_EXPONENT, INTERPOLATION_PERIOD, DataType, Object
 from friction_hil_drivers.cia402.options import DriveOptions, Identity
 from friction_hil_drivers.cia402.preparation import (
     check_mode,
@@ -200,17 +200,14 @@ def test_settings_are_restored_by_the_run_after_one_that_was_killed(tmp_path: Pa
 def test_what_a_drive_lacks_hides_or_refuses_is_told_apart() -> None:
     drive = InMemory()
     absent = Object(0x2000, "nothing", DataType.UNSIGNED16)
-    assert drive.find(absent) is None
-    assert drive.notes == []
+    assert (drive.find(absent), drive.notes) == (None, [])
     drive.dictionary.of(objects.POLARITY).access = "wo"
     assert drive.find(objects.POLARITY) is None
     assert drive.hidden_width(objects.POLARITY) == 8
     assert drive.try_write(objects.POLARITY, 0x80) is False
-    with pytest.raises(DriveError, match="a drive in memory lacks object 2000h nothing"):
+    with pytest.raises(DriveError, match="2000h nothing"):
         drive.read(absent)
-    with pytest.raises(
-        RefusedError, match=f"writing 1 to 6041h statusword of a drive in memory: {Abort.READ_ONLY:08X}h"
-    ):
+    with pytest.raises(RefusedError, match=f"6041h statusword of a drive in memory: {Abort.READ_ONLY:08X}h"):
         drive.write(objects.STATUSWORD, 1)
     with pytest.raises(AbortError) as refusal:
         drive.write_object(objects.CONTROLWORD, b"\0")
@@ -227,3 +224,40 @@ def test_a_second_encoder_and_a_temperature_are_objects_like_others() -> None:
     assert note.endswith("counts per rad (60E6h)")
     drive.dictionary.of(objects.SIMULATED_MOTOR_TEMPERATURE).value = 456
     assert read_first(drive, TemperatureOptions(index=0x5FF0, scale=0.1)) == pytest.approx(45.6)
+
+
+# --- an order of restoring that the drive accepts
+
+
+class Interpolator:
+    """Access to a drive that refuses a value of 60C2h by which it would interpolate over less than 0.1 ms."""
+
+    axis, where = "x", "node 5 on can0"
+
+    def __init__(self) -> None:
+        self.values = {INTERPOLATION_PERIOD.address: b"\x01", INTERPOLATION_EXPONENT.address: b"\xfd"}  # 1 ms
+
+    def peek(self, entry):
+        return self.values.get(entry.address, b"\x07\0\0\0")
+
+    def download(self, entry, data):
+        values = {**self.values, entry.address: data}
+        period, exponent = (
+            int.from_bytes(values[each.address], "little", signed=True)
+            for each in (INTERPOLATION_PERIOD, INTERPOLATION_EXPONENT)
+        )
+        if entry == INTERPOLATION_PERIOD and period * 10.0**exponent < 0.99e-4:
+            raise RefusedError("refused")
+        self.values = values
+
+
+def test_a_setting_that_needs_another_one_first_is_restored_after_it(tmp_path) -> None:
+    drive = Interpolator()
+    before = dict(drive.values)
+    journal = Journal(drive, lambda identity: tmp_path / f"{identity}.json")
+    for entry, data in ((INTERPOLATION_EXPONENT, b"\xfb"), (INTERPOLATION_PERIOD, b"\x19")):  # 0.25 ms
+        journal.before(entry, data)
+        drive.download(entry, data)
+
+    assert journal.restore() == []
+    assert drive.values == before
