@@ -280,9 +280,8 @@ def test_gain_and_back_emf_of_a_model_apply_to_its_signal(tmp_path: Path, monkey
         (found,) = replay(volts, {name: files[name]}).predictions
         assert found.rmse == pytest.approx(expected.rmse)
         np.testing.assert_allclose(found.measured - found.torque, expected.measured - expected.torque, atol=1e-9)
-        assert found.relative_error == pytest.approx(
-            np.linalg.norm(found.measured - found.torque) / np.linalg.norm(gain * volts["torque"])
-        )
+        relative = np.linalg.norm(found.measured - found.torque) / np.linalg.norm(gain * volts["torque"])
+        assert found.relative_error == pytest.approx(relative)
 
 
 def test_the_daemons_recordings_are_in_torque_whatever_the_model_came_from(tmp_path: Path) -> None:

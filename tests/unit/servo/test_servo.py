@@ -51,9 +51,6 @@ def stream(one, mode, targets, offset=0.0):
     return np.array(rows)
 
 
-# --- mechanics
-
-
 @pytest.mark.parametrize("lag", [0.0, 3e-4, 5e-3])
 def test_a_torque_step_accelerates_by_torque_over_inertia(lag):
     one, t = servo(friction=FREE, motor={"torque_lag_s": lag}), 0.01
@@ -153,9 +150,6 @@ def test_a_coasting_servo_only_loses_energy(torque, milliseconds):
     assert abs(one.true_velocity) < spun_up(servo(), milliseconds, torque).true_velocity
 
 
-# --- encoder
-
-
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-100.0, 100.0), st.sampled_from([64, 4096, 1048576]))
 def test_the_encoder_counts_whole_steps_downward(position, counts):
@@ -177,9 +171,6 @@ def test_the_drives_velocity_follows_the_true_one():
     # behind by half a control sample, the filter's delay and what has passed since the last sample
     behind = 1.0 / (2.0 * math.pi * 1000.0) + 1.5 / 8000.0
     assert one.true_velocity - one.velocity == pytest.approx(0.02 / J * behind, rel=0.3)
-
-
-# --- interpolation
 
 
 def test_a_position_target_is_the_demand_one_and_a_half_periods_later():
@@ -278,9 +269,6 @@ def test_a_period_that_is_no_whole_number_of_steps_is_refused():
             servo().set_period(period_s)
 
 
-# --- loops and safety of the drive
-
-
 def test_quick_stop_comes_to_rest_at_its_deceleration_and_holds_against_a_load():
     one = servo(mechanics={"load_torque": 0.2})
     stream(one, CSP, 10.0 * 1e-3 * np.arange(400))
@@ -376,9 +364,6 @@ def test_a_change_of_mode_in_motion_does_not_jump(first, second):
     assert abs(one.torque_demand) < 1.0
 
 
-# --- determinism
-
-
 @settings(max_examples=40, deadline=None)
 @given(commands)
 def test_same_calls_same_bits_however_the_steps_are_cut(orders):
@@ -390,9 +375,6 @@ def test_same_calls_same_bits_however_the_steps_are_cut(orders):
             cut.advance(1)
     for name in ("true_position", "true_velocity", "torque", "position_demand", "velocity_demand", "velocity"):
         assert getattr(whole, name) == getattr(cut, name)
-
-
-# --- configuration
 
 
 @pytest.mark.parametrize(

@@ -74,9 +74,6 @@ def residual(both, at_start):
     return e.stored - at_start - (e.motor_work + e.load_work - e.friction_heat - e.coupling_heat)
 
 
-# --- gantry
-
-
 def test_a_gantry_translates_as_one_mass():
     """Pushed evenly through its centre of mass, it gains F t / m and does not yaw."""
     both = couple({**GANTRY, "payload": {"mass": 10.0, "position": 0.0}}, inertias=(5.0, 5.0))
@@ -148,9 +145,6 @@ def test_a_gantry_of_two_separate_masses_is_two_single_servos(friction):
             alone.advance(80)
             assert one.true_position == pytest.approx(alone.true_position, abs=1e-9)
             assert one.position_demand == alone.position_demand
-
-
-# --- arm
 
 
 def test_a_two_link_arm_moves_as_in_mujoco():
@@ -252,8 +246,6 @@ def test_an_arm_under_gravity_is_held_by_its_brakes_and_falls_without_power(brak
     assert [one.true_position == at for one, at in zip(both.servos, (1.2, 0.3), strict=True)] == [brake, brake]
 
 
-# --- energy
-
 LINKS = st.fixed_dictionaries(
     {"length": st.floats(0.1, 1.0), "mass": st.floats(0.1, 10.0)}
     | {"center": st.floats(-0.3, 1.0), "inertia": st.floats(0.0, 0.5)}
@@ -303,9 +295,6 @@ def test_no_mechanism_creates_energy(mechanism, start, inertias, levels, torques
         scale = max(scale, abs(now.stored), exchanged)
         assert abs(residual(both, at_start.stored)) < 1e-9 * scale
         before = now
-
-
-# --- time and configuration
 
 
 @pytest.mark.parametrize("mechanism", [ARM, GANTRY], ids=lambda each: each["kind"])

@@ -54,9 +54,6 @@ def residual(one, at_start=0.0):
     return e.stored - at_start - (e.motor_work + e.load_work - e.friction_heat - e.load_friction_heat - e.coupling_heat)
 
 
-# --- which kernel
-
-
 def test_a_default_servo_is_rigid_and_each_part_makes_it_a_machine():
     assert ServoConfig().is_rigid
     mechanics = (
@@ -78,9 +75,6 @@ def test_a_default_servo_is_rigid_and_each_part_makes_it_a_machine():
         assert not ServoConfig.model_validate(parts).is_rigid, parts
     with pytest.raises(UsageError, match="keeps no account"):
         _ = Servo(ServoConfig()).energy
-
-
-# --- integration
 
 
 def test_smooth_motion_is_integrated_to_second_order():
@@ -152,8 +146,6 @@ def test_pendulum_on_an_elastic_shaft_moves_as_in_mujoco():
         assert one.true_position == pytest.approx(data.qpos[0], abs=2e-5)
         assert one.load_position == pytest.approx(data.qpos[0] + data.qpos[1], abs=2e-5)
 
-
-# --- energy
 
 STATIC = st.tuples(st.floats(0.0, 0.2), st.floats(0.0, 0.1), st.floats(0.0, 5e-3)).map(
     lambda x: coulomb(x[0], x[0] + x[1], x[2])
@@ -274,9 +266,6 @@ def test_a_swinging_arm_of_varying_inertia_keeps_its_energy(angle, order, swing,
     assert swinging(angle, order, swing, spring) < 2e-4
 
 
-# --- limit cycles
-
-
 def test_stick_slip_is_the_cycle_of_the_phase_plane():
     """A mass pulled by a spring at constant speed: amplitude and period as the exact orbit between stick and slip.
 
@@ -350,9 +339,6 @@ def test_backlash_in_the_position_loop_cycles_as_its_describing_function_says():
     frequency = 2.0 * math.pi / np.mean(np.diff(crossings))
     assert amplitude == pytest.approx(predicted[0], rel=0.15)
     assert frequency == pytest.approx(predicted[1], rel=0.1)
-
-
-# --- load and gear
 
 
 def test_an_external_torque_is_the_sine_and_the_steps_that_are_given():
@@ -469,9 +455,6 @@ def test_the_encoder_is_where_the_configuration_puts_it(at, is_load):
     assert 0.0 <= where - one.position < resolution
     rate = one.load_velocity if at == "load" else one.true_velocity
     assert one.velocity == pytest.approx(rate, rel=0.15)
-
-
-# --- configuration
 
 
 @pytest.mark.parametrize(

@@ -60,9 +60,6 @@ def jacobian_of(p, run, is_free):
     return rows[:, :weights]
 
 
-# --- the step and its derivative
-
-
 @each_structure
 def test_training_runs_the_step_of_the_model(structure):
     data = samples()
@@ -179,9 +176,6 @@ def test_weights_leave_samples_out():
     assert mean == pytest.approx(matrix[size - 1, size - 1], rel=1e-12)
 
 
-# --- safety
-
-
 @settings(max_examples=40, deadline=None)
 @given(
     st.sampled_from(sorted(STRUCTURES)),
@@ -287,9 +281,6 @@ def test_a_limit_cycle_at_rest_is_seen():
     assert rest.late_change > 0.0
 
 
-# --- normal equations and search
-
-
 @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (7, 5), (64, 82), (33, 41)])
 def test_products_are_those_of_numpy(rows, columns):
     random = np.random.default_rng(rows)
@@ -354,9 +345,6 @@ def test_the_search_is_not_changed_by_the_units_of_its_numbers():
     assert costs[1] == pytest.approx(costs[0], rel=1e-6)
 
 
-# --- what is refused
-
-
 @pytest.mark.parametrize(
     ("make", "complaint"),
     [
@@ -375,9 +363,6 @@ def test_the_search_is_not_changed_by_the_units_of_its_numbers():
 def test_what_is_wrong_is_refused(make, complaint):
     with pytest.raises(UsageError, match=complaint):
         make()
-
-
-# --- excitation
 
 
 @settings(max_examples=25, deadline=None)

@@ -5,7 +5,7 @@ import copy
 import math
 import re
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -158,10 +158,8 @@ def test_one_count_of_the_encoder_is_no_harm(rms, peak, is_worse):
 
 def lowered(name="x"):
     """The daemon's own warning."""
-    before, after = (
-        SimpleNamespace(trained_speed=math.inf, has_residual=False, gain_factor=each) for each in (1.0, 0.8)
-    )
-    return CompensationNotices(name, "rad", before).next(after, 0.0)
+    guarded = partial(SimpleNamespace, trained_speed=math.inf, has_residual=False)
+    return CompensationNotices(name, "rad", guarded(gain_factor=1.0)).next(guarded(gain_factor=0.8), 0.0)
 
 
 @pytest.mark.deep
@@ -184,9 +182,8 @@ def test_an_oscillation_in_a_pause_belongs_to_the_motion_before(without):
 
 def test_all_motions_with_harm_are_named_in_one_sentence(without) -> None:
     events = [(start_of(name) + 1.0, "warning", lowered()) for name in ("slow", "tiny", "tiny")]
-    trial = judged(
-        without, recorded({"own": wave(1e-3), "rests": lambda _: 2e-3, "fast": lambda _: 2e-3}, events=events)
-    )
+    errors = {"own": wave(1e-3), "rests": lambda _: 2e-3, "fast": lambda _: 2e-3}
+    trial = judged(without, recorded(errors, events=events))
     swinging, worse = trial.problems
     assert "oscillates by its compensation in the motions 'slow', 'tiny'" in swinging
     assert "the motions 'rests', 'fast' is larger" in worse
