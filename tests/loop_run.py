@@ -106,9 +106,9 @@ class Drives(ServoDrives):
 
 
 class Run:
-    """A run whose faults are those of the given codes (None: any), and what there is to see of it afterwards."""
+    """A run whose faults are those of the given codes (None: any) and which disables its drives, and what it left."""
 
-    def __init__(self, *axes, before=None, on_axes=None, stop_at=None, faults=(), **given):
+    def __init__(self, *axes, before=None, on_axes=None, stop_at=None, faults=(), is_left_disabled=True, **given):
         self.config = configuration(**dict(zip("xyz", axes or (axis(),), strict=False)))
         stop = StopRequest()
 
@@ -127,6 +127,8 @@ class Run:
         self.commands = self.drives.commands
         found = codes_in(self.result.faults)
         assert faults is None or found == list(faults), f"{self.result.faults}, and not {faults}"
+        if is_left_disabled and not given.get("dry_run"):
+            self.assert_left_disabled()
 
     def column(self, name, axis="x"):
         return np.array(self.sink.column(axis, name))

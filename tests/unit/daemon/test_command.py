@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from types import SimpleNamespace
 
 import pytest
 
@@ -22,22 +23,13 @@ ENABLING, FIRST_MOTION = LoopState.ENABLING, LoopState.FIRST_MOTION
 RESTING = [state for state in LoopState if state not in MOVING]
 
 
-class Motion:
-    """A path that demands always the same."""
-
-    def __init__(self, sent=None):
-        self.has_setpoint, self.sent = True, sent
-
-    def to_send(self, time_s):
-        return self.sent
-
-
 class Axis:
     """One axis; each call of `write` is a cycle."""
 
     def __init__(self, mode="csp", weight=WEIGHT, slew=STEP / PERIOD_S, sent=None, velocity=30.0):
         config = configuration(x=axis_dict(mode=mode, **CONTROLLERS[mode])).axes["x"]
-        self.writer = CommandWriter(config, SafetyLimits(1.0, velocity, slew), Motion(sent), PERIOD_S, 0.0)
+        path = SimpleNamespace(has_setpoint=True, to_send=lambda time_s: sent)  # demands always the same
+        self.writer = CommandWriter(config, SafetyLimits(1.0, velocity, slew), path, PERIOD_S, 0.0)
         if weight:  # without a fade from what was before
             self.writer.adopt(level(weight), 0.0, 0.0)
             self.writer.adopt(level(weight), PERIOD_S, 0.0)

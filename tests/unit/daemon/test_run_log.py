@@ -24,19 +24,15 @@ from friction_hil.recordings import columns
 from tests.messages import codes_in
 
 
-class Events:
-    """A sink that keeps events."""
-
-    def __init__(self):
-        self.events = []
-
-    def event(self, cycle, name, text):
-        self.events.append((cycle, name, text))
-
-
 @pytest.fixture
 def sink():
-    return Events()
+    """A sink that keeps events."""
+    return keeping()
+
+
+def keeping():
+    events = []
+    return SimpleNamespace(events=events, event=lambda *event: events.append(event))
 
 
 @pytest.fixture
@@ -97,7 +93,7 @@ def test_what_was_asked_for_and_learned_leaves_room_for_what_a_drive_says(sink, 
 
 @given(st.lists(st.integers(0, 5000), max_size=60).map(sorted))
 def test_the_same_message_of_a_drive_counts_each_time(cycles):
-    sink = Events()
+    sink = keeping()
     log = RunLog(sink, 1e-3)
     for cycle in cycles:
         log.notice(cycle, "x: emergency 2310h overcurrent")

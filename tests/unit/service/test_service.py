@@ -1,5 +1,6 @@
 """Files of a service of systemd, and the messages to it."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -7,6 +8,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -124,13 +126,10 @@ def test_nobody_else_reads_the_copy_of_a_token(configuration, tmp_path, umask):
 
 
 @pytest.mark.parametrize("name", ["", "../x", "a/b", "x y", ".x", "-x", "x" * 49, "x\n", "é"])
-def test_a_name_that_is_none_writes_nothing(name, configuration, tmp_path):
+def test_a_name_that_is_none_writes_nothing_and_a_daemon_may_be_called_as_its_service(name, configuration, tmp_path):
     with pytest.raises(UsageError, match="name of a service"):
         installed(tmp_path / "root", configuration, name)
     assert not (tmp_path / "root").exists()
-
-
-def test_a_daemon_may_be_called_as_its_service(configuration, tmp_path):
     installed(tmp_path / "root", configuration, "x-axis_1.b")
     assert services(tmp_path / "root") == ["x-axis_1.b"]
     assert is_name("x-axis_1.b")
@@ -256,17 +255,6 @@ def test_services_that_are_not_active_are_exit_status_1(tmp_path, monkeypatch, c
     assert "unknown: no bus" in capsys.readouterr().err
 
 
-class _Rows:
-    def __init__(self):
-        self.rows, self.events = 0, []
-
-    def push(self, row):
-        self.rows += 1
-
-    def event(self, cycle, name, text):
-        self.events.append((cycle, name, text))
-
-
 @pytest.fixture
 def manager_socket(tmp_path):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
@@ -277,18 +265,17 @@ def manager_socket(tmp_path):
 
 def received(listening):
     messages = []
-    while True:
-        try:
+    with contextlib.suppress(BlockingIOError):
+        while True:
             messages.append(listening.recv(4096).decode())
-        except BlockingIOError:
-            return messages
+    return messages
 
 
 def test_rows_and_nothing_else_feed_the_watchdog(manager_socket):
     environment = {"NOTIFY_SOCKET": manager_socket.getsockname(), "WATCHDOG_USEC": "2000000"}
-    manager = ServiceManager.from_environment(environment)
-    rows = _Rows()
-    sink = NotifyingSink(rows, manager, 1e-3)
+    manager, rows, events = ServiceManager.from_environment(environment), [], []
+    behind = SimpleNamespace(push=rows.append, event=lambda *event: events.append(event))
+    sink = NotifyingSink(behind, manager, 1e-3)
     sink.event(0, "state", "idle")
     for _ in range(1000):
         sink.push(np.zeros(1))
@@ -296,7 +283,7 @@ def test_rows_and_nothing_else_feed_the_watchdog(manager_socket):
     sink.event(1, "fault", "x: the drive\nis gone")
     sink.event(1, "warning", "late")
     assert received(manager_socket) == ["STATUS=fault: x: the drive is gone"]
-    assert (rows.rows, len(rows.events)) == (1000, 3)
+    assert (len(rows), len(events)) == (1000, 3)
     manager.close()
 
 
