@@ -74,10 +74,11 @@ def test_closed_standard_streams_are_no_mistake(redirections, tmp_path):
     assert (tmp_path / "b.csv").read_text() == "time_s,torque\n0.0,1.0\n"
 
 
-def test_the_module_is_the_command():
+def test_the_module_is_the_command(capsys):
     words = [sys.executable, "-m", "friction_hil", "--version"]
     run = subprocess.run(words, capture_output=True, text=True, check=True)
-    assert run.stdout == f"friction-hil {__version__}\n"
+    assert main(["--version"]) == 0
+    assert run.stdout == capsys.readouterr().out == f"friction-hil {__version__}\n"
 
 
 @pytest.mark.parametrize(
