@@ -69,6 +69,9 @@ def test_a_position_is_integrated_over_gaps_and_holes_of_the_velocity() -> None:
     moved = read["position"][2000] - read["position"][200]
     assert moved == pytest.approx(POSITION[2000] - POSITION[200], abs=1e-3)
     assert with_position(read) is read
+    kept = np.r_[0:1000, 1500:3000]
+    gapped = with_position(Recording("x.csv", "x", {"time_s": TIME[kept], "velocity": VELOCITY[kept]}))
+    assert gapped["position"][1000] == gapped["position"][999]  # nobody knows how far it went
 
 
 @pytest.mark.parametrize(("lowest", "held", "count"), [(0.2, {}, 1), (0.2, {"offset": 0.0}, 0), (-2.0, {}, 0)])
