@@ -75,6 +75,14 @@ def test_a_register_read_again_has_the_bits_it_had(values: np.ndarray, name: str
         assert again.tolist() == values.view(right).ravel().tolist()
 
 
+@pytest.mark.parametrize("value", [-32769.0, 65536.0])
+def test_what_fits_into_no_register_is_refused(value: float) -> None:
+    product = product_of("x:int16", {"x"})
+    assert product.values({"x": np.array([-32768.0, 65535.0])}).tolist() == [-32768.0, -1.0]
+    with pytest.raises(UsageError, match="x is no register of 16 bits"):
+        product.values({"x": np.array([value])})
+
+
 @pytest.mark.parametrize(
     ("source", "there", "terms", "factor"),
     [
