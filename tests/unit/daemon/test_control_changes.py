@@ -152,11 +152,10 @@ def alone():
 
 def test_no_change_makes_the_loop_compile(changed):
     """The kernel runs for the record of any model: it was compiled before the loop began."""
-    known = len(kernel.whole_step.signatures)
-    axis = changed.axes[0]
-    record = unpack(pack(Change(1, axes=[AxisChange(None, axis.compensator.record)])), [axis.compensator.record])
-    axis.compensator.adopt(record.axes[0].record, None)
-    axis.compensator.step(9999.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, False)
+    known, one = len(kernel.whole_step.signatures), changed.axes[0].compensator
+    record = unpack(pack(Change(1, axes=[AxisChange(None, one.record)])), [one.record])
+    one.adopt(record.axes[0].record, None)
+    one.step(9999.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, False)
     assert len(kernel.whole_step.signatures) == known
 
 

@@ -58,10 +58,8 @@ def late_frames(*cycles):
 def test_a_frame_of_the_cycle_before_is_neither_a_fault_nor_double_speed(mode):
     changes = moving(mode, 2.5) | {"trajectory": SINE | {"amplitude": 0.4}}
     run = Run(axis(mode, **changes), disturb=late_frames(*range(200, 1500, 37)), duration_s=1.5)
-    (estimate, expected), (demand, _) = (
-        [one.column(name)[one.column("state") == LoopState.RUNNING] for one in (run, smooth(mode, 1.5, **changes))]
-        for name in ("velocity_estimate", "velocity_demand")
-    )
+    estimate, demand = run.running("velocity_estimate", "velocity_demand")
+    (expected,) = smooth(mode, 1.5, **changes).running("velocity_estimate")
     assert np.abs(estimate).max() < 1.35 * np.abs(demand).max()
     count = min(expected.size, estimate.size)
     # double speed would be an error of 1.26 rad/s; in cst the loop's own controller acts on the late position
@@ -182,7 +180,7 @@ def test_an_axis_that_goes_on_by_itself_over_missed_periods_finds_its_path_where
     changes = moving(mode, 5.0)
     run = stalled({700: 5, 1100: 9}, axis(mode, **changes), duration_s=2.0)
     assert run.result.missed == 14
-    assert np.all(run.column("path_lag_s")[run.column("state") == LoopState.RUNNING] == 0.0)
+    assert not run.running("path_lag_s")[0].any()
     assert np.abs(run.error()).max() < 1.2 * np.abs(smooth(mode, **changes).error()).max()
 
 

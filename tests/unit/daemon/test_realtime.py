@@ -115,8 +115,7 @@ class _Memory:
     """The C library's, as far as it locks memory."""
 
     def __init__(self, refusal):
-        self._refusal = refusal
-        self.munlockall = lambda: 0
+        self._refusal, self.munlockall = refusal, lambda: 0
 
     def mlockall(self, flags):
         ctypes.set_errno(self._refusal)
