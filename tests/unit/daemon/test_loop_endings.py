@@ -166,15 +166,16 @@ def reads_back(*states):
     return lambda drives: setattr(drives, "read_back", states or None)
 
 
-def test_a_drive_whose_line_is_gone_is_unknown_and_nothing_else():
+@pytest.mark.parametrize(
+    ("states", "faults"),
+    [([DriveState.UNKNOWN], ["x FH-103", "x FH-120"]), ([], ["x FH-103"])],
+    ids=["read back", "not"],
+)
+def test_a_drive_whose_line_is_gone_is_unknown_and_nothing_else(states, faults):
     gone = {"is_fresh": False, "state": DriveState.OPERATION_ENABLED, "missing": "the line is gone"}  # the last state
-    run = Run(
-        disturb=heard(400, **gone),
-        before=reads_back(DriveState.UNKNOWN),
-        duration_s=2.0,
-        faults=["x FH-103", "x FH-120"],
-    )
+    run = Run(disturb=heard(400, **gone), before=reads_back(*states), duration_s=2.0, faults=faults)
     assert "the line is gone" in run.result.faults[0]
+    assert run.result.drive_states == [DriveState.UNKNOWN]
 
 
 def test_only_gaps_that_ended_count_as_bridged_and_the_reasons_are_named():
