@@ -117,6 +117,7 @@ def test_the_loss_is_that_of_the_difference_between_the_directions():
     converted = fh.export.convert(file, "mjcf", name="x", speed=1.0)
     loss = converted.loss
     assert (loss.rms, loss.between_directions, abs(loss.largest)) == pytest.approx((0.1, 0.1, 0.1))
+    assert loss.relative == pytest.approx(0.1 / np.sqrt(0.5 * (1.1**2 + 0.9**2)))  # of the RMS of the torque
     assert converted.parameters["frictionloss"] == pytest.approx(1.0)
     assert fh.export.convert(file, "csv", name="x").loss.rms < 1e-9
 
