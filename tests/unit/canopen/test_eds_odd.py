@@ -102,6 +102,7 @@ edits = st.tuples(
 @example(("1A00sub0", "DefaultValue", "4000000000"))
 @example(("1600", "CompactSubObj", "254"))
 @example(("1010Name", "NrOfEntries", "4000000000"))
+@example(("1010Name", "NrOfEntries", "2"))
 @example(("Comments", "Lines", "4000000000"))
 @example(("comments", "Lines", "x"))
 @example(("1600sub0", "ParameterValue", "-4000000000"))

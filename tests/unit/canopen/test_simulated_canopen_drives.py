@@ -54,7 +54,7 @@ def make() -> Iterator[Callable[..., Drives]]:
 def test_all_nodes_answer_a_sync_in_order_and_a_remote_frame_reaches_its_node(make: Any, pace: str) -> None:
     one = make(pace)
     assert one.drives.open().startswith("a=node 3, b=node 4 on virtual simulated-")
-    assert one.heard() == [(0x703, "00"), (0x704, "00")]
+    assert one.run(1) == [(0x703, "00"), (0x704, "00")]
     one.send(0x704, is_remote_frame=True, dlc=1)
     for node in (3, 4):
         one.send(0x600 + node, "2f00180201000000")
