@@ -16,8 +16,10 @@ from friction_hil.recordings import Recording
 from friction_hil.recordings.quality import resolution
 from friction_hil.recordings.segments import (
     LEAST_KNOWN_FRACTION,
+    NOISE_RATIO,
     EvenSignals,
     Segment,
+    acceleration_noise,
     default_decimation,
     even_signals,
     is_position_integrated,
@@ -30,7 +32,6 @@ Mask = NDArray[np.bool_]
 LEAST_ROWS = 50  # after decimation: below, errors of parameters and folds of cross-validation mean nothing
 _STEADY_RATIO = 0.02  # of the top speed: if the speed changes by less, the end of a segment is steady
 _SLOW = ("load_torque", "temperature", "position_demand")  # used where they are known
-_NOISE_RATIO = 0.2  # of the acceleration: more noise of the counts makes an inertia too small
 _CUT_STEP, _LEAST_CUT = 0.8, 0.1  # of the low-pass, for the acceleration alone
 
 
@@ -100,7 +101,7 @@ def prepare(
     recording: Recording,
     *,
     # Cut-off of the zero-phase low-pass; velocity and acceleration then come from the position. None: the recorded
-    # velocity is used, or where there is none, a tenth of the sampling rate.
+    # velocity is used, or where there is none, what `even_signals` takes.
     lowpass_hz: float | None = None,
     # keep each n-th row, the models run at the full rate; None: 10, or less in a short recording
     decimation: int | None = None,
@@ -195,22 +196,13 @@ def _thinned(segment: RegressionSegment) -> RegressionSegment:
         return replace(segment, is_thinned=True)
     velocity, acceleration = _derivatives(segment.position, segment.dt)
     cut_hz = segment.lowpass_hz
-    while _noise(segment, cut_hz) > _NOISE_RATIO * np.std(acceleration) and cut_hz > _LEAST_CUT * segment.lowpass_hz:
+    step, least_hz = segment.resolution or 0.0, _LEAST_CUT * cut_hz
+    while acceleration_noise(step, cut_hz, segment.rate_hz) > NOISE_RATIO * np.std(acceleration) and cut_hz > least_hz:
         # an acceleration with the noise of the counts would make the inertia too small; what it misses of a fast one
         # is not correlated with the rest, and only adds to the residual
         cut_hz *= _CUT_STEP
         acceleration = _derivatives(filtering.lowpass(segment.position, cut_hz, segment.rate_hz), segment.dt)[1]
     return replace(segment, is_thinned=True, velocity=velocity, acceleration=acceleration)
-
-
-def _noise(segment: RegressionSegment, cut_hz: float) -> float:
-    """Return the standard deviation of the acceleration of a low-passed position that is due to its counts.
-
-    White noise of variance q^2 / 12 up to half the sampling rate, twice differentiated up to ``cut_hz``.
-    """
-    step = segment.resolution or 0.0
-    share = math.sqrt(2.0 * cut_hz / segment.rate_hz / 5.0)
-    return step / math.sqrt(12.0) * share * (math.tau * cut_hz) ** 2
 
 
 def _derivatives(position: Array, dt: float) -> tuple[Array, Array]:

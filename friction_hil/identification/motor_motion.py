@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array, compiled
 from friction_hil.recordings.quality import resolution
-from friction_hil.recordings.segments import Segment, between_counts
+from friction_hil.recordings.segments import Segment, acceleration_noise, between_counts
 
 Force = Callable[[Array, float], Array]
 
@@ -111,9 +111,7 @@ def _cutoff(torque: Array, inertia: float, count: float, rate: float) -> float |
     """Return the highest frequency at which counts of the encoder make little torque; None if there is none."""
     cutoff, least = _TOP_RATIO * rate, _LEAST_RATIO * rate
     while cutoff > least:
-        # white noise of variance q^2 / 12 up to half the sampling rate, twice differentiated up to the cut-off
-        noise = count / math.sqrt(12.0) * math.sqrt(0.4 * cutoff / rate) * (math.tau * cutoff) ** 2
-        if inertia * noise <= _NOISE * float(np.std(torque)):
+        if inertia * acceleration_noise(count, cutoff, rate) <= _NOISE * float(np.std(torque)):
             return cutoff
         cutoff *= _STEP
     return None

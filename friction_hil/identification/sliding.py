@@ -20,6 +20,7 @@ from friction_hil.identification.compliance import sandwich
 from friction_hil.identification.data import RegressionSegment, moved_since_reversal
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
+from friction_hil.recordings.segments import acceleration_noise
 
 LOW_HZ = 12.0  # of the low-pass: the load follows the motor as one mass
 WIDE_HZ = 100.0
@@ -136,10 +137,15 @@ class SlidingMechanics:
     sine: float  # of gravity, N m; 0 if not fitted
     cosine: float  # of gravity, N m; 0 if not fitted
     has_swing: bool  # this gravity is many standard errors above zero, and no small part of the torque
+    noise: float  # part of the variance of the acceleration that counts of the encoder make, which hides inertia
 
     def differs(self, other: "SlidingMechanics") -> bool:
-        """True if another band of frequencies shows another inertia: then the load swings on a coupling."""
-        difference = abs(self.inertia - other.inertia)
+        """True if a wider band of frequencies shows another inertia: then the load swings on a coupling.
+
+        Noise in the acceleration makes an inertia smaller by its part of the variance (errors in variables): so much of
+        a difference says nothing of the axis.
+        """
+        difference = abs(self.inertia - other.inertia) - other.noise * self.inertia
         doubt = math.hypot(self.inertia_error, other.inertia_error)
         is_known = 0.0 < self.inertia_error < _KNOWN * self.inertia
         return is_known and difference > max(_SWUNG * self.inertia, _SWUNG_ERRORS * doubt)
@@ -159,13 +165,24 @@ def sliding_mechanics(
     ]
     matrix = compared(parts, columns)
     factors, covariance, _, _ = fitted(parts, matrix)
-    error = math.sqrt(max(float(covariance[0, 0]), 0.0))
+    error, noise = math.sqrt(max(float(covariance[0, 0]), 0.0)), _noise_share(parts, matrix)
     if not can_swing:
-        return SlidingMechanics(float(factors[0]), error, 0.0, 0.0, has_swing=False)
+        return SlidingMechanics(float(factors[0]), error, 0.0, 0.0, has_swing=False, noise=noise)
     pair, doubt = factors[1:3], covariance[1:3, 1:3]
     wald = float(pair @ np.linalg.pinv(doubt, hermitian=True) @ pair)
     torque = np.concatenate([part.torque for part in parts])
     is_felt = float(np.std(matrix[:, 1:3] @ pair)) > _FELT * float(np.sqrt(np.mean(torque**2)))
     return SlidingMechanics(
-        float(factors[0]), error, float(pair[0]), float(pair[1]), has_swing=is_felt and wald > _CLEAR**2
+        float(factors[0]), error, float(pair[0]), float(pair[1]), has_swing=is_felt and wald > _CLEAR**2, noise=noise
     )
+
+
+def _noise_share(parts: Sequence[SlidingRows], matrix: Array) -> float:
+    """Return the part of the variance of the acceleration, column 0, beside the others, that the counts make."""
+    others = matrix[:, 1:] / np.maximum(np.linalg.norm(matrix[:, 1:], axis=0), np.finfo(float).tiny)
+    seen = matrix[:, 0] - others @ np.linalg.lstsq(others, matrix[:, 0], rcond=1e-9)[0]
+    made = 0.0
+    for part in parts:
+        cut_hz, step = min(part.low_hz, part.record.lowpass_hz or math.inf), part.record.resolution or 0.0
+        made += len(part.rows) * acceleration_noise(step, cut_hz, part.record.rate_hz) ** 2
+    return min(1.0, made / float(seen @ seen)) if np.any(seen) else 1.0

@@ -15,13 +15,14 @@ from friction_hil.identification.identify import Identification
 from friction_hil.identification.motor_motion import Force, MotorMotion, motor_motion
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.numerics.jit import Array
+from friction_hil.recordings.segments import acceleration_noise
 
 _BETTER = 3.0  # standard errors by which two masses must fit better than one
 _FALL = 0.8  # of the residual of the simpler form
 _CLEAR = 4.0  # standard errors of the inertia of the load, and of the backlash
 _LEAST_SHARE = 0.03  # of either mass in the inertia
 _MOST_DAMPED = 0.4  # damping ratio at the anti-resonance: beyond, nothing swings
-_NOISE = 1.3  # times the noise of the torque: a fit with such a residual cannot be improved
+_NOISE = 1.3  # times the noise of torque and counts: a fit with such a residual cannot be improved
 _NARROW = 0.6  # of the band: a fit to it says how far the result depends on what is compared
 _LEAST_COUNTS = 2.0  # of the encoder, in a backlash
 _LEAST_FREE = 1e-3  # of the time in the gap
@@ -50,7 +51,7 @@ def torque_fits(records: Sequence[RegressionSegment], result: Identification) ->
     plain = ComplianceFitter(motions, inertia, level, has_model=False)
     with_model = ComplianceFitter(motions, inertia, level, has_model=True) if model is not None else None
     rigid = min((each.rigid() for each in (plain, with_model) if each is not None), key=lambda each: each.rmse)
-    if rigid.rmse <= _NOISE * _noise(motions):
+    if rigid.rmse <= _NOISE * math.hypot(_noise(motions), _noise_of_counts(motions, records, inertia)):
         return TorqueFits(motions, rigid, None, None, has_gap=False)
     tried = None
     for fitter in (plain, with_model):
@@ -63,8 +64,11 @@ def torque_fits(records: Sequence[RegressionSegment], result: Identification) ->
         wide = fitter.with_backlash(found)
         has_gap = _has_gap(fitter, wide, found, records)
         best = wide if has_gap else found
-        if _is_clear(fitter, best, rigid):
-            return TorqueFits(motions, rigid, best, _checked(fitter, best, records, result, model), has_gap=has_gap)
+        if not _is_clear(fitter, best, rigid):
+            continue
+        two = _checked(fitter, best, records, result, model)
+        if _is_clear(fitter, two, rigid):  # in a band that shows it alone, it is noise of the encoder or of the model
+            return TorqueFits(motions, rigid, best, two, has_gap=has_gap)
     return TorqueFits(motions, rigid, tried, None, has_gap=False)
 
 
@@ -172,6 +176,15 @@ def _noise(motions: Sequence[MotorMotion]) -> float:
         power = 2.0 * float(np.median(high)) / math.log(2.0) / (rate * window)
         found.append(math.sqrt(0.5 * power * 2.0 * each.cutoff_hz))
     return float(np.median(found))
+
+
+def _noise_of_counts(motions: Sequence[MotorMotion], records: Sequence[RegressionSegment], inertia: float) -> float:
+    """Return the RMS of the torque that counts of the encoder make below the cut-off.
+
+    A load behind a soft coupling does not feel them: two masses would leave less of it, on a rigid axis too.
+    """
+    count = max((each.resolution or 0.0) for each in records)
+    return inertia * max(acceleration_noise(count, each.cutoff_hz, 1.0 / each.dt) for each in motions)
 
 
 def _is_clear(fitter: ComplianceFitter, two: TorqueFit, rigid: TorqueFit) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 
 from friction_hil.errors import UsageError
 from friction_hil.identification.least_squares import NUMERICAL
-from friction_hil.learning.conversion import ALTERNATIVES, converted
+from friction_hil.learning.conversion import alternatives, converted
 from friction_hil.learning.estimate import Belief, estimate, first_belief, left_over
 from friction_hil.learning.layer import RIPPLE, Feature, Layer
 from friction_hil.learning.residual import Residual
@@ -31,7 +31,7 @@ def compile_learning(belief: Belief, period_s: float, resolution: float) -> None
         estimate(window, belief, resolution, _SKIPPED_S)
         Residual(belief.model).look(left_over(window, belief, resolution, _SKIPPED_S), None)
         ripple.on(belief.model).simulate(nothing, period_s, **window.inputs())
-    for name in ALTERNATIVES.get(belief.model.name, ()):
+    for form in alternatives(belief.model):
         with contextlib.suppress(UsageError, *NUMERICAL):
-            other = converted(belief.model, name, speed=math.tau, deflection=1e-3)
+            other = converted(belief.model, form, speed=math.tau, deflection=1e-3)
             estimate(window, first_belief(other, belief.mechanics, {}), resolution, _SKIPPED_S)

@@ -1,4 +1,4 @@
-"""A friction model as one of another family: the same levels while sliding, the same presliding stiffness. Pure."""
+"""A friction model in another form: another family, or the same one with levels for each direction. Pure."""
 
 import math
 from collections.abc import Mapping
@@ -9,9 +9,13 @@ from scipy.special import lambertw
 
 from friction_hil import friction
 from friction_hil.friction import FrictionModel
+from friction_hil.friction.modifiers import SIDES
 
+DIRECTED = " + direction"  # in the name of a form: levels of each direction
+_LEVELS = ("coulomb", "static", "viscous", "sigma2")
 _ELEMENTS = 4  # of a Maxwell-slip model: each further one adds a stiffness that the motion has to show
 _BREAKAWAY_RATIO = 0.5
+_VISCOUS = 0.02  # of the level at the top speed, where there is none: one of zero could never be learned
 _STRIBECK = 0.05  # of the top speed: a hump that is not known is beside the speeds at which the level is
 
 # Families that express what the present one cannot: a static map has no presliding, Dahl and Bouc-Wen have no Stribeck
@@ -30,21 +34,45 @@ ALTERNATIVES = {
 }
 
 
-def converted(model: FrictionModel, name: str, *, speed: float, deflection: float) -> FrictionModel:
-    """Return a model of another family that agrees with a given one as far as it can.
+def form_of(model: FrictionModel) -> str:
+    """Return the family of a model, with `DIRECTED` where its directions differ: ``lugre + direction``."""
+    return model.name + (DIRECTED if "direction" in model.modifiers else "")
+
+
+def alternatives(model: FrictionModel) -> tuple[str, ...]:
+    """Return the forms that express what the present one cannot; first, where it has none, that with directions.
+
+    A map has no presliding, without which it cannot tell a static level: its form with directions is that of LuGre.
+    """
+    families = ALTERNATIVES.get(model.name, ())
+    if "direction" in model.modifiers:
+        return tuple(each + DIRECTED for each in families)
+    if "coulomb" not in model.parameters:
+        return families
+    name = families[0] if families and model.family.is_static else model.name
+    return (name + DIRECTED, *families)
+
+
+def converted(model: FrictionModel, form: str, *, speed: float, deflection: float) -> FrictionModel:
+    """Return a model of another form that agrees with a given one as far as it can.
 
     Levels, Stribeck velocity and viscous friction stay, and so do all modifiers and the torque per deflection at the
     begin of a motion. A Maxwell-slip model has `_ELEMENTS` elements of equal weight, whose torque over the deflection
     is that of a bristle, ``static (1 - exp(-stiffness x / static))``, by pieces of straight lines.
 
-    ``model``: without a network, of a family in `ALTERNATIVES`. ``name``: lugre, elasto_plastic or gms. ``speed``: top
-    speed of the motion, rad/s or m/s. ``deflection``: of the bristles at break-away, rad or m, where the model has
-    none. Raises `UsageError`: a level is zero.
+    ``model``: without a network. ``form``: of its `alternatives`. ``speed``: top speed of the motion, rad/s or m/s.
+    ``deflection``: of the bristles at break-away, rad or m, where the model has none. Raises `UsageError`: a level is
+    zero.
     """
+    name, modifiers = form.removesuffix(DIRECTED), dict(model.modifiers)
     elastic = model.level / deflection  # of a map, which has none of its own
-    given = _parameters(model.name, model.given, name, speed, elastic)
-    modifiers = dict(model.modifiers)
-    if "direction" in modifiers:
+    given = dict(model.given) if name == model.name else _parameters(model.name, model.given, name, speed, elastic)
+    viscous = "viscous" if name == "gms" else "sigma2"
+    if name in ("lugre", "gms", "elasto_plastic") and not given.get(viscous):
+        given[viscous] = _VISCOUS * model.level / speed
+    if form.endswith(DIRECTED) and "direction" not in modifiers:
+        modifiers["direction"] = {side: {key: given[key] for key in _LEVELS if given.get(key)} for side in SIDES}
+    elif "direction" in modifiers:
         modifiers["direction"] = {
             side: {
                 key: value

@@ -22,7 +22,7 @@ from friction_hil.learning.coordinates import Coordinates, coordinates_of
 from friction_hil.learning.window import Window, velocity_of
 from friction_hil.numerics.jit import Array
 
-_INERTIA, _STATIC, _DELAY = range(3)  # coordinates of the mechanics, after those of the friction
+_INERTIA, STATIC, _DELAY = range(3)  # coordinates of the mechanics, after those of the friction
 MECHANICS = 3
 _INERTIA_ERROR = 0.1  # standard deviation of its relative error
 _STATIC_ERROR = 0.1  # the same of offset and gravity together, in friction levels

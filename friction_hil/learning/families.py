@@ -1,14 +1,15 @@
 """Other families than that of an axis's model: what each would explain of the torque, and when one is worth a trial.
 
-Beside the belief about the present family there is one about each of its alternatives (`ALTERNATIVES`), begun from the
-present model. The evidence is predictive (prequential; A. P. Dawid, Journal of the Royal Statistical Society A 147(2),
-1984): each window of the record is explained by all of them before any has learned from it, so that a family with more
-parameters has no advantage by having them. Families change rarely: the whole of what was found has to speak for it.
+Beside the belief about the present family there is one about each of its `alternatives`, begun from the present model.
+The evidence is predictive (prequential; A. P. Dawid, Journal of the Royal Statistical Society A 147(2), 1984): each
+window of the record is explained by all of them before any has learned from it, so that a family with more parameters
+has no advantage by having them. Families change rarely: the whole of what was found has to speak for it. The present
+family with levels for each direction is quicker: it begins as the same model, and each stroke shows its difference.
 """
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,9 +19,9 @@ from friction_hil import friction
 from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
-from friction_hil.learning.conversion import ALTERNATIVES, converted
+from friction_hil.learning.conversion import DIRECTED, alternatives, converted, form_of
 from friction_hil.learning.coordinates import Coordinates, value_of
-from friction_hil.learning.estimate import MECHANICS, Belief, first_belief, refine, unexplained
+from friction_hil.learning.estimate import MECHANICS, STATIC, Belief, first_belief, refine, unexplained
 from friction_hil.learning.figures import FamilyFigures
 from friction_hil.learning.motions import Used
 from friction_hil.learning.window import Window, velocity_of
@@ -32,6 +33,7 @@ _BEGUN = 2  # windows that another one has learned from before it is judged
 _EXPLAINED = 0.1  # of the mean square of what the present family leaves: a family that explains less is not tried
 _WORTH = 0.004  # of the friction level: root mean square torque that it explains in addition
 _EVIDENT = 3.0  # standard errors of the windows
+_FEW, _OBVIOUS = 3, 0.5  # windows in each of which so much was explained, that are enough
 _RARELY = 100  # windows, ten minutes of motion, before another family is looked for
 _UNDECIDED = 10  # windows, after a trial without a verdict, or before another family's trial
 _DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
@@ -63,10 +65,9 @@ class Families:
 
     def swap(self, belief: Belief, to: Coordinates) -> Belief:
         """Return what is known of the family that comes into use, and keep the belief about the former one."""
-        name = to.model.name
-        found = self._others.pop(name).belief
+        found = self._others.pop(form_of(to.model)).belief
         assert found.coordinates is to
-        self._others[belief.coordinates.model.name] = _Other(belief, _BEGUN)
+        self._others[form_of(belief.coordinates.model)] = _Other(belief, _BEGUN)
         return found
 
     def add(self, content: Mapping[str, Any], present: Belief) -> Used:
@@ -78,8 +79,8 @@ class Families:
         parameters, modifiers = content["parameters"], content.get("modifiers")
         model = friction.create(content["model"], modifiers=modifiers, axis=axis, **parameters)
         belief = first_belief(model, present.mechanics, {})
-        self._others[model.name] = _Other(belief)
-        self._used.add(model.name)
+        self._others[form_of(model)] = _Other(belief)
+        self._used.add(form_of(model))
         return Used(belief.x, 1.0, belief.coordinates)
 
     def look(self, window: Window, present: Belief, resolution: float, skipped_s: float) -> None:
@@ -93,8 +94,8 @@ class Families:
         self._windows += 1
         self._quiet = max(self._quiet - 1, 0)
         self._rests = {name: left - 1 for name, left in self._rests.items() if left > 1}
-        names = [each for each in ALTERNATIVES.get(present.coordinates.model.name, ()) if each not in self._rests]
-        if self._windows <= _SETTLED or self._quiet or not names:
+        names = self._considered(present.coordinates.model)
+        if self._quiet or not names:
             return
         given = (resolution, skipped_s)
         left, doubt = unexplained(window, present, present.x, *given)
@@ -114,11 +115,14 @@ class Families:
                     self.figures.explained[name] = float(np.mean(other.explained))
                     self.figures.state = self.figures.state or "none explains more"
         self._turn += 1
-        self._learn(names[self._turn % len(names)], window, present, *given)
+        quick = _for_directions(names, present.coordinates.model)
+        others = [each for each in names if each not in quick]
+        for name in quick + others[self._turn % max(len(others), 1) :][:1]:
+            self._learn(name, window, present, *given)
 
     def best(self) -> Used | None:
         """Return a model of the family that explains clearly more, with the gain 1; or None."""
-        found = [each for each in self._others.values() if _is_evident(each)]
+        found = [other for name, other in self._others.items() if self._is_evident(name, other)]
         if self._quiet or not found:
             return None
         best = max(found, key=lambda each: float(np.mean(each.explained)))
@@ -136,10 +140,10 @@ class Families:
         self.figures.error_before, self.figures.error_after = error, None
         self._used.add(name)
 
-    def was_kept(self, error: float) -> None:
-        """Take note that the trial was a gain, with the following error after it."""
+    def was_kept(self, name: str, error: float) -> None:
+        """Take note that the trial of a family was a gain, with the following error after it."""
         self.figures.state, self.figures.error_after = "kept", error
-        self._quiet = _RARELY
+        self._quiet = 0 if name.endswith(DIRECTED) else _RARELY  # levels of each direction are no other family
         self._forget_evidence()
 
     def was_refused(self, name: str, why: str) -> None:
@@ -164,6 +168,32 @@ class Families:
             other.belief = other.belief.doubted()
         self._forget_evidence()
 
+    def _considered(self, model: FrictionModel) -> list[str]:
+        """Return the forms that are compared with the present model: at first, those that directions are shown by."""
+        names = alternatives(model)
+        names += tuple(each for each in self._used if each in self._others and each not in names)  # ways back
+        names = tuple(each for each in names if each not in self._rests)
+        return [*names] if self._windows > _SETTLED else _for_directions(names, model)
+
+    def _is_evident(self, name: str, other: _Other) -> bool:
+        """Return True if a family explained clearly more in all of the last windows.
+
+        A few windows are enough for one that adds levels for each direction, and so explains most of what it leaves
+        without them.
+        """
+        explained, torque = np.array(other.explained), np.array(other.torque)
+        adds_directions = name.endswith(DIRECTED) and not self.figures.in_use.endswith(DIRECTED)
+        if adds_directions and (plain := self._others.get(name.removesuffix(DIRECTED))) and plain.explained:
+            count = min(explained.size, len(plain.explained))
+            explained = 1.0 - (1.0 - explained[-count:]) / (1.0 - np.array(plain.explained)[-count:])
+            torque = torque[-count:] - np.array(plain.torque)[-count:]
+        if explained.size < (_FEW if adds_directions else WINDOWS) or not float(np.mean(torque)) > _WORTH**2:
+            return False
+        if adds_directions:
+            return bool(np.min(explained) > _OBVIOUS)
+        mean, error = float(np.mean(explained)), float(np.std(explained, ddof=1)) / math.sqrt(WINDOWS)
+        return mean > max(_EXPLAINED, _EVIDENT * error)
+
     def _forget_evidence(self) -> None:
         self._windows = 0
         self.figures.explained.clear()
@@ -182,31 +212,37 @@ class Families:
             self._rests[name] = _UNDECIDED
 
 
-def _is_evident(other: _Other) -> bool:
-    """Return True if a family explained clearly more in all of the last windows together."""
-    if len(other.explained) < WINDOWS:
-        return False
-    mean, error = float(np.mean(other.explained)), float(np.std(other.explained, ddof=1)) / math.sqrt(WINDOWS)
-    return mean > max(_EXPLAINED, _EVIDENT * error) and float(np.mean(other.torque)) > _WORTH**2
+def _adds_directions(form: str, model: FrictionModel) -> bool:
+    """Return True if a form has levels for each direction, and the model has not."""
+    return form.endswith(DIRECTED) and "direction" not in model.modifiers
+
+
+def _for_directions(names: Sequence[str], model: FrictionModel) -> list[str]:
+    """Return the form that adds levels for each direction, and the same without, which is to explain less."""
+    directed = [each for each in names if _adds_directions(each, model)]
+    return directed + [each for each in names if each + DIRECTED in directed]
 
 
 def _begun(name: str, window: Window, present: Belief, resolution: float, skipped_s: float) -> Belief:
-    """Return what is known of another family at first: the present parameters, little of what it adds.
+    """Return what is known of another family at first: the present parameters or those of the file, little of the rest.
 
-    Of the deflections at break-away, which a static map does not have, it has the one that explains the record best.
+    What a family cannot express bends its parameters. Of both, and of the deflections at break-away, which a static map
+    does not have, it has those that explain the record best.
     """
-    model = present.model
     speed = float(np.max(np.abs(velocity_of(window, resolution)), initial=0.0))
     travel = float(np.ptp(window.position))
     found: list[tuple[float, Belief]] = []
-    for part in _DEFLECTIONS if model.family.is_static else _DEFLECTIONS[:1]:
-        other = converted(model, name, speed=speed, deflection=part * travel)
-        belief = first_belief(other, present.mechanics, _errors(other, model))
-        x = belief.x.copy()
-        x[-MECHANICS:] = present.x[-MECHANICS:]
-        belief = replace(belief, x=x)
-        left, _ = unexplained(window, belief, x, resolution, skipped_s)
-        found.append((float(np.mean(left**2)), belief))
+    for model, known in ((present.model, present.x), (present.coordinates.model, np.zeros_like(present.x))):
+        for part in _DEFLECTIONS if model.family.is_static else _DEFLECTIONS[:1]:
+            other = converted(model, name, speed=speed, deflection=part * travel)
+            belief = first_belief(other, present.mechanics, _errors(other, model))
+            x = belief.x.copy()
+            x[-MECHANICS:] = known[-MECHANICS:]
+            if _adds_directions(name, model):
+                x[STATIC - MECHANICS] = 0.0  # a constant torque had to stand for what differs between the directions
+            belief = replace(belief, x=x)
+            left, _ = unexplained(window, belief, x, resolution, skipped_s)
+            found.append((float(np.mean(left**2)), belief))
     return min(found, key=lambda each: each[0])[1]
 
 

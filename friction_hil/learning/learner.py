@@ -16,6 +16,7 @@ from friction_hil.friction import FrictionModel
 from friction_hil.friction.model import as_dict
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning import oddity
+from friction_hil.learning.conversion import form_of
 from friction_hil.learning.estimate import Belief, Estimate, Mechanics, first_belief, left_over, refine
 from friction_hil.learning.families import Families
 from friction_hil.learning.figures import FamilyFigures, Figures
@@ -92,9 +93,9 @@ class Learner:
         self._residual_torque = math.inf  # of the last estimate, whatever the motion
         self._stopped, self._why_stopped = 0, ""  # ticks until learning begins again
         self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
-        fade = math.ceil(fade_s / TICK_S)
+        self._fade_ticks = fade = math.ceil(fade_s / TICK_S)
         self._settling, self._first_ticks = fade + _SETTLING_TICKS, fade + _FIRST_TICKS
-        self.figures = Figures(gain=gain, family=FamilyFigures(model.name, model.name))
+        self.figures = Figures(gain=gain, family=FamilyFigures(form_of(model), form_of(model)))
         self._has_families, self._families = has_families, Families(self.figures.family)
         self.notes: list[str] = []  # what is to be reported; whoever reports it removes it
 
@@ -312,9 +313,9 @@ class Learner:
         before = self.record.work(self._same - self._settling)
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
-        self._families.was_tried(best.family, before.rms)
+        self._families.was_tried(best.form, before.rms)
         tried = replace(best, gain=self._used.gain, layer=self._used.layer)
-        return self._try(Step.FAMILY, tried, before, self._families.reason(best.family, self._used.family))
+        return self._try(Step.FAMILY, tried, before, self._families.reason(best.form, self._used.form))
 
     def _known_gain(self) -> float:
         """Return the share of the friction that may be commanded: the less is known of the torque, the less.
@@ -344,14 +345,15 @@ class Learner:
         if to.coordinates is not self.belief.coordinates:
             self.belief, self._estimate = self._families.swap(self.belief, to.coordinates), None
         self._used, self._same = to, 0
-        self.figures.gain, self.figures.family.in_use = to.gain, to.family
+        self.figures.gain, self.figures.family.in_use = to.gain, to.form
 
     def _judge(self, trial: Trial) -> Proposal | None:
         """Look at a trial: it goes on, or it is kept, or it is taken back."""
         trial.ticks += 1
-        error = self.record.errors(max(trial.ticks - _UNJUDGED_TICKS, 1))
-        is_judged = trial.ticks > _UNJUDGED_TICKS
-        if is_judged and is_harmful(error, trial.before, self._resolution, self._period_s):
+        # a family comes as a whole: a drive's integrator has to give way to levels that differ between the directions
+        unjudged = self._fade_ticks + _UNJUDGED_TICKS if trial.step is Step.FAMILY else _UNJUDGED_TICKS
+        error = self.record.errors(max(trial.ticks - unjudged, 1))
+        if trial.ticks > unjudged and is_harmful(error, trial.before, self._resolution, self._period_s):
             return self._take_back(f"the error rose from {self._size(trial.before.rms)} to {self._size(rms(error))}")
         if np.any(np.diff(self.record.rows(2)["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
@@ -386,7 +388,7 @@ class Learner:
         if trial.step is Step.LAYER:
             self._residual.was_kept(trial.tried.layer, self.figures.layer, after.rms)
         if trial.step is Step.FAMILY:
-            self._families.was_kept(after.rms)
+            self._families.was_kept(trial.tried.form, after.rms)
         self.figures.kept += trial.step is Step.PARAMETERS
         self.figures.error = after.rms
         self.notes.append(f"learning keeps the {trial.words}: error {shown}")
@@ -407,7 +409,7 @@ class Learner:
         if trial is not None and trial.step is Step.LAYER:
             self._residual.was_refused(stays.layer, self.figures.layer, why)
         elif trial is not None and trial.step is Step.FAMILY:
-            self._families.was_refused(trial.tried.family, why)
+            self._families.was_refused(trial.tried.form, why)
         else:
             return False
         return True

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from friction_hil.friction import FrictionModel
+from friction_hil.learning.conversion import form_of
 from friction_hil.learning.coordinates import Coordinates
 from friction_hil.learning.estimate import MECHANICS
 from friction_hil.learning.judge import ALIKE
@@ -54,9 +55,9 @@ class Used:
         return self.own if self.layer is None else self.layer.on(self.own)
 
     @property
-    def family(self) -> str:
-        """Name of the model's family."""
-        return self.coordinates.model.name
+    def form(self) -> str:
+        """Form of the model: its family, and whether its directions differ."""
+        return form_of(self.coordinates.model)
 
     @property
     def parameters(self) -> dict[str, float]:

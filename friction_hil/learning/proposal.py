@@ -50,7 +50,7 @@ class Trial:
     @property
     def words(self) -> str:
         """What is tried."""
-        return f"family {self.tried.family}" if self.step is Step.FAMILY else self.step.value
+        return f"family {self.tried.form}" if self.step is Step.FAMILY else self.step.value
 
 
 def described(

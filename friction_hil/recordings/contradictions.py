@@ -76,9 +76,10 @@ def turned_torque(recording: Recording) -> str:
     """Return a sentence if the torque points against the motion in both directions, as no friction can; else empty.
 
     What pulls to one side, as gravity, is left out; what accelerates and what brakes the axis cancel in each direction.
+    A torque that has lost the sign of its register points anywhere: it is read right first.
     """
     names = ("position", "torque") if "velocity" not in recording else ("velocity", "torque")
-    if any(name not in recording for name in names):
+    if any(name not in recording for name in names) or unsigned_register([recording]):
         return ""
     motion, torque = (without_overflow(recording.columns[name]) for name in names)
     if names[0] == "position":

@@ -4,6 +4,7 @@ Replay, identification, training and tuning all use it: required columns, even g
 velocity, low-pass, derivatives. They differ in what they ask of it and in what they do with the segments.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -22,6 +23,9 @@ _LONGEST_DELAY_S = 1.0  # of a torque that a driver reads late
 INTEGRATED = "velocity, integrated"  # source of a position that no file has
 _DEFAULT_DECIMATION, _ROWS_TO_KEEP = 10, 1000  # 1 in 10, or more where fewer rows would be left
 DEFAULT_LOWPASS_RATIO = 0.1  # of the sampling rate, where the velocity is derived from the position
+_LEAST_LOWPASS_RATIO = 0.01  # where the encoder is coarse
+_LOWPASS_STEP = 0.85
+NOISE_RATIO = 0.2  # of the acceleration, that counts may make: an inertia becomes too small by the square of it
 LEAST_KNOWN_FRACTION = 0.9  # of the rows: a slow input with fewer values is not used
 _FAST = 2.0  # counts per sample: from there on a count says no more about time than the sample itself
 _LEAST_FRACTION = 0.5  # of the samples that are slower: fewer, and the encoder is not coarse
@@ -150,8 +154,8 @@ def even_signals(
     recording: Recording,  # with `position` and `torque`
     held: Sequence[str] = (),  # columns that change slowly, to be interpolated over gaps of their own
     *,
-    # cut-off of a 4th-order Butterworth low-pass, forward and backward; without it, `DEFAULT_LOWPASS_RATIO` of the
-    # sampling rate where the velocity has to be derived
+    # cut-off of a 4th-order Butterworth low-pass, forward and backward; without it, where the velocity has to be
+    # derived, `DEFAULT_LOWPASS_RATIO` of the sampling rate, or less as far as the encoder is coarse for the motion
     lowpass_hz: float | None = None,
     is_torque_delay_removed: bool = False,  # by moving the torque back as the driver stated in the recording
 ) -> EvenSignals:
@@ -177,7 +181,7 @@ def even_signals(
         problems.append(f"the drive's torque was read {1e3 * delay_s:.3g} ms late: moved back by as much")
         _move_torque_back(grid, delay_s)
     if why_derived:
-        lowpass_hz = DEFAULT_LOWPASS_RATIO * grid.rate_hz
+        lowpass_hz = _derived_lowpass_hz(grid)
         problems.append(f"{why_derived}: derived from the position below {lowpass_hz:.4g} Hz")
     if lowpass_hz is not None and not 0.0 < lowpass_hz < grid.rate_hz / 2.0:
         raise UsageError(
@@ -185,6 +189,29 @@ def even_signals(
             f"not at {lowpass_hz:g} Hz"
         )
     return EvenSignals(recording, grid, lowpass_hz, tuple(problems))
+
+
+def acceleration_noise(step: float, cut_hz: float, rate_hz: float) -> float:
+    """Return the standard deviation of the acceleration of a low-passed position that is due to its counts.
+
+    White noise of variance step^2 / 12 up to half the sampling rate, twice differentiated up to ``cut_hz``.
+    """
+    return step / math.sqrt(12.0) * math.sqrt(0.4 * cut_hz / rate_hz) * (math.tau * cut_hz) ** 2
+
+
+def _derived_lowpass_hz(grid: EvenGrid) -> float:
+    """Return the cut-off below which the counts of the encoder make little of the acceleration."""
+    rate, position = grid.rate_hz, max((grid.columns["position"][rows] for rows in grid.segments), key=len)
+    cut_hz, step = DEFAULT_LOWPASS_RATIO * rate, resolution(position)
+    if step is None or len(position) <= filtering.lowpass_padding():
+        return cut_hz
+    smooth = between_counts(position)
+    while cut_hz > _LEAST_LOWPASS_RATIO * rate:
+        acceleration = np.gradient(np.gradient(filtering.lowpass(smooth, cut_hz, rate), 1.0 / rate), 1.0 / rate)
+        if acceleration_noise(step, cut_hz, rate) <= NOISE_RATIO * float(np.std(acceleration)):
+            break
+        cut_hz *= _LOWPASS_STEP
+    return cut_hz
 
 
 def _why_velocity_is_derived(recording: Recording) -> str:

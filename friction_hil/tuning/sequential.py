@@ -2,10 +2,10 @@
 
 The parameters of LuGre's model and their covariance are estimated from each part by itself
 (`friction_hil.learning.estimate`), and combined with those of the parts before; without presliding, those of Stribeck's
-model are identified from where the axis slides. The covariance gives the standard deviation of the compensation along
-the axis's own motion. It does not contain what an axis changes by from part to
-part, e.g. because it warms up; by how much the last part differs from those before does. The larger of both is what is
-unknown.
+model are identified from where the axis slides. The covariance gives the standard deviation of the compensation along a
+motion. It does not contain what an axis changes by from part to part, e.g. because it warms up; by how much the last
+part differs from those before does. The larger of both is what is unknown. It is judged along the axis's own motion,
+and along slow and tiny ones as in the trial: fast motion passes the hump of Stribeck's curve in milliseconds.
 
 It is compared with what the following error has left anyway: the part of the friction that the gain leaves, and the
 counts of the encoder. Errors add up as squares, so that what is a seventh of that makes a difference of 1 %.
@@ -33,17 +33,18 @@ from friction_hil.learning.coordinates import Coordinates, coordinates_of, value
 from friction_hil.learning.estimate import MECHANICS, Belief, Mechanics, estimate, first_belief
 from friction_hil.learning.window import Window
 from friction_hil.motion.experiment import LEAST_S, sliding_s
-from friction_hil.motion.trajectory import sweeps_path
+from friction_hil.motion.trajectory import Path, sweeps_path
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.tuning.candidates import ExperimentPart, shows_presliding, sliding_settings
 from friction_hil.tuning.motions import experiment_of, part_bounds, sliding_part
+from friction_hil.tuning.trial_motions import OWN, SLOW, TINY, trial_motions
 
 _FIRST_S = 15.0  # the first two parts: enough for all sweeps, and two of them for a comparison
 _DIFFERENCE = 0.01  # of the following error: what is unknown may add as much to it
 _LEAST_LEFT = 0.05  # of the friction, by any compensator: its torque is late, and its model not quite the axis
 _NAMED = 0.1  # of the variance: parameters with less of it are not named
-_PERIODS = 2  # of the own motion; the last one counts
+_PERIODS = 2  # of a periodic motion; the last one counts
 
 
 def part_durations(duration_s: float) -> tuple[float, ...]:
@@ -62,9 +63,11 @@ def part_durations(duration_s: float) -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """What is unknown of the friction along the axis's own motion. Shares of the friction level."""
+    """What is unknown of the friction along a motion of the axis. Shares of the friction level."""
 
-    motion: str  # that counts: ``own``, or ``slow sweeps`` of the experiment where the axis has no periodic motion
+    # on which it is most: ``own``, ``slow`` or ``tiny`` of `friction_hil.tuning.trial_motions`, or ``slow sweeps`` of
+    # the experiment where the axis has no periodic motion
+    motion: str
     # standard deviation of the torque by the errors of the parameters, root mean square along the motion
     deviation: float
     # by how much the torque that the last part shows differs from that of the parts before, root mean square; NaN after
@@ -94,7 +97,7 @@ class Unknown:
     def text(self) -> str:
         """Figures for the user."""
         changed = "" if math.isnan(self.change) else f", the last part differs by {_percent(self.change)}"
-        where = "own motion" if self.motion == "own" else self.motion
+        where = self.motion if self.motion == "slow sweeps" else f"{self.motion} motion"
         return f"standard deviation {_percent(self.deviation)} of the friction along the {where}{changed}"
 
 
@@ -248,41 +251,54 @@ class Observer:
         covariance: Array,
         resolution: float,
     ) -> Unknown:
-        motion, velocity, skipped = self._motion(resolution)
-        dt = self._configuration.period_s
-        slopes = known.simulate(np.zeros(len(known.names)), velocity, dt)[1][skipped:]
-        level = known.model.level
-        shares = np.mean((slopes @ covariance) * slopes, axis=0)  # of each parameter in the mean variance
-        variance = max(float(np.sum(shares)), 0.0)
-        change = math.nan
-        if compared is not None:
-            before, last = (each.simulate(velocity, dt)[skipped:] for each in compared)
-            change = float(np.sqrt(np.mean((last - before) ** 2))) / level
-        named = {
-            name: share / variance
-            for name, share in sorted(zip(known.names, shares.tolist(), strict=True), key=lambda each: -each[1])
-            if share > _NAMED * variance
-        }
+        """Return what is unknown along the motion on which it is most."""
+        level, dt = known.model.level, self._configuration.period_s
         negligible = self._left * math.sqrt((1.0 + _DIFFERENCE) ** 2 - 1.0)
-        return Unknown(motion, math.sqrt(variance) / level, change, negligible, named)
+        found = []
+        for motion, (velocity, skipped) in self._motions(resolution).items():
+            slopes = known.simulate(np.zeros(len(known.names)), velocity, dt)[1][skipped:]
+            shares = np.mean((slopes @ covariance) * slopes, axis=0)  # of each parameter in the mean variance
+            variance = max(float(np.sum(shares)), 0.0)
+            change = math.nan
+            if compared is not None:
+                before, last = (each.simulate(velocity, dt)[skipped:] for each in compared)
+                change = float(np.sqrt(np.mean((last - before) ** 2))) / level
+            named = {
+                name: share / variance
+                for name, share in sorted(zip(known.names, shares.tolist(), strict=True), key=lambda each: -each[1])
+                if share > _NAMED * variance
+            }
+            found.append(Unknown(motion, math.sqrt(variance) / level, change, negligible, named))
+        return max(found, key=lambda each: each.known_to)
 
-    def _motion(self, resolution: float) -> tuple[str, Array, int]:
-        """Return name and velocity (n,) of the motion that counts, and the rows before it."""
-        period_s = self._configuration.period_s
-        own = self._configuration.axes[self._name].trajectory
+    def _motions(self, resolution: float) -> dict[str, tuple[Array, int]]:
+        """Return the velocity (n,) of each motion that counts, by its name, and the rows before it."""
+        period_s, config = self._configuration.period_s, self._configuration.axes[self._name]
+        own = config.trajectory
         if isinstance(own, Circle | Sine | Triangle | Strokes):
-            name, path, length_s = "own", periodic_path(own), _PERIODS / own.frequency
-            skipped = round((_PERIODS - 1) / own.frequency / period_s)
-        else:
-            bounds = part_bounds(self._configuration, self._name, part_durations(self._longest_s)[0])
-            sweeps = experiment_sweeps(bounds, resolution, period_s)
-            name, path, length_s, skipped = "slow sweeps", sweeps_path(sweeps), sliding_s(sweeps), 0
-        position = np.array([path(k * period_s)[0] for k in range(round(length_s / period_s) + 1)])
-        return name, np.diff(position) / period_s, skipped
+            tried = trial_motions(own, experiment_of(self._name, config), resolution)
+            names = (OWN, SLOW, TINY) if self._has_presliding else (OWN, SLOW)  # tiny motion is presliding
+            return {
+                name: (
+                    _velocity(periodic_path(tried[name]), _PERIODS / tried[name].frequency, period_s),
+                    round((_PERIODS - 1) / tried[name].frequency / period_s),
+                )
+                for name in names
+                if name in tried
+            }
+        bounds = part_bounds(self._configuration, self._name, part_durations(self._longest_s)[0])
+        sweeps = experiment_sweeps(bounds, resolution, period_s)
+        return {"slow sweeps": (_velocity(sweeps_path(sweeps), sliding_s(sweeps), period_s), 0)}
 
     @property
     def _longest_s(self) -> float:
         return experiment_of(self._name, self._configuration.axes[self._name]).duration_s
+
+
+def _velocity(path: Path, length_s: float, period_s: float) -> Array:
+    """Return the velocity (n,) of a path over its first seconds."""
+    position = np.array([path(k * period_s)[0] for k in range(round(length_s / period_s) + 1)])
+    return np.diff(position) / period_s
 
 
 def plain_fit(recordings: Sequence[Recording], settings: IdentificationSettings) -> Fit:

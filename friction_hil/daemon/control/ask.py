@@ -78,9 +78,10 @@ class Question:
             raise DaemonGoneError(
                 f"{self._path}: the daemon has ended, or it restarts the process of its control socket"
             )
-        if not self._line.endswith(b"\n"):
+        line, end, _ = self._line.partition(b"\n")  # why the daemon hangs up may follow
+        if not end:
             return None
-        answer: dict[str, Any] = json.loads(self._line)
+        answer: dict[str, Any] = json.loads(line)
         if not answer["ok"]:
             raise FrictionHilError("\n".join(answer["problems"]))
         return answer

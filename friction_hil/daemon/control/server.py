@@ -11,6 +11,8 @@ import select
 import socket
 import socketserver
 import threading
+import time
+from array import array
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +21,7 @@ from friction_hil.drive.socket_owner import peer
 LONGEST_LINE = 1 << 20  # bytes of a request
 MOST_CLIENTS = 32
 _LOOK_MS = 500
+_MOMENT_S = 0.05  # within which a request that has come is read
 _NOT_WHOLE = f"a request ends with a line feed, within {LONGEST_LINE} bytes"
 _HUNG_UP = f"hung up: {MOST_CLIENTS} clients are connected, and this one was silent for the longest time"
 
@@ -33,7 +36,7 @@ class ControlServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
         self.socket.close()
         self.socket = socket.socket(fileno=os.dup(descriptor))
         self.desk = desk  # returns the function that answers a request (bytes) of a user (number)
-        self.places = _Places()
+        self.places = Places()
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Serve a connection in a thread; while all others are being answered, it waits as those behind it do."""
@@ -46,23 +49,23 @@ class ControlServer(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
         super().shutdown_request(request)
 
 
-class _Places:
+class Places:
     """The connections, each with what the server does for it: it waits for the client, or answers."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._waiting: dict[socket.socket, None] = {}  # for the client; who waits longest is first
+        self._waiting: dict[socket.socket, float] = {}  # for the client, and since when, s; the longest is first
         self._answered: set[socket.socket] = set()
 
     def take(self, connection: socket.socket) -> None:
         """Give a connection a place, if need be that of another one for whose client the server waits."""
         with self._changed:
             while len(self._waiting) + len(self._answered) >= MOST_CLIENTS:
-                if self._waiting:
-                    self._hang_up(self._longest_silent())
+                if (silent := self._longest_silent()) is not None:
+                    self._hang_up(silent)
                 else:
-                    self._changed.wait()
-            self._waiting[connection] = None
+                    self._changed.wait(_MOMENT_S if self._waiting else None)
+            self._waiting[connection] = time.monotonic()
 
     def begin_answer(self, connection: socket.socket) -> bool:
         """Note that a request has come whole; return False if the connection has lost its place."""
@@ -77,7 +80,7 @@ class _Places:
         """Note that the answer is known: it remains that the client reads it, and asks again."""
         with self._changed:
             self._answered.discard(connection)
-            self._waiting[connection] = None
+            self._waiting[connection] = time.monotonic()
             self._changed.notify()
 
     def leave(self, connection: socket.socket) -> None:
@@ -87,10 +90,15 @@ class _Places:
             self._answered.discard(connection)
             self._changed.notify()
 
-    def _longest_silent(self) -> socket.socket:
-        """Return the first from whom nothing is there to be read: a request that has just come is not thrown away."""
-        readable, _, _ = select.select(self._waiting, [], [], 0.0)
-        return next((each for each in self._waiting if each not in readable), next(iter(self._waiting)))
+    def _longest_silent(self) -> socket.socket | None:
+        """Return the first from whom nothing is there to be read, else the first; none of the last moment.
+
+        A request that has just come is not thrown away. Who has asked again but does not read the answers is silent.
+        """
+        before = time.monotonic() - _MOMENT_S
+        waiting = [each for each, since in self._waiting.items() if since < before]
+        readable, _, _ = select.select(waiting, [], [], 0.0)
+        return next((each for each in waiting if each not in readable), next(iter(waiting), None))
 
     def _hang_up(self, connection: socket.socket) -> None:
         del self._waiting[connection]
@@ -117,17 +125,26 @@ class _Connection(socketserver.StreamRequestHandler):
                         answer = self.server.desk()(line, user)
                     except Exception as error:  # noqa: BLE001 - it must not keep others from stopping axes
                         answer["problems"] = [f"an error in friction-hil: {type(error).__name__}: {error}"]
+                rest = self._say_at_once(answer)
                 places.end_answer(self.connection)
-                self._say(answer)
+                self.wfile.write(rest)
 
-    def _say(self, answer: dict[str, Any]) -> None:
-        """Send an answer, and with its first byte the file descriptors that it has; their number stands for them."""
+    def _say_at_once(self, answer: dict[str, Any]) -> bytes:
+        """Send what the connection takes of an answer, and return the rest, for which the client has to read.
+
+        Until then the connection keeps its place, so that whoever asked for a stop gets its answer. File descriptors
+        come with its first byte; their number stands for them.
+        """
         descriptors = answer.get("descriptors", ())
         line = _line({**answer, "descriptors": len(descriptors)} if descriptors else answer)
-        if descriptors:
-            sent = socket.send_fds(self.connection, [line], descriptors)
-            line = line[sent:]
-        self.wfile.write(line)
+        rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", descriptors))] if descriptors else []
+        try:
+            sent = self.connection.sendmsg([line], rights, socket.MSG_DONTWAIT)  # `send_fds` ignores its flags
+        except BlockingIOError:  # it has not read its earlier answers
+            if descriptors:
+                raise
+            sent = 0
+        return line[sent:]
 
 
 def _line(answer: dict[str, Any]) -> bytes:

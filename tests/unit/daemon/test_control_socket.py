@@ -16,7 +16,7 @@ from friction_hil.daemon.control.ask import Question, ask
 from friction_hil.daemon.control.desk import _request
 from friction_hil.daemon.control.lock import ControlSocket, control_socket
 from friction_hil.daemon.control.names import default_name, find, is_live, running, socket_path
-from friction_hil.daemon.control.server import LONGEST_LINE, MOST_CLIENTS, ControlServer
+from friction_hil.daemon.control.server import LONGEST_LINE, MOST_CLIENTS, ControlServer, Places
 from friction_hil.errors import FrictionHilError, UsageError
 
 
@@ -247,6 +247,20 @@ def test_who_comes_while_all_are_being_answered_waits_for_a_place(folder):
             assert not begun.acquire(timeout=0.05)
             goes_on.set()
             assert all(json.loads(file.readline())["ok"] for _, file in (*first, *late))
+
+
+def test_an_answer_is_sent_before_its_place_can_be_given_to_another_client(folder, monkeypatch):
+    """Else whoever asks for a stop may be told that it was silent for the longest time, though it was carried out."""
+    end_answer = Places.end_answer
+
+    def robbed(places, connection):
+        end_answer(places, connection)
+        with places._changed:
+            places._hang_up(connection)
+
+    monkeypatch.setattr(Places, "end_answer", robbed)
+    with served("quick", lambda line, user: {"ok": True}) as opened:
+        assert ask(opened.path, {"do": "stop"})["ok"]
 
 
 def test_who_hangs_up_before_the_answer_leaves_nothing_on_the_terminal(daemon, crowd, capsys):

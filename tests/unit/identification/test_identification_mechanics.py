@@ -196,6 +196,32 @@ def test_the_bristle_of_a_rigid_axis_is_not_taken_for_a_coupling() -> None:
     assert "not determined" in line
 
 
+def rigid_axis(counts: int, rate_hz: float, inertia: float) -> Recording:
+    """An axis of one mass with Coulomb and viscous friction, whose encoder is coarse for three sines."""
+    time = np.arange(round(40.0 * rate_hz)) / rate_hz
+    omega, size = math.tau * np.array([[0.11], [0.37], [0.83]]), np.array([[0.55], [0.35], [0.12]])
+    position, velocity = (
+        np.sum(size * np.sin(omega * time), axis=0),
+        np.sum(size * omega * np.cos(omega * time), axis=0),
+    )
+    acceleration = -np.sum(size * omega**2 * np.sin(omega * time), axis=0)
+    noise = 0.008 * np.random.default_rng(counts).standard_normal(time.size)
+    torque = inertia * acceleration + 0.3 * np.sign(velocity) + 0.12 * velocity + noise
+    step = math.tau / counts
+    return Recording("x", "x", {"time_s": time, "position": step * np.round(position / step), "torque": torque})
+
+
+@pytest.mark.parametrize(("counts", "rate_hz"), [(4096, 200.0), (4096, 1000.0), (2000, 500.0)])
+def test_noise_of_a_coarse_encoder_is_no_coupling_and_costs_little_inertia(counts: int, rate_hz: float) -> None:
+    recording = rigid_axis(counts, rate_hz, inertia=0.02)
+    result = identify([recording], IdentificationSettings(families=("coulomb",), has_modifiers=False))
+    assert not any("coupling" in each for each in result.notes)
+    assert result.best.mechanics["inertia"] == pytest.approx(
+        0.02, rel=0.15
+    )  # of 20 Hz to 100 Hz, noise took up to 65 %
+    assert find_mechanics([recording], result).load is None
+
+
 def test_backlash_is_found_from_the_motor_alone():
     _, mechanics = found(GAP)
     expected, quantities = truth(GAP), {each.key: each for each in mechanics.quantities}

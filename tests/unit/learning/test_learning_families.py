@@ -10,7 +10,7 @@ import pytest
 import friction_hil as fh
 from friction_hil.daemon import learning_words
 from friction_hil.daemon.learning_board import first_report
-from friction_hil.learning.conversion import ALTERNATIVES, converted
+from friction_hil.learning.conversion import ALTERNATIVES, alternatives, converted, form_of
 from friction_hil.learning.figures import LayerFigures
 from friction_hil.learning.proposal import Step, described
 from friction_hil.learning.proven import Proven, recall, store
@@ -43,6 +43,17 @@ def test_another_family_has_the_same_levels_and_the_same_presliding_stiffness(of
     assert other.modifiers == model.modifiers
 
 
+@pytest.mark.parametrize("of", sorted(ALTERNATIVES.keys() - {"bouc_wen"}))  # which has no level of its own
+def test_a_form_with_directions_begins_as_the_model_in_both(of):
+    model = MODELS[of]
+    form = alternatives(model)[0]
+    other = converted(model, form, speed=1.0, deflection=1e-4)
+    assert form_of(other) == form
+    assert form.endswith(" + direction")
+    np.testing.assert_allclose(other.steady_state(FAST), model.steady_state(FAST), rtol=1e-9)
+    assert {"direction.positive.coulomb", "direction.negative.coulomb"} <= set(other.free)
+
+
 def test_elements_slip_like_a_bristle():
     """Closed form of LuGre's torque over a slow deflection x: static (1 - exp(-stiffness x / static))."""
     model = converted(LUGRE, "gms", speed=1.0, deflection=1e-4)
@@ -70,13 +81,25 @@ def asked(handed_over):
 def test_a_family_is_tried_after_eight_windows_that_it_explained_better(asked):
     when, proposal = asked.proposals[-1]
     assert proposal.step is Step.FAMILY
-    assert when >= 14 * WINDOW  # four for the present family alone, two to learn, eight of evidence
+    assert when >= 10 * WINDOW  # two to learn, eight of evidence
     assert (proposal.model.name, asked.learner.figures.family.in_use) == ("lugre", "lugre")
     assert proposal.gain == asked.learner.figures.gain
     assert proposal.text.startswith("the family lugre in place of stribeck: explains ")
     assert asked.learner.belief.coordinates.model.name == "lugre"  # its errors are recorded with the model
     text = described(proposal, {"viscous": 1.0}, asked.learner.in_use, "x", is_tried=True)
     assert text == f"learning tries {proposal.text}"
+
+
+@pytest.mark.parametrize("model", [MAP, LUGRE], ids=["map", "lugre"])
+def test_directions_that_differ_are_tried_after_a_few_windows(model):
+    levels = {"positive": {"coulomb": 0.14, "static": 0.19}, "negative": {"coulomb": 0.04, "static": 0.055}}
+    true = fh.models.create("lugre", **LUGRE.given, modifiers={"direction": levels})
+    driven = Driven(model, gain=1.0).take(9 * WINDOW, until=Step.FAMILY, error=1e-4, true=true)
+    _, proposal = driven.proposals[-1]
+    assert (proposal.step, proposal.model.name) == (Step.FAMILY, "lugre")
+    sides = proposal.model.modifiers["direction"]
+    assert sides["positive"]["coulomb"] > 2.0 * sides["negative"]["coulomb"]  # so early the levels are not exact
+    assert driven.learner.figures.family.in_use == "lugre + direction"
 
 
 def test_what_helps_is_kept_for_this_motion_and_the_next_run_and_no_other_is_looked_for(asked):

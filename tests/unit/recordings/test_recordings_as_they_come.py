@@ -218,6 +218,7 @@ def test_a_register_that_was_scaled_without_its_sign_is_found_and_read_back(tmp_
     read = fh.recordings.read(tmp_path / "x.csv", columns={"torque": "i"}, scale={"torque": 0.5})
     said = unsigned_register([read])
     assert "signed register of 16 bits" in said
+    assert turned_torque(read) == "", "a sign that was lost is not turned"
     source = said.partition("--column torque='")[2].partition(":int16")[0] + ":int16"
     again = fh.recordings.read(tmp_path / "x.csv", columns={"torque": source})
     np.testing.assert_array_equal(again["torque"], counts)
