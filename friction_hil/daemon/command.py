@@ -11,7 +11,6 @@ from friction_hil.daemon.static_torque import Fade, StaticTorque, static_torque
 from friction_hil.drive import Command, DriveState, Feedback, Mode
 from friction_hil.motion.controller import cascade
 from friction_hil.motion.trajectory import Setpoint
-from friction_hil.numerics.jit import ready
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
@@ -42,7 +41,6 @@ class CommandWriter:
         "_is_held_by_loop",
         "_largest_step",
         "_lead_s",
-        "_limit",
         "_limits",
         "_lowest",
         "_mode",
@@ -60,7 +58,7 @@ class CommandWriter:
         self, config: "AxisConfig", limits: SafetyLimits, motion: AxisMotion, period_s: float, lead_s: float
     ) -> None:
         self._mode = Mode[config.mode.upper()]
-        self._limits, self._limit = limits, ready(limit_torque)
+        self._limits = limits
         self._motion = motion
         self._period_s = period_s
         self._lead_s = lead_s  # from sampling the position until the torque acts
@@ -186,9 +184,9 @@ class CommandWriter:
     def _limited(self, wanted: float) -> float:
         """Return the torque within limit and slew, and keep it as the last one."""
         limit, step = self._limits.torque, self._largest_step
-        torque = self._limit(wanted, self._lowest, limit, step)
+        torque = limit_torque(wanted, self._lowest, limit, step)
         if self._highest != self._lowest:  # apart by a step at most: one torque at least is within a step of both
-            torque = self._limit(torque, self._highest, limit, step)
+            torque = limit_torque(torque, self._highest, limit, step)
         self._torque = torque
         return torque
 

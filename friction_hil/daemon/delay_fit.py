@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from friction_hil.numerics.jit import Array, compiled, ready
+from friction_hil.numerics.jit import Array, compiled
 
 _REACH, _STEP = 4.0, 0.02  # periods of delay, in both directions
 _COUNT = round(2.0 * _REACH / _STEP) + 1
@@ -45,15 +45,14 @@ class DelaySums:
     (0.5, 7e-06, 1e-05)
     """
 
-    __slots__ = ("_add", "moments", "peaks")
+    __slots__ = ("moments", "peaks")
 
     def __init__(self) -> None:
-        self._add = ready(_add)
         self.moments, self.peaks = np.zeros((_TERMS, _TERMS)), np.zeros(_COUNT)
 
     def add(self, error: float, way: float, acceleration: float) -> None:
         """Add a cycle: following error, demanded way in a period, and demanded acceleration."""
-        self._add(self.moments, self.peaks, error, way, acceleration if math.isfinite(acceleration) else 0.0)
+        _add(self.moments, self.peaks, error, way, acceleration if math.isfinite(acceleration) else 0.0)
 
     def join(self, other: "DelaySums") -> None:
         """Add the cycles of another sum."""

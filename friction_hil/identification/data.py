@@ -13,13 +13,12 @@ from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
-from friction_hil.recordings.quality import resolution
+from friction_hil.recordings.quality import acceleration_noise, resolution
 from friction_hil.recordings.segments import (
     LEAST_KNOWN_FRACTION,
     NOISE_RATIO,
     EvenSignals,
     Segment,
-    acceleration_noise,
     default_decimation,
     even_signals,
     is_position_integrated,

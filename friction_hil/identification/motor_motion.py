@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array, compiled
-from friction_hil.recordings.quality import resolution
-from friction_hil.recordings.segments import Segment, acceleration_noise, between_counts
+from friction_hil.recordings.quality import acceleration_noise, resolution
+from friction_hil.recordings.segments import Segment, between_counts
 
 Force = Callable[[Array, float], Array]
 

@@ -20,7 +20,7 @@ from friction_hil.identification.compliance import sandwich
 from friction_hil.identification.data import RegressionSegment, moved_since_reversal
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
-from friction_hil.recordings.segments import acceleration_noise
+from friction_hil.recordings.quality import acceleration_noise
 
 LOW_HZ = 12.0  # of the low-pass: the load follows the motor as one mass
 WIDE_HZ = 100.0

@@ -15,7 +15,7 @@ from friction_hil.identification.identify import Identification
 from friction_hil.identification.motor_motion import Force, MotorMotion, motor_motion
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.numerics.jit import Array
-from friction_hil.recordings.segments import acceleration_noise
+from friction_hil.recordings.quality import acceleration_noise
 
 _BETTER = 3.0  # standard errors by which two masses must fit better than one
 _FALL = 0.8  # of the residual of the simpler form

@@ -181,6 +181,14 @@ def resolution(values: Array) -> float | None:
     return _rounded_step(levels) or step
 
 
+def acceleration_noise(step: float, cut_hz: float, rate_hz: float) -> float:
+    """Return the standard deviation of the acceleration of a low-passed position that is due to its counts.
+
+    White noise of variance step^2 / 12 up to half the sampling rate, twice differentiated up to ``cut_hz``.
+    """
+    return step / math.sqrt(12.0) * math.sqrt(0.4 * cut_hz / rate_hz) * (math.tau * cut_hz) ** 2
+
+
 def is_last_digit(step: float, values: Array) -> bool:
     """True if a step is a power of ten of which the values are multiples: a file's last digit, not a count."""
     power = 10.0 ** round(math.log10(step)) if step > 0.0 else 0.0

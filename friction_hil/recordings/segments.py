@@ -4,7 +4,6 @@ Replay, identification, training and tuning all use it: required columns, even g
 velocity, low-pass, derivatives. They differ in what they ask of it and in what they do with the segments.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,7 +15,7 @@ from friction_hil.numerics.jit import Array
 from friction_hil.recordings.columns import TIME
 from friction_hil.recordings.contradictions import contradictions, option, turned_torque, unsigned_register
 from friction_hil.recordings.even import EvenGrid, even_grid
-from friction_hil.recordings.quality import GAP_PERIODS, is_coarse, resolution, without_overflow
+from friction_hil.recordings.quality import GAP_PERIODS, acceleration_noise, is_coarse, resolution, without_overflow
 from friction_hil.recordings.recording import Recording
 
 _LONGEST_DELAY_S = 1.0  # of a torque that a driver reads late
@@ -189,14 +188,6 @@ def even_signals(
             f"not at {lowpass_hz:g} Hz"
         )
     return EvenSignals(recording, grid, lowpass_hz, tuple(problems))
-
-
-def acceleration_noise(step: float, cut_hz: float, rate_hz: float) -> float:
-    """Return the standard deviation of the acceleration of a low-passed position that is due to its counts.
-
-    White noise of variance step^2 / 12 up to half the sampling rate, twice differentiated up to ``cut_hz``.
-    """
-    return step / math.sqrt(12.0) * math.sqrt(0.4 * cut_hz / rate_hz) * (math.tau * cut_hz) ** 2
 
 
 def _derived_lowpass_hz(grid: EvenGrid) -> float:
