@@ -10,6 +10,7 @@ G. E. P. Box, G. M. Jenkins, Time Series Analysis, 1976), and stretches of a lar
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, ndimage
@@ -147,11 +148,20 @@ class Estimate:
 
     belief: Belief  # with the record taken into account
     residual: float  # weighted root mean square of the residual, N m
+    model_error: float  # the same without white noise, N m: what the model, and not the feedback, leaves
     # how far the record contradicts the belief before it: mean square of the parameters' change in its own standard
     # deviations; about 1 or less if it does not
     surprise: float
     # standard deviation of the friction torque along this motion by the errors of the parameters, N m
     torque_error: float
+
+
+class Uncompensated(NamedTuple):
+    """Friction that a compensation would have left in a record, weighted root mean squares, N m."""
+
+    size: float
+    lasting: float  # without white noise, which is that of the torque feedback
+    lack: float  # part in proportion to the friction; negative for too much torque
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,10 +215,8 @@ def uncompensated(
     resolution: float,
     commands: Iterable[tuple[FrictionModel, float]],
     skipped_s: float = 0.0,
-) -> list[tuple[float, float]]:
-    """Return the friction that compensations would have left in a record, and how much of that is a lack of it, N m.
-
-    Root mean square of what is left, and the part in proportion to the friction; it is negative for too much torque.
+) -> list[Uncompensated]:
+    """Return the friction that compensations would have left in a record.
 
     The friction is the measured torque less inertia and static torque; rows weigh as in `estimate`, so that those whose
     torque nothing explains do not hide the difference.
@@ -219,13 +227,13 @@ def uncompensated(
     left, _ = problem.residual(belief.x)
     weights, friction = problem.weights(belief.x, left) ** 2, problem.friction(belief.x)
     developed = friction[problem.rows]
-    size = max(float(np.sqrt(np.average(developed**2, weights=weights))), _QUANTUM * problem.level)
+    size = max(_size(developed, weights), _QUANTUM * problem.level)
     found = []
     for model, gain in commands:
         torque = gain * model.simulate(problem.velocity, window.period_s, **window.inputs())
         remaining = left + (friction - torque)[problem.rows]
         lacking = float(np.average(remaining * developed, weights=weights)) / size
-        found.append((float(np.sqrt(np.average(remaining**2, weights=weights))), lacking))
+        found.append(Uncompensated(_size(remaining, weights), lasting(remaining, weights), lacking))
     return found
 
 
@@ -323,7 +331,7 @@ def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float
         x = minimise_bounded(stacked, x, -reach, reach, evaluations=_EVALUATIONS, tolerance=1e-6).at
         left, slopes = problem.residual(x)
         weights = problem.weights(x, left)
-        before, residual = residual, float(np.sqrt(np.average(left**2, weights=weights**2)))
+        before, residual = residual, _size(left, weights**2)
         if k >= _REWEIGHTINGS - 1 and residual > _SETTLED * before:
             break
     weighted = weights[:, None] * slopes
@@ -340,6 +348,7 @@ def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float
     return Estimate(
         belief=replace(belief, x=x, covariance=covariance),
         residual=residual,
+        model_error=lasting(left, weights**2),
         surprise=surprise,
         torque_error=float(np.sqrt(np.mean(variance))),
     )
@@ -362,6 +371,20 @@ def refine(
         if is_surprise or anew.residual < _LESS * found.residual:
             return anew
     return found
+
+
+def lasting(values: Array, weights: Array) -> float:
+    """Return the weighted root mean square of values (k,) without what is white noise in them.
+
+    The covariance of neighbouring rows has the variance of all that lasts longer than a row; white noise has none.
+    """
+    within = np.sqrt(weights[1:] * weights[:-1])
+    return math.sqrt(max(float(np.average(values[1:] * values[:-1], weights=within)), 0.0))
+
+
+def _size(values: Array, weights: Array) -> float:
+    """Return the weighted root mean square of values (k,)."""
+    return float(np.sqrt(np.average(values**2, weights=weights)))
 
 
 def _near(left: Array, period_s: float) -> Array:

@@ -324,7 +324,7 @@ class Learner:
         """
         assert self._estimate is not None
         level = self.belief.coordinates.model.level
-        doubt = math.hypot(self._estimate.torque_error, self._estimate.residual) / level
+        doubt = math.hypot(self._estimate.torque_error, self._estimate.model_error) / level
         return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
 
     def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:

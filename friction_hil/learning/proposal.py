@@ -6,6 +6,7 @@ from enum import Enum
 
 from friction_hil.daemon.control.message import TEXT_BYTES
 from friction_hil.friction import FrictionModel
+from friction_hil.learning.estimate import Uncompensated
 from friction_hil.learning.judge import Work
 from friction_hil.learning.motions import Used
 
@@ -41,8 +42,7 @@ class Trial:
     tried: Used
     before: Work  # with what was in force before, of the same motion
     former: Used  # what was in force before
-    # of the friction by it, in the window before, and how much of that was a lack of torque, N m
-    left: tuple[float, float]
+    left: Uncompensated  # by it, in the window before
     text: str = ""  # why
     is_whole: bool = False  # False: only a part of it is in force
     ticks: int = 0  # since it is in force

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from friction_hil.friction import FrictionModel
 from friction_hil.learning import oddity
-from friction_hil.learning.estimate import Belief, uncompensated
+from friction_hil.learning.estimate import Belief, Uncompensated, uncompensated
 from friction_hil.learning.judge import HELPS, Work, rms, work_of
 from friction_hil.learning.layer import Layer
 from friction_hil.learning.motions import WINDOW_TICKS, Used
@@ -70,8 +70,8 @@ class Record:
         velocity = velocity_of(window, self._resolution)
         return [each.own.simulate(velocity, self._period_s, **window.inputs()) for each in compensations]
 
-    def left(self, belief: Belief, *compensations: Used) -> list[tuple[float, float]]:
-        """Return the friction that each would have left in the last window, and how much of it is a lack, N m."""
+    def left(self, belief: Belief, *compensations: Used) -> list[Uncompensated]:
+        """Return the friction that each would have left in the last window."""
         models = [(each.model, each.gain) for each in compensations]
         return uncompensated(self.window(), belief, self._resolution, models, self.warm_s)
 
@@ -79,9 +79,10 @@ class Record:
         """Return True if a change would have left less of the friction in the last window than what is in use.
 
         A truer model may leave a little more with its gain: what a drive cannot correct is the part that changes fast.
+        White noise of the torque feedback is left by both, and hides no difference.
         """
         whole = replace(tried, gain=1.0), replace(in_use, gain=1.0)
-        after, before, true_after, true_before = (size for size, _ in self.left(belief, tried, in_use, *whole))
+        after, before, true_after, true_before = (each.lasting for each in self.left(belief, tried, in_use, *whole))
         return after < HELPS * before or (true_after < HELPS * true_before and after < _MORE_LEFT * before)
 
     def expected(self, belief: Belief, trial: Trial) -> Work:
@@ -90,8 +91,8 @@ class Record:
         The more of the friction the former compensation would leave now, the larger its error would be. Only what is in
         proportion to the friction shows drift: the rest depends on how the axis moves with what is tried.
         """
-        size, lack = trial.left
-        _, lack_now = self.left(belief, trial.former)[0]
+        size, _, lack = trial.left  # with its noise: the less of it is friction, the less is a difference
+        lack_now = self.left(belief, trial.former)[0].lack
         drifted = math.sqrt(max(size**2 - lack**2, 0.0) + lack_now**2) / size
         if abs(drifted - 1.0) <= _STEADY:
             return trial.before

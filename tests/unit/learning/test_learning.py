@@ -215,6 +215,20 @@ def test_a_truer_model_that_leaves_more_of_the_friction_with_its_gain_is_not_tri
     assert driven.proposals == []
 
 
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_white_noise_of_the_torque_hides_neither_a_wrong_level_nor_how_well_the_torque_is_known(factor):
+    random = np.random.default_rng(1)
+
+    def noisy(rows):  # more than a third of the level, and an offset
+        rows["torque"] += 0.02 + 0.03 * random.standard_normal(rows["torque"].size)
+
+    learner = Driven(levels(factor)).take(WINDOW_TICKS, change=noisy, error=2e-4).learner
+    assert learner.doing[0] == "trying"
+    parameters, gain = learner.wanted
+    assert parameters["coulomb"] == pytest.approx(LUGRE.given["coulomb"], rel=0.02)
+    assert gain > 0.92
+
+
 def test_a_record_that_contradicts_what_is_known_outweighs_it():
     driven = Driven(has_layer=False).take(4 * WINDOW_TICKS, inertia=0.7 * INERTIA, error=1e-3)
     driven.take(WINDOW_TICKS + 1, amplitude=3.0, frequency=1.0, error=1e-3)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import friction_hil as fh
 from friction_hil.learning.coordinates import DEFAULT_ERROR, coordinates_of, value_of, with_values
-from friction_hil.learning.estimate import MECHANICS, Mechanics, estimate, first_belief
+from friction_hil.learning.estimate import MECHANICS, Mechanics, estimate, first_belief, lasting
 from tests.compensators import INERTIA, LUGRE, MODELS
 from tests.learning_records import COUNT, DIRECTED, WRONG, record, window
 
@@ -109,3 +109,12 @@ def test_age_makes_a_belief_less_sure_but_not_less_than_at_first():
     oldest = found.older(0.1, 1e6)
     assert oldest.errors == pytest.approx(belief.errors)
     np.testing.assert_array_equal(oldest.x, found.x)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3, 3.0])
+def test_what_lasts_longer_than_a_row_is_told_from_white_noise(noise):
+    rows = np.arange(20_000)
+    values = np.sqrt(2.0) * np.sin(0.05 * rows) + noise * np.random.default_rng(1).standard_normal(rows.size)
+    assert lasting(values, np.ones(rows.size)) == pytest.approx(
+        1.0, abs=0.01 + 3.0 * (noise + noise**2) / math.sqrt(rows.size)
+    )
