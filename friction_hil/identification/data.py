@@ -32,6 +32,7 @@ LEAST_ROWS = 50  # after decimation: below, errors of parameters and folds of cr
 _STEADY_RATIO = 0.02  # of the top speed: if the speed changes by less, the end of a segment is steady
 _SLOW = ("load_torque", "temperature", "position_demand")  # used where they are known
 _CUT_STEP, _LEAST_CUT = 0.8, 0.1  # of the low-pass, for the acceleration alone
+_MIXED_PERIODS = 0.5  # of a low-pass: the time before and after a row that it mixes with the row
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,13 +176,13 @@ def _moving(
     if not (0.0 < least_speed < math.inf):
         raise UsageError(f"the least speed that counts is a number above 0, not {least_speed:g}")
     found = []
-    around = f" there or within {1e3 * sliding_s:.3g} ms" if sliding_s > 0.0 else ""
-    around += f", or within {distance:.3g} of a reversal" if distance > 0.0 else ""
     for each in segments:
-        segment = _thinned(each) if sliding_s > 0.0 else each
-        is_moving = np.abs(segment.reduce_smooth(segment.velocity)) >= least_speed
         if sliding_s > 0.0:
-            is_moving &= segment.kept_rows(_sliding(segment, least_speed, sliding_s, distance))
+            segment, is_sliding, reach_s = _thinned(each, least_speed, sliding_s, distance)
+            is_moving, around = segment.kept_rows(is_sliding), f" there or within {1e3 * reach_s:.3g} ms"
+        else:
+            segment, is_moving, around = each, np.abs(each.reduce_smooth(each.velocity)) >= least_speed, ""
+        around += f", or within {distance:.3g} of a reversal" if distance > 0.0 else ""
         count = np.count_nonzero(~is_moving)
         note = f"slower than {least_speed:g}{around}: {count} of {len(is_moving)} rows do not count"
         if is_moving.any():
@@ -189,19 +190,34 @@ def _moving(
     return found
 
 
-def _thinned(segment: RegressionSegment) -> RegressionSegment:
-    """Return a segment whose rows are kept without a filter, with derivatives that are right up to its low-pass."""
+def _thinned(
+    segment: RegressionSegment, least_speed: float, sliding_s: float, distance: float
+) -> tuple[RegressionSegment, Mask, float]:
+    """Return a segment whose rows are kept without a filter, with derivatives that are right up to its low-pass.
+
+    Returns also the rows (n,) in which it slides, and the time to either side that was asked of them, s.
+    """
+    segment = replace(segment, is_thinned=True)
     if segment.lowpass_hz is None:
-        return replace(segment, is_thinned=True)
+        return segment, _sliding(segment, least_speed, sliding_s, distance), sliding_s
     velocity, acceleration = _derivatives(segment.position, segment.dt)
-    cut_hz = segment.lowpass_hz
-    step, least_hz = segment.resolution or 0.0, _LEAST_CUT * cut_hz
-    while acceleration_noise(step, cut_hz, segment.rate_hz) > NOISE_RATIO * np.std(acceleration) and cut_hz > least_hz:
+    segment = replace(segment, velocity=velocity, acceleration=acceleration)
+    cut_hz, reach_s = segment.lowpass_hz, sliding_s
+    rows = _sliding(segment, least_speed, reach_s, distance)
+    while rows.any() and cut_hz > _LEAST_CUT * segment.lowpass_hz:
+        noise = acceleration_noise(segment.resolution or 0.0, cut_hz, segment.rate_hz)
+        if noise <= NOISE_RATIO * np.std(segment.acceleration[rows]):
+            break
         # an acceleration with the noise of the counts would make the inertia too small; what it misses of a fast one
         # is not correlated with the rest, and only adds to the residual
         cut_hz *= _CUT_STEP
-        acceleration = _derivatives(filtering.lowpass(segment.position, cut_hz, segment.rate_hz), segment.dt)[1]
-    return replace(segment, is_thinned=True, velocity=velocity, acceleration=acceleration)
+        longer_s = max(sliding_s, _MIXED_PERIODS / cut_hz)
+        if not (left := _sliding(segment, least_speed, longer_s, distance)).any():
+            break
+        rows, reach_s = left, longer_s
+        smooth = filtering.lowpass(segment.position, cut_hz, segment.rate_hz)
+        segment = replace(segment, acceleration=_derivatives(smooth, segment.dt)[1])
+    return segment, rows, reach_s
 
 
 def _derivatives(position: Array, dt: float) -> tuple[Array, Array]:

@@ -41,7 +41,10 @@ _NO_PRESLIDING = (
 )
 _LOWPASS_HZ, _LOWPASS_RATIO = 100.0, 0.4  # of the position, and the most of it that a sampling rate allows
 _ROWS_HZ = 100.0  # of a regression with static models
-_SLIDING_PERIODS = 0.5  # of the low-pass: the time before and after a row that it mixes with the row
+# Of the low-pass: the time before and after a row in which the axis has to slide. The low-pass mixes half a period with
+# the row; for longer, the friction of an axis that has broken away still follows its velocity: it lags by its level
+# over stiffness and speed, -lag s'(v) a, which looks like inertia where the curve falls.
+_SLIDING_PERIODS = 2.0
 _COUNT_PERIODS = 2.0  # of the low-pass: the longest time for a count from which a speed is known
 _NOISY_RATIO = 0.1  # of the velocity
 _TURNING = 5.0  # times level over stiffness of presliding: there a bristle has turned but for 1.3 %
@@ -110,14 +113,17 @@ def _in_two_steps(
 
     They are LuGre and, if it has such a curve, the family that predicts the whole experiment best. Each is identified
     by itself: beside the other, one that predicts the torque of the fast sweeps far worse would be given up, and yet it
-    may compensate well.
+    may compensate well. Modifiers are tried if the slow sweeps show one: where an axis sticks and slips, what the
+    encoder does not resolve of that looks like a ripple.
     """
     if len(found) < 2:
         return
-    best = found[0].best.structure.family
+    best, slow = found[0].best.structure.family, found[1].best.structure
+    is_modified = not {*slow.modifiers} <= {"direction"}
     for family in with_steady_curve([each for each in families if each in (_LUGRE, best)]):
         if held := steady_curve(found[1:], family):
             settings = replace(found[0].settings, families=(family,), held=held, torque=_settled_torque(found[0]))
+            settings = replace(settings, has_modifiers=is_modified)
             try:
                 yield _identified(recordings, settings, on_fit)
             except RecordingError as error:

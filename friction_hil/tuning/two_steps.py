@@ -14,7 +14,7 @@ from friction_hil import friction as models
 from friction_hil.friction import create
 from friction_hil.friction.parameters import Parameter
 from friction_hil.identification import Fit, Identification
-from friction_hil.identification.choice import by_likelihood, choose
+from friction_hil.identification.choice import by_likelihood, choose, is_sound
 from friction_hil.identification.refine import is_dynamic
 
 _STEADY = ("stribeck", "coulomb")
@@ -35,7 +35,9 @@ def steady_curve(found: Sequence[Identification], family: str) -> Mapping[str, f
     """Return the parameters of a family that the slow sweeps give, by name, and the inertia.
 
     They are those of the Stribeck or Coulomb fit that is chosen among those without modifiers other than direction: the
-    others spread over their modifiers what this family has no place for. It is empty if there is no such fit.
+    others spread over their modifiers what this family has no place for. A hump that the data determine is taken even
+    if these rows are hardly predicted better with it: it is highest where the axis breaks away, in rows that do not
+    count. The result is empty if there is no such fit.
     ``found``: of the rows in which the axis slides. ``family``: one of `with_steady_curve`.
     """
     fits = [
@@ -46,7 +48,8 @@ def steady_curve(found: Sequence[Identification], family: str) -> Mapping[str, f
     ]
     if not by_likelihood(fits):
         return {}
-    best, _ = choose(fits)
+    humps = [fit for fit in fits if fit.structure.family == "stribeck" and not fit.structure.is_flat and is_sound(fit)]
+    best, _ = choose(humps if by_likelihood(humps) else fits)
     if not best.mechanics["inertia"] > 0.0:
         return {}
     viscous = "sigma2" if any(each.name == "sigma2" for each in _parameters(family)) else "viscous"

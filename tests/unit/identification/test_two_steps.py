@@ -8,6 +8,7 @@ import pytest
 
 from friction_hil.friction import create, names
 from friction_hil.identification import Identification, humps
+from friction_hil.identification.choice import choose
 from friction_hil.identification.structures import InitialScales, ModelStructure, build
 from friction_hil.tuning.two_steps import steady_curve, steady_weights, with_steady_curve
 from tests.unit.identification.test_identification import found, plain, recorded
@@ -58,6 +59,15 @@ def test_a_modifier_that_predicts_slightly_better_does_not_take_the_curve_away(s
     )
     fits = (modified, *sliding.fits)
     assert steady_curve([replace(sliding, fits=fits)], "lugre") == steady_curve([sliding], "lugre")
+
+
+def test_a_hump_that_the_rows_determine_stays_though_coulomb_predicts_them_as_well(sliding) -> None:
+    """The hump is highest where the axis breaks away, in rows that do not count."""
+    humped, level = plain(sliding, "stribeck"), plain(sliding, "coulomb")
+    error = humped.held_out
+    level = replace(level, across_speeds=error, cross_validation=error, validation=None)
+    assert choose((humped, level))[0] is level
+    assert steady_curve([replace(sliding, fits=(humped, level))], "lugre") == steady_curve([sliding], "lugre")
 
 
 def test_levels_of_each_direction_keep_their_sides_and_a_missing_hump_is_flat(sliding) -> None:
