@@ -197,14 +197,13 @@ def _thinned(
 
     Returns also the rows (n,) in which it slides, and the time to either side that was asked of them, s.
     """
-    segment = replace(segment, is_thinned=True)
-    if segment.lowpass_hz is None:
+    segment, cut_hz, reach_s = replace(segment, is_thinned=True), segment.lowpass_hz, sliding_s
+    if cut_hz is None:
         return segment, _sliding(segment, least_speed, sliding_s, distance), sliding_s
     velocity, acceleration = _derivatives(segment.position, segment.dt)
     segment = replace(segment, velocity=velocity, acceleration=acceleration)
-    cut_hz, reach_s = segment.lowpass_hz, sliding_s
-    rows = _sliding(segment, least_speed, reach_s, distance)
-    while rows.any() and cut_hz > _LEAST_CUT * segment.lowpass_hz:
+    rows, least_hz = _sliding(segment, least_speed, reach_s, distance), _LEAST_CUT * cut_hz
+    while rows.any() and cut_hz > least_hz:
         noise = acceleration_noise(segment.resolution or 0.0, cut_hz, segment.rate_hz)
         if noise <= NOISE_RATIO * np.std(segment.acceleration[rows]):
             break
