@@ -13,7 +13,7 @@ from friction_hil.identification.data import RegressionSegment
 from friction_hil.identification.fine import rounding_notes, shows_presliding, why_not_refined
 from friction_hil.identification.fits import ENDED_EARLY, Fit
 from friction_hil.identification.inference import VAGUE
-from friction_hil.identification.prediction_errors import is_grouped
+from friction_hil.identification.prediction_errors import is_grouped, speeds_alike
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.identification.refined_modifiers import refine_modifiers
 from friction_hil.identification.settings import FitStep, IdentificationSettings
@@ -88,6 +88,8 @@ def identify(
     if not any(math.isfinite(each.held_out.rmse) for each in fits):
         raise RecordingError(f"no candidate could be fitted to the recording: {'; '.join(fitter.notes)}")
     kind = "groups of recordings" if is_grouped(fitter.data) else "blocks"
+    if fitter.validation is None and (speeds := speeds_alike(fitter.data)) is not None:
+        fitter.notes.append(_one_kind(*speeds, fitter.settings))
     best, reason = choose(fits, kind)
     torque = None
     again = to_refine(best, [*fits, *free]) if not fitter.known else []
@@ -110,6 +112,16 @@ def identify(
         tuple(dict.fromkeys(fitter.notes)),
         torque,
         tuple(dict.fromkeys(fitter.failures)),
+    )
+
+
+def _one_kind(low: float, high: float, settings: IdentificationSettings) -> str:
+    """Return the note on recordings whose strokes reach speeds from ``low`` to ``high``, which are alike."""
+    unit = "m/s" if settings.axis == "linear" else "rad/s"
+    return (
+        f"the choice rests on one kind of motion: all strokes reach {low:.3g} to {high:.3g} {unit}, so that what is "
+        "held out is like what is fitted; to compare the models on other motions, record strokes of a third and of "
+        "three times the speed, or give such a recording to --validate"
     )
 
 

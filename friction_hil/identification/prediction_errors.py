@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from friction_hil.identification.data import Data, Mask
 from friction_hil.identification.least_squares import FitError
@@ -18,6 +19,7 @@ _LEAST_STROKE = 10  # rows
 _RECORDINGS_AS_BLOCKS = 4  # with this many recordings or more, each is a block
 _STRETCHES = 60  # of time, over which the errors of two fits are compared
 _LEAST_STRETCH = 8  # rows
+_ALIKE = 1.5  # ratio of the top speeds of strokes, below which they are one kind of motion
 _MARGIN = 5  # rows on either side of a block, which share samples with it through the filters
 
 
@@ -86,23 +88,39 @@ def speed_groups(data: Data) -> list[Mask]:
     """
     if is_grouped(data):
         return []
-    velocity = data.motion("velocity")
-    number = np.zeros(len(velocity), dtype=int)
-    number[1:] = np.diff(np.sign(velocity)) != 0.0
-    for part in data.parts:
-        number[part.start] = 1
-    stroke = np.cumsum(number) - 1
-    lengths = np.bincount(stroke)
+    stroke, lengths, tops = _strokes(data)
     if np.count_nonzero(lengths >= _LEAST_STROKE) < 2 * SPEED_GROUPS:
         return []
-    tops = np.zeros(len(lengths))
-    np.maximum.at(tops, stroke, np.abs(velocity))
     order = np.argsort(tops, kind="stable")
     middles = np.cumsum(lengths[order]) - 0.5 * lengths[order]
     group = np.empty(len(lengths), dtype=int)
     group[order] = np.minimum(middles * SPEED_GROUPS / len(data), SPEED_GROUPS - 1).astype(int)
     masks = [group[stroke] == i for i in range(SPEED_GROUPS)]
     return masks if all(np.count_nonzero(mask) > _LEAST_STROKE for mask in masks) else []
+
+
+def _strokes(data: Data) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Return the number of the stroke of each row (k,), and the rows and the top speed of each stroke (n,)."""
+    velocity = data.motion("velocity")
+    is_first = np.diff(np.sign(velocity), prepend=0.0) != 0.0
+    is_first[[part.start for part in data.parts]] = True
+    stroke = np.cumsum(is_first) - 1
+    tops = np.zeros(stroke[-1] + 1)
+    np.maximum.at(tops, stroke, np.abs(velocity))
+    return stroke, np.bincount(stroke), tops
+
+
+def speeds_alike(data: Data) -> tuple[float, float] | None:
+    """Return the lowest and the highest speed that strokes reach if these are about the same, else None.
+
+    What was held out is then like what was fitted, however it was divided.
+    """
+    _, lengths, tops = _strokes(data)
+    reached = tops[lengths >= _LEAST_STROKE]
+    if not len(reached):
+        return None
+    low, high = float(np.min(reached)), float(np.max(reached))
+    return (low, high) if high < _ALIKE * low else None
 
 
 def cross_validate(

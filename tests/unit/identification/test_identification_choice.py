@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 import friction_hil as fh
 from friction_hil.errors import RecordingError
-from friction_hil.identification import Fit, Identification, candidates, plausible_fits, workers
+from friction_hil.identification import (
+    Fit,
+    Identification,
+    IdentificationSettings,
+    candidates,
+    identify,
+    plausible_fits,
+    workers,
+)
 from friction_hil.identification.choice import choose, log_likelihood_gain
 from friction_hil.identification.export import as_json, model_file
 from friction_hil.identification.least_squares import FitError, column_norms, least_norm_solution
@@ -218,3 +226,14 @@ def test_the_number_of_processors_changes_no_bit(monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(workers, "processors", lambda count=count: count)
         values.append([(fit.label, fit.values) for fit in found(recording, families=("dahl", "lugre", "gms")).fits])
     assert values[0] == values[1]
+
+
+@pytest.mark.parametrize(("amplitudes", "is_said"), [((0.4, 0.4), True), ((0.4, 1.2), False)])
+def test_a_choice_that_rests_on_one_kind_of_motion_says_so(amplitudes: tuple[float, float], is_said: bool) -> None:
+    time = np.arange(8000) * PERIOD_S
+    velocity = np.where(time < 8.0, *amplitudes) * np.sin(2.0 * np.pi * time)
+    torque = 0.02 * np.gradient(velocity, PERIOD_S) + 0.3 * np.sign(velocity) + 0.05 * velocity
+    one = made(time, velocity, torque)
+    assert any("one kind of motion" in note for note in found(one, families=("coulomb",)).notes) == is_said
+    judged = identify([one], IdentificationSettings(families=("coulomb",), gravity="none"), validation=[one])
+    assert not any("one kind of motion" in note for note in judged.notes), "held out is what the user gave"
