@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from friction_hil.config import from_dict
 from friction_hil.daemon.axis import AxisLoop
@@ -68,6 +69,7 @@ class ServoDrives(Drives):
     ) -> None:
         self.modes = [Mode[axis.mode.upper()] for axis in config.axes.values()]
         self.names = list(config.axes)
+        self.are_by_velocity = [axis.compensation.velocity_offset is not None for axis in config.axes.values()]
         self.period_s = config.period_s
         self.servos = [Servo(servo or ServoConfig()) for _ in self.names]
         for one in self.servos:
@@ -83,10 +85,11 @@ class ServoDrives(Drives):
 
     def connect(self) -> Sequence[AxisFacts]:
         delays = {Mode.CSP: 2.5, Mode.CSV: 2.0, Mode.CST: 1.5}
-        return [
+        facts = [
             AxisFacts(name, "servo", 1.0 / s.counts_per_unit, 6.4e-4, delays[m] * self.period_s, 1.5 * self.period_s)
             for name, s, m in zip(self.names, self.servos, self.modes, strict=True)
         ]
+        return [replace(each, takes_velocity_offset=by) for each, by in zip(facts, self.are_by_velocity, strict=True)]
 
     def start(self) -> None:
         pass
@@ -123,7 +126,7 @@ class ServoDrives(Drives):
             mode = self.modes[k]
             position = round(command.position * servo.counts_per_unit) / servo.counts_per_unit  # as a drive takes it
             target = {Mode.CSP: position, Mode.CSV: command.velocity, Mode.CST: command.torque}[mode]
-            servo.command(mode, target, 0.0, 0.0 if mode is Mode.CST else command.torque)
+            servo.command(mode, target, command.velocity_offset, 0.0 if mode is Mode.CST else command.torque)
         elif self.states[k] is DriveState.QUICK_STOP_ACTIVE:
             servo.quick_stop(200.0)
         else:
@@ -139,7 +142,7 @@ class ServoDrives(Drives):
             assert math.isfinite(c.torque)
             self.sent[k].append((c.request, c.position, c.torque))
             if c.request is not Request.LISTEN:
-                self.pending[k] = Command(c.request, c.position, c.velocity, c.torque)
+                self.pending[k] = replace(c)
 
     def close(self) -> None:
         self.is_closed = True

@@ -6,6 +6,7 @@ Pure: one compiled step over one state record, the same in the daemon and in rep
 `temperature` the load torque and temperature that it is given, `transmission` the offset of the motor across gap and
 twist, `prediction` how far the axis will deviate from its demand, `velocity` the velocity estimators, `limit_cycle` and
 `adaptation` what changes the gain, `limiter` the bounds on torque and slew. `Compensator` holds all of it as an object.
+`velocity_offset` gives the torque through the velocity loop of a drive that takes none.
 README.md of this folder explains formulas and settings.
 """
 

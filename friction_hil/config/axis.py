@@ -82,6 +82,30 @@ class MotorOffset(Section):
     )
 
 
+class VelocityOffset(Section):
+    """Compensation by an offset of the demand of the drive's velocity loop, for a drive without a torque input."""
+
+    velocity_gain: float = key(
+        "gain of the drive's velocity loop, torque per velocity error", "N m s/rad or N s/m", gt=0, le=1e9
+    )
+    integral_hz: float = key("corner frequency of that loop's integral part; 0: it has none", "Hz", ge=0, le=5e3)
+    limit: float = key("limit of abs(velocity offset)", VELOCITY, gt=0, le=MOST_VELOCITY)
+    slew: float = key("limit of the slew rate of the velocity offset", f"{VELOCITY} per s", gt=0, le=MOST_ACCELERATION)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_gains(cls, given: Any) -> Any:
+        if isinstance(given, Mapping) and (missing := [name for name in _GAINS if given.get(name) is None]):
+            raise ValueError(
+                f"needs {' and '.join(missing)} of the drive's velocity loop, from its own settings or from a recorded "
+                "run without compensation: 'friction-hil identify RUN.mcap' prints them"
+            )
+        return given
+
+
+_GAINS = ("velocity_gain", "integral_hz")
+
+
 class Compensation(Section):
     """Computation of the compensation from the model's torque."""
 
@@ -143,6 +167,11 @@ class Compensation(Section):
     transmission: MotorOffset | None = key(
         "offset of the motor across mechanics.backlash and twist (mechanics.load.stiffness) of the model file; by "
         "default off",
+        default=None,
+    )
+    velocity_offset: VelocityOffset | None = key(
+        "compensation by a velocity offset in place of the torque offset, for a drive without a torque input (csp and "
+        "csv); by default off",
         default=None,
     )
 
@@ -349,6 +378,16 @@ def _offset_obstacle(axis: AxisConfig) -> str:
     return ""
 
 
+def _velocity_offset_obstacle(axis: AxisConfig) -> str:
+    """Return why an axis cannot be compensated by a velocity offset; empty if it can."""
+    if axis.trajectory.kind == "master":
+        return (
+            "is not possible beside a master (trajectory kind master), which may use the velocity offset itself: only "
+            "the torque offset is this program's"
+        )
+    return "is not needed in mode cst, where the torque itself is commanded: remove it" if axis.mode == "cst" else ""
+
+
 def _learning_obstacle(axis: AxisConfig) -> str:
     """Return why the parameters of an axis cannot be learned; empty if they can."""
     if axis.model.mechanics.inertia == 0.0:
@@ -374,6 +413,8 @@ def compensation_mistakes(axis: AxisConfig) -> Iterator[Mistake]:
         yield ("compensation", "learning"), obstacle
     elif given.transmission is not None and (obstacle := _offset_obstacle(axis)):
         yield ("compensation", "transmission"), obstacle
+    elif given.velocity_offset is not None and (obstacle := _velocity_offset_obstacle(axis)):
+        yield ("compensation", "velocity_offset"), obstacle
     elif given.velocity in ("difference", "drive"):
         settings = CompensatorSettings(
             period_s=1e-3,

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from friction_hil.compensator import Compensator, CompensatorSettings, ThermalObserver
+from friction_hil.compensator.velocity_offset import VelocityOffset
 from friction_hil.daemon.safety import SafetyLimits
 from friction_hil.drive import AxisFacts
+from friction_hil.errors import OptionError
 from friction_hil.motion import experiment, multisine
 from friction_hil.motion.controller import CONTROLLER
 from friction_hil.motion.sequence import Part, sequence_path, strokes_path
@@ -61,6 +63,22 @@ def make_compensator(config: "AxisConfig", model: "ModelFile", facts: AxisFacts,
         setpoint_delay_s=facts.setpoint_delay_s,
     )
     return Compensator(model.friction_model, settings)
+
+
+def make_velocity_offset(config: "AxisConfig", facts: AxisFacts, period_s: float) -> VelocityOffset | None:
+    """Return what gives the compensation as a velocity offset, None where the drive is given the torque.
+
+    Its limit is a whole number of steps of the drive's velocity. Raises `OptionError`: it is less than one.
+    """
+    given, step = config.compensation.velocity_offset, facts.velocity_resolution
+    if given is None:
+        return None
+    limit = math.floor(given.limit / step * (1.0 + 1e-12)) * step if step > 0.0 else given.limit
+    if limit == 0.0:
+        text = f"is {given.limit:g}, less than a step of the drive's velocity, {step:.3g}"
+        raise OptionError(facts.name, "compensation.velocity_offset.limit", text)
+    fade_s = config.compensation.fade_s
+    return VelocityOffset(period_s, given.velocity_gain, given.integral_hz, limit, given.slew, fade_s)
 
 
 def largest_offset(config: "AxisConfig") -> float:

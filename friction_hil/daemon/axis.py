@@ -5,8 +5,9 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from friction_hil.compensator import CompensatorInputs
-from friction_hil.daemon.assembly import lead_s, make_compensator, make_limits, make_shadows
+from friction_hil.compensator import Compensator, CompensatorInputs
+from friction_hil.compensator.velocity_offset import VelocityOffset
+from friction_hil.daemon.assembly import lead_s, make_compensator, make_limits, make_shadows, make_velocity_offset
 from friction_hil.daemon.command import CommandWriter
 from friction_hil.daemon.control.message import AxisChange
 from friction_hil.daemon.figures import FeedbackGaps
@@ -57,6 +58,7 @@ class AxisLoop:
         "_period_s",
         "_standstill",
         "_states",
+        "_velocity_offset",
         "checks",
         "compensator",
         "facts",
@@ -88,6 +90,7 @@ class AxisLoop:
         max_stale_cycles: int = MAX_STALE_CYCLES,
     ) -> None:
         check_torque(name, config, facts)
+        check_velocity_offset(name, config, facts)
         unit, limits, resolution = POSITION_UNITS[config.model.axis], make_limits(config), facts.position_resolution
         self.name, self.facts, self._period_s = name, facts, period_s
         self.lead_s = lead_s(config.model, facts, period_s)
@@ -95,7 +98,8 @@ class AxisLoop:
         self.shadow_names = list(shadow_names)
         self.shadows = make_shadows(config, facts, period_s)
         self.motion = AxisMotion(name, unit, config, limits, facts, period_s, self.lead_s, path_time)
-        self._command = CommandWriter(config, limits, self.motion, period_s, self.lead_s)
+        self._velocity_offset = make_velocity_offset(config, facts, period_s)
+        self._command = CommandWriter(config, limits, self.motion, period_s, self.lead_s, self._velocity_offset)
         self._has_offset = config.compensation.transmission is not None
         self._standstill = Standstill(limits.velocity, resolution, period_s)
         self.notices = AxisNotices(name, unit, period_s, self.compensator)
@@ -104,12 +108,15 @@ class AxisLoop:
         self.is_broken = False  # its computation has failed: it gets no torque any more
         self._last_cycle = -1
         self._make_parts(config, unit, path_time.ramp_s, max_stale_cycles)
-        self._states = [one.state for one in (self.compensator, *self.shadows.values())]
+        parts: list[Compensator | VelocityOffset] = [self.compensator, *self.shadows.values()]
+        if self._velocity_offset is not None:
+            parts.append(self._velocity_offset)
+        self._states = [one.state for one in parts]
         self.state_width = sum(state.size for state in self._states)
         self.row_width = row_width(shadow_names) + self.state_width
         self._command.compile()
         self.following.errors.compile()
-        for one in (self.compensator, *self.shadows.values()):
+        for one in parts:
             one.compile()
 
     def _make_parts(self, config: "AxisConfig", unit: str, ramp_s: float, max_stale_cycles: int) -> None:
@@ -194,7 +201,7 @@ class AxisLoop:
                 text = f"{self.name}: the computation failed: {type(error).__name__}: {error}"
                 fault = FaultCode.COMPUTATION_FAILED.append_to(text)
                 warning = self.notices.next(self.compensator, self.compensator.velocity_estimate, math.nan)
-        command.torque = command.velocity = 0.0
+        command.torque = command.velocity = command.velocity_offset = 0.0
         row.clear(cycle * self._period_s, cycle)
         velocity = feedback.velocity if isinstance(feedback.velocity, float) else math.nan
         is_standing = self._standstill.take(velocity, is_usable=feedback.is_fresh)
@@ -256,11 +263,15 @@ class AxisLoop:
             text = f"{self.name}: the friction model gave a torque that is not finite"
             fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
         # without power no torque flows, and none may wait for the moment in which the drive is enabled again
-        torque = compensation if supervisor.is_torque_taken else 0.0
+        torque = compensation if supervisor.is_torque_taken and self._velocity_offset is None else 0.0
         writer, checks = self._command, self.checks
         if checks.first_torque is not None:
             self._bound_torque(checks.first_torque, state, position, missed)
         writer.write(command, state, time_s, position, estimate, setpoint, torque, feedback)
+        if self._velocity_offset is not None:
+            offset = self._velocity_offset.step(inputs.cycle, compensation)
+            writer.write_velocity_offset(command, state, offset, feedback)
+            row.write_velocity_offset(offset)
         start_fault = None
         if state is LoopState.FIRST_MOTION and checks.first_motion is not None:
             start_fault = checks.first_motion.take(position, feedback.velocity, missed, is_usable=is_usable)
@@ -310,6 +321,13 @@ class AxisLoop:
         if warning:
             self.schedule.take_back()
             self.notices.add(warning)
+
+
+def check_velocity_offset(name: str, config: "AxisConfig", facts: AxisFacts) -> None:
+    """Refuse a velocity offset that does not get to the drive."""
+    given = config.compensation
+    if given.velocity_offset is not None and given.enabled and not facts.takes_velocity_offset:
+        raise OptionError(name, "compensation.velocity_offset", "is not possible: this drive takes no velocity offset")
 
 
 def check_torque(name: str, config: "AxisConfig", facts: AxisFacts) -> None:

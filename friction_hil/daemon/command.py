@@ -4,6 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 from friction_hil.compensator.limiter import limit_torque
+from friction_hil.compensator.velocity_offset import VelocityOffset
 from friction_hil.daemon.assembly import make_controller
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
@@ -14,6 +15,41 @@ from friction_hil.motion.trajectory import Setpoint
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
+
+
+class LimitedOutput:
+    """A value that the drive adds to its demand, within its own limit and slew, in its own unit.
+
+    A value whose command the driver reports as lost (`Feedback.is_setpoint_lost`) may or may not be in the drive. The
+    next one stays within a step of it and of all that the drive may have instead, so that neither the drive nor the
+    wire sees more than one step.
+    """
+
+    __slots__ = ("_highest", "_largest_step", "_limit", "_lowest", "_value")
+
+    def __init__(self, limit: float, largest_step: float) -> None:
+        self._limit, self._largest_step = limit, largest_step
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin at zero, without a slew."""
+        self._value = self._lowest = self._highest = 0.0  # the last one, and the bounds of what the drive may have
+
+    def begin(self, *, is_lost: bool) -> None:
+        """Begin a cycle; ``is_lost``: the command of the cycle before."""
+        if is_lost:
+            self._lowest, self._highest = min(self._lowest, self._value), max(self._highest, self._value)
+        else:
+            self._lowest = self._highest = self._value
+
+    def next(self, wanted: float) -> float:
+        """Return the value within limit and slew, and keep it as the last one."""
+        value = limit_torque(wanted, self._lowest, self._limit, self._largest_step)
+        if self._highest != self._lowest:  # apart by a step at most: one value at least is within a step of both
+            value = limit_torque(value, self._highest, self._limit, self._largest_step)
+        self._value = value
+        return value
+
 
 _ENABLED = (LoopState.ENABLING, LoopState.FIRST_MOTION)
 _STOPPED = (LoopState.FAULT_STOPPING, LoopState.DISABLING)
@@ -26,28 +62,22 @@ class CommandWriter:
     drive receives, with the torque of the loop's own controller (CST) and the feed-forward of gravity and offset: from
     zero at each enabling, and in steps of one period even after missed ones. Both call
     `friction_hil.compensator.limiter.limit_torque`.
-
-    A torque whose command the driver reports as lost (`Feedback.is_setpoint_lost`) may or may not be in the drive. The
-    next one stays within a step of it and of all that the drive may have instead, so that neither the drive nor the
-    wire sees more than one step.
     """
 
     __slots__ = (
         "_controller",
         "_error_left",
         "_fade",
-        "_highest",
         "_integral",
         "_is_held_by_loop",
-        "_largest_step",
         "_lead_s",
         "_limits",
-        "_lowest",
         "_mode",
         "_motion",
         "_period_s",
         "_static",
         "_torque",
+        "_velocity_offset",
         "effort",
         "held_position",
         "most",
@@ -55,7 +85,13 @@ class CommandWriter:
     )
 
     def __init__(
-        self, config: "AxisConfig", limits: SafetyLimits, motion: AxisMotion, period_s: float, lead_s: float
+        self,
+        config: "AxisConfig",
+        limits: SafetyLimits,
+        motion: AxisMotion,
+        period_s: float,
+        lead_s: float,
+        velocity_offset: VelocityOffset | None = None,  # by which the compensation goes out
     ) -> None:
         self._mode = Mode[config.mode.upper()]
         self._limits = limits
@@ -64,12 +100,12 @@ class CommandWriter:
         self._lead_s = lead_s  # from sampling the position until the torque acts
         self._static = static_torque(config)
         self._fade = Fade(period_s)  # from the feed-forward before the last change
-        self._largest_step = limits.torque_slew * period_s
         self._controller, self._integral = make_controller(config), 0.0
         self._is_held_by_loop = False  # the loop's own controller (cst) has carried the axis up to now
         self._error_left = 0.0  # following error with which it came to rest
-        self._torque = 0.0
-        self._lowest = self._highest = 0.0  # of what the drive may have
+        self._torque = LimitedOutput(limits.torque, limits.torque_slew * period_s)
+        limit, slew = (0.0, 0.0) if velocity_offset is None else (velocity_offset.limit, velocity_offset.slew)
+        self._velocity_offset = LimitedOutput(limit, slew * period_s)
         self.offset_sent = (0.0, 0.0)  # position and velocity that are added to the set-point that is sent, SI
         # at which the axis is held outside of the moving states, SI; NaN before the first cycle
         self.held_position = math.nan
@@ -80,7 +116,7 @@ class CommandWriter:
         """Compile the kernels that `write` runs."""
         self._control(Setpoint(0.0, 0.0, 0.0), 0.0, 0.0)
         self._integral = 0.0
-        self._limited(0.0)
+        self._torque.next(0.0)
 
     def adopt(self, static: StaticTorque, fade_s: float, lead_s: float) -> None:
         """Go on with another feed-forward of gravity and offset; what it differs by vanishes over ``fade_s``."""
@@ -110,22 +146,18 @@ class CommandWriter:
         whether the command before was lost.
         """
         command.velocity = 0.0
-        before = self._torque
-        if feedback.is_setpoint_lost:
-            self._lowest, self._highest = min(self._lowest, before), max(self._highest, before)
-        else:
-            self._lowest = self._highest = before
+        self._torque.begin(is_lost=feedback.is_setpoint_lost)
         static = self._static_torque(position, velocity, now)
         if state not in MOVING:
             self._hold(command, state, position, velocity, compensation, static, feedback.state)
         elif self._mode is Mode.CST:
             if now is not None:
                 self._is_held_by_loop, self._error_left, self.held_position = True, now.position - position, position
-            command.torque = self._limited(
+            command.torque = self._torque.next(
                 self._bounded(self._control(now, position, velocity) + compensation) + static
             )
         else:
-            command.torque = self._limited(compensation + static)
+            command.torque = self._torque.next(compensation + static)
             if now is not None:
                 self._write_setpoint(command, time_s, position, now)
 
@@ -156,19 +188,24 @@ class CommandWriter:
         command.position = self.held_position
         if self._is_held_by_loop:
             held = Setpoint(self.held_position, 0.0, 0.0)
-            command.torque = self._limited(self._bounded(self._control(held, position, velocity)) + static)
+            command.torque = self._torque.next(self._bounded(self._control(held, position, velocity)) + static)
             return
         self._integral = 0.0
         if state in _STOPPED:
-            # One that does not report its state may have power. Without power no torque flows: it ends within the slew,
-            # as a single wrong statusword must make no step.
-            has_power = drive_state.is_powered or drive_state is DriveState.UNKNOWN
+            # without power no torque flows: it ends within the slew, as a single wrong statusword must make no step
             left = compensation if state is LoopState.FAULT_STOPPING else 0.0
-            command.torque = self._limited(static + left if has_power else 0.0)
+            command.torque = self._torque.next(static + left if _has_power(drive_state) else 0.0)
         elif state in _ENABLED:
-            command.torque = self._limited(static)
+            command.torque = self._torque.next(static)
         else:
-            self._lowest = self._highest = self._torque = command.torque = 0.0
+            self._torque.clear()
+            command.torque = 0.0
+
+    def write_velocity_offset(self, command: Command, state: LoopState, wanted: float, feedback: Feedback) -> None:
+        """Write the velocity offset of the compensator, rad/s; where the axis is not to move it goes to zero."""
+        self._velocity_offset.begin(is_lost=feedback.is_setpoint_lost)
+        is_acting = state in MOVING or (state is LoopState.FAULT_STOPPING and _has_power(feedback.state))
+        command.velocity_offset = self._velocity_offset.next(wanted if is_acting else 0.0)
 
     def _static_torque(self, position: float, velocity: float, now: Setpoint | None) -> float:
         """Return the feed-forward of gravity and offset, N m: on the demanded path, without one at the axis."""
@@ -180,15 +217,6 @@ class CommandWriter:
         """Return the torque within `most`, and keep it as `effort`."""
         self.effort = min(max(wanted, -self.most), self.most)
         return self.effort
-
-    def _limited(self, wanted: float) -> float:
-        """Return the torque within limit and slew, and keep it as the last one."""
-        limit, step = self._limits.torque, self._largest_step
-        torque = limit_torque(wanted, self._lowest, limit, step)
-        if self._highest != self._lowest:  # apart by a step at most: one torque at least is within a step of both
-            torque = limit_torque(torque, self._highest, limit, step)
-        self._torque = torque
-        return torque
 
     def _write_setpoint(self, command: Command, time_s: float, position: float, now: Setpoint) -> None:
         """Write position and velocity; in CSV the velocity includes the loop's own position control."""
@@ -217,3 +245,8 @@ class CommandWriter:
             min(self._limits.torque, self.most),
         )
         return torque
+
+
+def _has_power(state: DriveState) -> bool:
+    """Return True for a drive that may have power; one that does not report its state may."""
+    return state.is_powered or state is DriveState.UNKNOWN

@@ -25,6 +25,7 @@ _VELOCITY_ESTIMATE = columns.NAMES.index("velocity_estimate")
 _LOAD_ESTIMATE = columns.NAMES.index("load_estimate")
 _TEMPERATURE_ESTIMATE = columns.NAMES.index("temperature_estimate")
 _MOTOR_OFFSET = columns.NAMES.index("motor_offset")
+_VELOCITY_OFFSET = columns.NAMES.index("velocity_offset")
 _COMPENSATION = columns.NAMES.index("compensation")
 _COMMAND = columns.NAMES.index("command")
 _STATE = columns.NAMES.index("state")
@@ -93,6 +94,10 @@ class AxisRow:
         self._cells[_LOAD_ESTIMATE] = load_torque
         self._cells[_TEMPERATURE_ESTIMATE] = temperature
         self._cells[_MOTOR_OFFSET] = motor_offset
+
+    def write_velocity_offset(self, offset: float) -> None:
+        """Write the velocity offset that gives the compensation."""
+        self._cells[_VELOCITY_OFFSET] = offset
 
     def write_shadow(self, name: str, torque: float) -> None:
         """Write the torque of a shadow model, N m."""

@@ -88,7 +88,9 @@ def _largest_friction(config: "AxisConfig", weight: float) -> float:
 
 
 def _is_fed(config: "AxisConfig") -> bool:
-    """Return False beside a master: its loops or its own feed-forward carry the weight already."""
+    """Return False where the drive takes no torque, and beside a master, which carries the weight already."""
+    if config.compensation.velocity_offset is not None:
+        return False
     has_controller = config.mode == "cst" and config.controller is not None
     is_wanted = config.compensation.enabled or has_controller
     return config.compensation.gravity and is_wanted and config.trajectory.kind != "master"

@@ -97,6 +97,8 @@ class Command:
     position: float = 0.0  # CSP
     velocity: float = 0.0  # CSV
     torque: float = 0.0  # CST: total torque; CSP and CSV: torque offset, added by the drive
+    # CSP and CSV, where `AxisFacts.takes_velocity_offset`: added by the drive to the demand of its velocity loop
+    velocity_offset: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +140,10 @@ class AxisFacts:
         Part of the key ``setpoint_delay_cycles`` that has passed when `Feedback.position_demand` is heard; None: that
         is the drive's own demand, which no key delays.
     takes_torque : bool
-        False: the drive has nothing by which it takes a torque in this mode, and runs without compensation.
+        False: the drive has nothing by which it is compensated in this mode, neither a torque offset nor, where the
+        configuration asks for that one, a velocity offset.
+    takes_velocity_offset : bool
+        `Command.velocity_offset` reaches the drive, in place of `Command.torque`.
     """
 
     name: str
@@ -154,6 +159,7 @@ class AxisFacts:
     has_load_encoder: bool = False
     takes_torque: bool = True
     setpoint_age_s: float | None = 0.0
+    takes_velocity_offset: bool = False
 
 
 class Clock(Protocol):

@@ -56,6 +56,12 @@ COLUMNS = (
         "what is added to position_demand for the motor, across backlash and twist",
         is_sparse=True,
     ),
+    ColumnMeaning(
+        "velocity_offset",
+        "rad/s",
+        "velocity offset that gives compensation by the drive's velocity loop, where it takes no torque",
+        is_sparse=True,
+    ),
     ColumnMeaning("compensation", "N m", "friction feed-forward alone"),
     ColumnMeaning(
         "compensation_uncertainty",

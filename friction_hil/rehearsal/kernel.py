@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from friction_hil import compensator
-from friction_hil.compensator import load
+from friction_hil.compensator import load, velocity_offset
 from friction_hil.compensator.limiter import limit_torque
 from friction_hil.motion.controller import cascade
 from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined
@@ -36,6 +36,7 @@ LOOP = np.dtype(
     [
         ("targets", "f8", (MOST_DELAY_CYCLES + 1,)),  # set-points of the cycles, newest first
         ("torques", "f8", (MOST_DELAY_CYCLES + 1,)),
+        ("velocity_offsets", "f8", (MOST_DELAY_CYCLES + 1,)),
         ("integral", "f8"),  # of the loop's own controller
     ]
 )
@@ -56,6 +57,9 @@ class Axis(NamedTuple):
     state: StructuredArray
     settings: StructuredArray  # record of a `friction_hil.compensator.Compensator`
     compensator_state: StructuredArray  # state of that compensator
+    # of a `friction_hil.compensator.velocity_offset.VelocityOffset`; a gain of 0: the drive is given the torque
+    offset_settings: StructuredArray
+    offset_state: StructuredArray
 
 
 @inlined
@@ -109,12 +113,18 @@ def _decide(axis: Axis, k: int, row: Array, trace: Array) -> None:
     if d.largest_static > 0.0:
         static = d.offset + load.gravity(c, row[0] + c.lead_s * row[1])
         own += min(max(static, -d.largest_static), d.largest_static)
-    torque = limit_torque(own + compensation, loop.torques[0], d.torque_limit, d.torque_slew * d.period_s)
+    velocity = 0.0
+    if axis.offset_settings[0].gain > 0.0:
+        velocity = velocity_offset.step(axis.offset_settings, axis.offset_state, float(k), compensation)
+    else:
+        own += compensation
+    torque = limit_torque(own, loop.torques[0], d.torque_limit, d.torque_slew * d.period_s)
     trace[0, k], trace[1, k], trace[2, k] = error, compensation, r.limit_cycle.gain_factor
     trace[3, k], trace[4, k] = row[0], row[0] - plant.load_position(axis.state)
     for j in range(MOST_DELAY_CYCLES, 0, -1):
         loop.targets[j], loop.torques[j] = loop.targets[j - 1], loop.torques[j - 1]
-    loop.targets[0], loop.torques[0] = target, torque
+        loop.velocity_offsets[j] = loop.velocity_offsets[j - 1]
+    loop.targets[0], loop.torques[0], loop.velocity_offsets[0] = target, torque, velocity
 
 
 @inlined
@@ -126,7 +136,7 @@ def _act(axis: Axis) -> None:
     if d.mode == plant.CST:
         target, offset = offset, 0.0
     r.phase = 0.0
-    r.torque_offset = offset
+    r.torque_offset, r.velocity_offset = offset, loop.velocity_offsets[late]
     r.target0, r.target1, r.target2 = r.target1, r.target2, target
 
 

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from friction_hil import compensator as compensation
+from friction_hil.compensator import velocity_offset
 from friction_hil.config.external_torque import simulated_servo
-from friction_hil.daemon.assembly import lead_s, make_compensator, make_controller
+from friction_hil.daemon.assembly import lead_s, make_compensator, make_controller, make_velocity_offset
 from friction_hil.daemon.figures import Figures, figures_of
 from friction_hil.daemon.static_torque import static_torque
 from friction_hil.motion.trajectory import Path, PathTime, Trajectory
-from friction_hil.numerics.jit import Array
+from friction_hil.numerics.jit import Array, StructuredArray
 from friction_hil.rehearsal import kernel
 from friction_hil.servo import plant
 
@@ -103,6 +104,7 @@ class Rehearsal:
             *simulated.records,
             compensator.record,
             compensator.state.view(compensation.STATE),
+            *_records(make_velocity_offset(axis, facts, period_s)),
         )
 
     def demand(self, model: "ModelFile", motion: Motion) -> Array:
@@ -123,3 +125,10 @@ class Rehearsal:
                 rows.append((*now, ahead.velocity, ahead.acceleration, counts * resolution, sent.velocity))
             self._demands[key] = np.array(rows)
         return self._demands[key]
+
+
+def _records(offset: velocity_offset.VelocityOffset | None) -> tuple[StructuredArray, StructuredArray]:
+    """Return settings and state of a velocity offset, zeros where the drive is given the torque."""
+    if offset is None:
+        return np.zeros(1, velocity_offset.SETTINGS), np.zeros(1, velocity_offset.STATE)
+    return offset.record, offset.state_record

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from friction_hil.compensator import INPUTS, RESULTS, Compensator, input_checksum
+from friction_hil.compensator.velocity_offset import VelocityOffset
 from friction_hil.config import AxisConfig, Configuration, from_dict
-from friction_hil.daemon.assembly import make_compensator, make_shadows
+from friction_hil.daemon.assembly import make_compensator, make_shadows, make_velocity_offset
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import RecordingError
 from friction_hil.numerics.jit import Array
@@ -16,6 +17,7 @@ from friction_hil.recordings import Recording, columns, fingerprint
 from friction_hil.replay.changes import RecordedChanges, inputs_of
 
 _RELATIVE_TOLERANCE = 1e-9
+_VELOCITY_OFFSET = "velocity_offset"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +73,13 @@ def verify(recording: Recording, configuration: Configuration | None = None) -> 
     changes = RecordedChanges(recording, configuration, facts)
     differences = tuple(fingerprint.differences(metadata.get("fingerprint", {}), fingerprint.fingerprint()))
     tolerance = _RELATIVE_TOLERANCE * axis.model.friction_model.level if differences else 0.0
-    recording.require(*compensators)
+    velocity_offset = make_velocity_offset(axis, facts, configuration.period_s)
+    recording.require(*compensators, *((_VELOCITY_OFFSET,) if velocity_offset is not None else ()))
     rows = len(recording) - recording.restarts[0][0] if recording.restarts else 0
     if altered is not None:
         row, reason = altered, "the recorded inputs are not those that the daemon saw (checksum)"
     else:
-        row, reason = _first_difference(recording, compensators, changes, tolerance)
+        row, reason = _first_difference(recording, compensators, velocity_offset, changes, tolerance)
     if reason:
         # computed from the time: the recorded cycle number is an input too and may be what was altered
         reason = f"cycle {round(float(recording.columns[columns.TIME][row]) / configuration.period_s)}: {reason}"
@@ -121,10 +124,17 @@ def _altered_row(recording: Recording) -> int | None:
 
 
 def _first_difference(
-    recording: Recording, compensators: Mapping[str, Compensator], changes: RecordedChanges, tolerance: float
+    recording: Recording,
+    compensators: Mapping[str, Compensator],
+    velocity_offset: VelocityOffset | None,
+    changes: RecordedChanges,
+    tolerance: float,
 ) -> tuple[int, str]:
     """Return row and description of the first difference; the description is empty if there is none."""
-    needed = sum(compensator.state.size for compensator in compensators.values())
+    parts: dict[str, Compensator | VelocityOffset] = dict(compensators)
+    if velocity_offset is not None:
+        parts[_VELOCITY_OFFSET] = velocity_offset
+    needed = sum(part.state.size for part in parts.values())
     bounds = [row for row, _ in recording.restarts] + [len(recording)]
     for (first, state), end in zip(recording.restarts, bounds[1:], strict=True):
         if state.size < needed:
@@ -134,14 +144,17 @@ def _first_difference(
             )
         offset = 0
         worst: tuple[int, str] | None = None
-        for column, compensator in compensators.items():
-            size = compensator.state.size
-            compensator.state[:] = state[offset : offset + size]
+        for column, part in parts.items():
+            size = part.state.size
+            part.state[:] = state[offset : offset + size]
             offset += size
-            if column == "compensation":
-                results = changes.replay(compensator, first, end)
+            if isinstance(part, VelocityOffset):
+                inputs = (recording.columns[name][first:end] for name in ("cycle", "compensation"))
+                results = {column: part.replay(*inputs)}
+            elif column == "compensation":
+                results = changes.replay(part, first, end)
             else:
-                results = {column: compensator.replay_all(inputs_of(recording, first, end))["compensation"]}
+                results = {column: part.replay_all(inputs_of(recording, first, end))["compensation"]}
             for name, values in results.items():
                 row = _first_unequal(recording.columns[name][first:end], values, tolerance)
                 if row is not None and (worst is None or first + row < worst[0]):

@@ -174,14 +174,14 @@ def control(plant: StructuredArray, controller: StructuredArray, s: StructuredAr
     torque = 0.0
     if r.mode == CSP:
         demand, velocity_demand, acceleration = interpolate_position(s, u, period)
-        r.position_demand, r.velocity_demand = demand, velocity_demand + r.velocity_offset
+        r.position_demand, r.velocity_demand = demand, velocity_demand
         torque, r.integral = cascade(
             controller,
             r.integral,
             demand - position,
-            r.velocity_demand,
+            velocity_demand,
             acceleration,
-            r.velocity_estimate,
+            r.velocity_estimate - r.velocity_offset,  # whole, whatever the gain of the feed-forward of the velocity
             dt,
             bound,
         )

@@ -272,6 +272,15 @@ class Servo:
         self._s[_TORQUE_OFFSET] = offset
 
     @property
+    def velocity_offset(self) -> float:
+        """Velocity offset in force (60B1h), rad/s or m/s, as `torque_offset`."""
+        return self._get(_VELOCITY_OFFSET)
+
+    @velocity_offset.setter
+    def velocity_offset(self, offset: float) -> None:
+        self._s[_VELOCITY_OFFSET] = offset
+
+    @property
     def torque_limit(self) -> float:
         """Bound on the absolute torque demand (6072h), N m or N."""
         return self._get(_TORQUE_LIMIT)

@@ -14,7 +14,7 @@ from friction_hil_drivers.cia402.units import COUNTER_BITS, PER_MILLE, DriveUnit
 
 _HALF, _MASK = 1 << (COUNTER_BITS - 1), (1 << COUNTER_BITS) - 1
 _make = tuple.__new__  # what the constructor of a named tuple calls
-_COMMANDED = 3  # values of a command: controlword, target, torque
+_COMMANDED = 3  # values of a command: controlword, target, torque or velocity offset
 
 FEEDBACK = (
     (objects.STATUSWORD, objects.POSITION_ACTUAL, objects.TORQUE_ACTUAL),
@@ -26,6 +26,14 @@ COMMANDS = {  # the target of the mode comes second
     Mode.CSV: (objects.CONTROLWORD, objects.TARGET_VELOCITY, objects.TORQUE_OFFSET),
     Mode.CST: (objects.CONTROLWORD, objects.TARGET_TORQUE),
 }
+
+
+def command_entries(mode: Mode, *, is_by_velocity: bool) -> list[Object]:
+    """Return the objects of a command; ``is_by_velocity``: with the velocity offset in place of the torque offset."""
+    offset = objects.VELOCITY_OFFSET if is_by_velocity else objects.TORQUE_OFFSET
+    return [offset if entry is objects.TORQUE_OFFSET else entry for entry in COMMANDS[mode]]
+
+
 _FORMATS = {8: "b", 16: "h", 32: "i", 64: "q"}  # of `struct`, for signed integers by their width
 
 
@@ -153,17 +161,18 @@ class CommandEncoder:
     """Encoder of the commands to one drive, whatever its blocks carry and in whatever order.
 
     ``blocks``: by where they go: the identifier of a frame, or an offset in the process image. Controlword and the
-    target of the mode are among their entries. A torque offset that is not is not sent.
+    target of the mode are among their entries. A torque offset that is not is not sent. A velocity offset that they do
+    not merely carry is sent in its place.
     """
 
-    __slots__ = ("_address", "_blocks", "_carried", "_is_csp", "_is_csv", "_pack", "_units")
+    __slots__ = ("_address", "_blocks", "_carried", "_is_by_velocity", "_is_csp", "_is_csv", "_pack", "_units")
 
     def __init__(self, blocks: Mapping[int, Block], mode: Mode, units: DriveUnits) -> None:
         self._is_csp, self._is_csv = mode is Mode.CSP, mode is Mode.CSV
         self._units = units
-        slots = {objects.CONTROLWORD: 0, COMMANDS[mode][1]: 1}
-        if mode is not Mode.CST:
-            slots[objects.TORQUE_OFFSET] = 2
+        offset = objects.VELOCITY_OFFSET
+        self._is_by_velocity = any(offset in block.entries and offset not in block.carried for block in blocks.values())
+        slots = {entry: slot for slot, entry in enumerate(command_entries(mode, is_by_velocity=self._is_by_velocity))}
         # the values of each block are picked out of the commanded ones and, behind them, the constant ones of all
         constants: list[bytes] = []
         self._blocks = []
@@ -194,7 +203,8 @@ class CommandEncoder:
             target = torque
         if self._pack is not None:
             return [(self._address, self._pack(controlword, target, torque))]
-        values = (controlword, target, torque, *self._carried)
+        offset = units.velocity_increments(command.velocity_offset) if self._is_by_velocity else torque
+        values = (controlword, target, offset, *self._carried)
         return [(address, pack(*pick(values))) for address, pack, pick in self._blocks]
 
 

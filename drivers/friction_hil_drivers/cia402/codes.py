@@ -65,9 +65,9 @@ EXPLANATIONS = {
         "make room; remove the file that the message names",
     ),
     NO_TORQUE_OFFSET: Explanation(
-        "... lacks object 60B2h torque offset",
+        "... lacks object 60B2h torque offset, 60B1h velocity offset",
         "csp and csv are compensated by it",
-        "mode `cst`, or `compensation: {enabled: false}`",
+        "`compensation.velocity_offset` for a drive with 60B1h, mode `cst`, or `compensation: {enabled: false}`",
     ),
     UNITS_CONTRADICT: Explanation(
         "... says ..., but node ... says ...: a factor of ...",

@@ -165,7 +165,7 @@ TARGET_VELOCITY = Object(0x60FF, "target velocity", _I32)
 SUPPORTED_MODES = Object(0x6502, "supported drive modes", _U32)
 
 # Torque and velocity that act as soon as somebody enables the drive in a mode that takes them
-ACTING_SETPOINTS = (TORQUE_OFFSET, TARGET_TORQUE, TARGET_VELOCITY)
+ACTING_SETPOINTS = (TORQUE_OFFSET, VELOCITY_OFFSET, TARGET_TORQUE, TARGET_VELOCITY)
 
 TABLE: dict[tuple[int, int], Object] = {
     entry.address: entry for entry in list(globals().values()) if isinstance(entry, Object)

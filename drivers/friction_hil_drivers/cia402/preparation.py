@@ -7,7 +7,7 @@ from friction_hil.errors import DriveError
 from friction_hil_drivers.cia402 import codes, objects, profile
 from friction_hil_drivers.cia402.access import RefusedError
 from friction_hil_drivers.cia402.client import ObjectClient
-from friction_hil_drivers.cia402.codec import COMMANDS, FEEDBACK
+from friction_hil_drivers.cia402.codec import FEEDBACK, command_entries
 from friction_hil_drivers.cia402.objects import Object
 from friction_hil_drivers.cia402.options import Identity
 
@@ -68,21 +68,30 @@ def feedback_objects(access: ObjectClient) -> tuple[list[Object], list[str]]:
     return entries, notes
 
 
-def command_objects(access: ObjectClient, mode: Mode, *, is_compensated: bool) -> tuple[list[Object], list[str]]:
-    """Return the objects of a command; raises a `DriveError` if there is no torque offset to compensate by."""
-    entries = list(COMMANDS[mode])
-    offset = objects.TORQUE_OFFSET
-    if mode is Mode.CST or access.width(offset) or access.hidden_width(offset):
+def command_objects(
+    access: ObjectClient, mode: Mode, *, is_compensated: bool, is_by_velocity: bool = False
+) -> tuple[list[Object], list[str]]:
+    """Return the objects of a command; raises a `DriveError` if there is no offset to compensate by."""
+    entries = command_entries(mode, is_by_velocity=is_by_velocity)
+    offset = objects.VELOCITY_OFFSET if is_by_velocity else objects.TORQUE_OFFSET
+    if mode is Mode.CST or _has(access, offset):
         return entries, []
     if is_compensated:
+        others = "take mode cst, which compensates without it"
+        if not is_by_velocity and _has(access, objects.VELOCITY_OFFSET):
+            others = f"give compensation.velocity_offset, as it has {objects.VELOCITY_OFFSET}, {others}"
         text = (
-            f"{access.axis}: {access.where} lacks object {objects.TORQUE_OFFSET}, by which mode {mode.name.lower()} is "
-            "compensated: take mode cst, which compensates without it, or let the axis run without compensation "
-            "(compensation: {enabled: false})"
+            f"{access.axis}: {access.where} lacks object {offset}, by which mode {mode.name.lower()} is "
+            f"compensated{' (compensation.velocity_offset)' if is_by_velocity else ''}: {others}, or let the axis run "
+            "without compensation (compensation: {enabled: false})"
         )
         raise DriveError(text, code=codes.NO_TORQUE_OFFSET)
-    entries.remove(objects.TORQUE_OFFSET)
-    return entries, [f"the drive has no {objects.TORQUE_OFFSET}: it runs without compensation"]
+    entries.remove(offset)
+    return entries, [f"the drive has no {offset}: it runs without compensation"]
+
+
+def _has(access: ObjectClient, entry: Object) -> bool:
+    return bool(access.width(entry) or access.hidden_width(entry))
 
 
 def why_powered(state: DriveState) -> str:
@@ -102,10 +111,10 @@ def require_unpowered(access: ObjectClient, state: DriveState) -> None:
 
 
 def prepare_mode(access: ObjectClient, mode: Mode, period_s: float) -> list[str]:
-    """Set zero torque, the present position as target, the mode and the interpolation period; return notes."""
+    """Set offsets to zero, the present position as target, the mode and the interpolation period; return notes."""
     access.write(objects.CONTROLWORD, profile.DISABLE_VOLTAGE)
     notes = _set_interpolation_period(access, mode, period_s)
-    for entry in (objects.TARGET_TORQUE, objects.TORQUE_OFFSET, objects.TARGET_VELOCITY):
+    for entry in objects.ACTING_SETPOINTS:
         bits = access.width(entry) or access.hidden_width(entry)
         if bits is not None:
             access.ensure(entry, 0, bits)

@@ -31,6 +31,7 @@ _NOT_LIVE = {
     "max_acceleration": _OF_THE_ESTIMATE,
     "baseline_s": "it counts from the beginning of a motion",
     "transmission": "it would move the set-point of the motor",
+    "velocity_offset": "it is another way to the drive, with limits of its own",
     "learning": "its process begins with the daemon",
 }
 _ELSEWHERE = "change it in the configuration, and start the daemon again"

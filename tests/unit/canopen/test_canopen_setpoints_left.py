@@ -8,8 +8,10 @@ from friction_hil.drive import DriveState, Request
 from tests.canopen_bench import NODE, Bench, BenchBus, Driven, kill
 from tests.servo_drives import axis_dict, configuration
 
-TARGET = {"csp": 0x60B2, "csv": 0x60B2, "cst": 0x6071}  # where the torque goes
-CODES = {0x60B2: "h", 0x6071: "h", 0x60FF: "i"}
+# where the torque goes, by the mode; the last two give it as a velocity offset
+TARGET = {"csp": 0x60B2, "csv": 0x60B2, "cst": 0x6071, "csp by velocity": 0x60B1, "csv by velocity": 0x60B1}
+CODES = {0x60B2: "h", 0x60B1: "i", 0x6071: "h", 0x60FF: "i"}
+LOOP = {"velocity_gain": 0.1, "integral_hz": 10.0, "limit": 5.0, "slew": 1e4}
 NOTHING = dict.fromkeys(CODES, 0)
 RPDOS = range(0x200, 0x580)
 CANNOT_BE_STORED = 0x08000022
@@ -17,16 +19,19 @@ in_each_mode = pytest.mark.parametrize("mode", TARGET)
 
 
 def started(bus, mode="csp", *, dry_run=False):
-    return Driven(mode, bus=bus, dry_run=dry_run).start()
+    mode, _, is_by_velocity = mode.partition(" ")
+    keys = {"compensation": {"velocity_offset": LOOP}} if is_by_velocity else {}
+    return Driven(mode, bus=bus, dry_run=dry_run, **keys).start()
 
 
 def moving(mode, bus=None):
     """A run in which the drive holds a torque, and a velocity in csv."""
     one = started(bus or BenchBus(), mode)
-    one.cycle(count=10, torque=0.05, velocity=1.0)
+    one.cycle(count=10, torque=0.05, velocity=1.0, velocity_offset=0.5)
     assert one.feedback.state is DriveState.OPERATION_ENABLED
-    assert one.bench.read(TARGET[mode], 0, "h") != 0
-    assert mode != "csv" or one.bench.read(0x60FF, 0, "i") != 0
+    assert one.bench.read(TARGET[mode], 0, CODES[TARGET[mode]]) != 0
+    assert one.facts.takes_velocity_offset is (TARGET[mode] == 0x60B1)
+    assert mode[:3] != "csv" or one.bench.read(0x60FF, 0, "i") != 0
     return one
 
 
@@ -63,7 +68,7 @@ def test_rpdos_that_do_not_arrive_any_more_leave_nothing(mode):
 @in_each_mode
 def test_after_a_kill_the_next_run_clears_what_was_left(mode):
     bench = killed(mode)
-    bench.write(TARGET[mode], 0, "h", 77)  # not what was written: it would act all the same
+    bench.write(TARGET[mode], 0, CODES[TARGET[mode]], 77)  # not what was written: it would act all the same
     started(BenchBus(bench), dry_run=True).drives.close()  # which writes nothing
     assert left(bench) != NOTHING
     drives = started(BenchBus(bench)).drives

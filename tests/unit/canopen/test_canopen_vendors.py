@@ -13,6 +13,7 @@ from friction_hil.drive import DriveState, Mode, Request
 from friction_hil.errors import DriveError
 from tests.canopen_bench import NODE, Bench, BenchBus, Driven
 from tests.vendor_drives import (
+    CONTROL,
     CSP,
     DRIVES,
     EPOS4,
@@ -24,16 +25,20 @@ from tests.vendor_drives import (
     NOT_CYCLIC,
     ONE_ENTRY,
     SCHUNK,
+    TO_POSITION,
     VendorDrive,
 )
 
 UNITS = {"counts_per_unit": 2**20 / math.tau, "rated_torque": 0.64}
 
 
-def reasons(folder: Path, drive: VendorDrive, mode: str, *, is_compensated=True, **options) -> list[str]:
+def reasons(
+    folder: Path, drive: VendorDrive, mode: str, *, is_compensated=True, is_by_velocity=False, **options
+) -> list[str]:
     dictionary = load_eds(drive.write(folder / "drive.eds"), NODE)
     options = CanopenOptions(node=NODE, **options)
-    return list(compare_eds(dictionary, Mode[mode.upper()], options, is_compensated=is_compensated))
+    how = {"is_compensated": is_compensated, "is_by_velocity": is_by_velocity}
+    return list(compare_eds(dictionary, Mode[mode.upper()], options, **how))
 
 
 WITHOUT_60B2H = "has no object 60B2h torque offset, which mode csp needs"
@@ -177,6 +182,52 @@ def test_csp_without_a_torque_offset_needs_the_users_word(tmp_path):
         driven.enable()
         assert "60B2h" in driven.notes
         assert not driven.facts.takes_torque
+
+
+LOOP = {"velocity_gain": 0.1, "integral_hz": 10.0, "limit": 5.0, "slew": 1e4}
+BY_VELOCITY = {"compensation": {"velocity_offset": LOOP}}
+
+
+@pytest.mark.parametrize("mode", ["csp", "csv"])
+@pytest.mark.parametrize("is_inverted", [False, True])
+def test_a_drive_without_a_torque_input_gets_the_velocity_offset(tmp_path, mode, is_inverted):
+    drive = VendorDrive(lacks=[0x60B2])
+    assert reasons(tmp_path, drive, mode, is_by_velocity=True) == []
+    with OfVendor(tmp_path, drive, mode, is_inverted=is_inverted, **BY_VELOCITY) as driven:
+        driven.enable()
+        driven.cycle(count=3, velocity_offset=0.25)
+        sign = -1 if is_inverted else 1
+        assert driven.bench.read(0x60B1, 0, "i") == sign * round(0.25 * 2**20 / math.tau)
+        assert sign * driven.bench.servo.velocity_offset == pytest.approx(0.25, rel=1e-4)
+        assert driven.facts.takes_torque
+        assert driven.facts.takes_velocity_offset
+        with pytest.raises(ValueError, match="nan"):
+            driven.cycle(velocity_offset=math.nan)
+
+
+def test_a_velocity_offset_goes_beside_a_torque_offset_that_is_kept_at_zero(tmp_path):
+    """A drive with a fixed mapping of both gets the one that is configured."""
+    both = ([CONTROL, TO_POSITION, 0x60B20010], [CONTROL, 0x60B10020], [], [])
+    drive = VendorDrive(is_fixed=True, rpdos=both, tpdos=FIXED.tpdos)
+    with OfVendor(tmp_path, drive, "csp", **BY_VELOCITY) as driven:
+        driven.enable()
+        driven.cycle(count=3, torque=0.05, velocity_offset=0.25)
+        assert driven.bench.read(0x60B1, 0, "i") == round(0.25 * 2**20 / math.tau)
+        assert driven.bench.read(0x60B2, 0, "h") == 0
+
+
+@pytest.mark.parametrize(
+    ("lacks", "keys", "told"),
+    [
+        ([0x60B2], {}, "lacks object 60B2h .*give compensation.velocity_offset, as it has 60B1h velocity offset"),
+        ([0x60B1, 0x60B2], {}, "lacks object 60B2h .*compensated: take mode cst"),
+        ([0x60B1], BY_VELOCITY, r"lacks object 60B1h .*\(compensation.velocity_offset\): take mode cst"),
+    ],
+)
+def test_what_there_is_beside_the_offset_that_a_drive_lacks_is_told(tmp_path, lacks, keys, told):
+    with pytest.raises(DriveError, match=told) as caught, OfVendor(tmp_path, VendorDrive(lacks=lacks), "csp", **keys):
+        pass
+    assert caught.value.code == "FH-229"
 
 
 def test_a_fixed_mapping_is_kept_and_what_it_carries_is_told(tmp_path):

@@ -31,6 +31,7 @@ def test_the_defaults():
         **{"enabled": True, "gain": 0.9, "gain_negative": None, "source": "auto", "fade_s": 0.5, "baseline_s": 0.0},
         **{"velocity": "difference", "smoothing": 1.0, "acceleration": None, "max_acceleration": None},
         **{"dead_band": 0.0, "gravity": True, "adaptation": None, "transmission": None, "learning": "off"},
+        "velocity_offset": None,
     }
     assert configured(adaptation={}).compensation.adaptation.model_dump() == {"time_s": 20.0, "bound": 0.3}
     settings = made()

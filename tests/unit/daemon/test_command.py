@@ -6,15 +6,17 @@ from types import SimpleNamespace
 
 import pytest
 
+from friction_hil.daemon.assembly import make_velocity_offset
 from friction_hil.daemon.command import CommandWriter
 from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
 from friction_hil.daemon.static_torque import StaticTorque
-from friction_hil.drive import Command, DriveState, Feedback
+from friction_hil.drive import AxisFacts, Command, DriveState, Feedback
 from friction_hil.motion.trajectory import Setpoint
 from tests.servo_drives import PERIOD_S, axis_dict, configuration
 
 ENABLED, OFF = DriveState.OPERATION_ENABLED, DriveState.SWITCH_ON_DISABLED
 STEP = 0.1  # N m in a period
+FACTS = AxisFacts("x", "", 1e-6, 1e-4, 2.5e-3, 1.5e-3)
 WEIGHT, FRICTION = 0.25, 0.5  # N m
 GAINS = {"position_gain": 20.0, "velocity_gain": 0.05, "integral_hz": 0.0}
 CONTROLLERS = {"csp": {}, "csv": {"controller": {"position_gain": 20.0}}, "cst": {"controller": GAINS}}
@@ -56,6 +58,26 @@ def level(torque):
 
 def at(position=0.0, velocity=0.0, acceleration=0.0):
     return Setpoint(position, velocity, acceleration)
+
+
+def test_a_velocity_offset_has_its_own_limit_and_goes_to_zero_where_the_axis_is_not_to_move():
+    loop = {"velocity_gain": 0.1, "integral_hz": 10.0, "limit": 2.0, "slew": 500.0}
+    config = configuration(x=axis_dict(compensation={"velocity_offset": loop})).axes["x"]
+    offset = make_velocity_offset(config, FACTS, PERIOD_S)
+    writer = CommandWriter(config, SafetyLimits(1.0, 30.0, 1.0), None, PERIOD_S, 0.0, offset)
+
+    def sent(state, wanted, drive=ENABLED, is_lost=False):
+        feedback, command = Feedback(state=drive, is_setpoint_lost=is_lost), Command()
+        writer.write_velocity_offset(command, state, wanted, feedback)
+        return command.velocity_offset
+
+    assert [sent(RUNNING, 9.0) for _ in range(5)] == [0.5, 1.0, 1.5, 2.0, 2.0]
+    assert sent(RUNNING, math.nan) == 1.5
+    assert sent(RUNNING, 1.0, is_lost=True) == 1.5, "the drive may have 2.0 still"
+    assert [sent(FAULT_STOPPING, 1.0), sent(FAULT_STOPPING, 1.0, DriveState.UNKNOWN)] == [1.0, 1.0]
+    assert [sent(FAULT_STOPPING, 1.0, OFF), sent(FAULT_STOPPING, 1.0, OFF)] == [0.5, 0.0]
+    sent(RUNNING, 0.5)
+    assert [sent(state, 0.5) for state in RESTING if state is not FAULT_STOPPING] == [0.0] * (len(RESTING) - 1)
 
 
 @pytest.mark.parametrize("is_compiled", [False, True])

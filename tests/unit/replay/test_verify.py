@@ -56,7 +56,9 @@ class Made:
     def __init__(self, clock=None):
         compensation = {"fade_s": 0.05, "transmission": {"acceleration": 300.0}}
         whole = quick(shadows=[SHADOW], model=MODIFIED, compensation=compensation)  # it uses everything
-        self.config = configuration(x=whole, y=quick(node=2, model=OTHER))
+        loop = {"velocity_gain": 0.2, "integral_hz": 16.0, "limit": 5.0, "slew": 5e3}
+        by_velocity = {"fade_s": 0.05, "velocity_offset": loop}
+        self.config = configuration(x=whole, y=quick(node=2, model=OTHER, compensation=by_velocity))
 
         def flaky(cycle, feedback):
             feedback[0].is_fresh = not 420 <= cycle < 424
@@ -106,7 +108,9 @@ def test_an_unaltered_recording_comes_out_bit_for_bit(made, tmp_path):
         assert (result.rows, result.tolerance, result.differences) == (len(made.rows), 0.0, ())
         assert len(recording.restarts) >= 2  # one a chunk
         assert np.abs(recording["compensation"]).max() > 0.03
-    whole = made.write(tmp_path / "run.mcap")["x"]
+    whole, by_velocity = made.write(tmp_path / "run.mcap").values()
+    assert np.abs(by_velocity["velocity_offset"]).max() > 0.3
+    assert not by_velocity["command"].any()
     assert np.ptp(whole["load_estimate"]) > 8e-3
     assert np.ptp(whole["motor_offset"]) == pytest.approx(1.4e-3, abs=0.2e-3)
     assert np.ptp(whole["temperature_estimate"]) > 0.4  # from the observer's 20 deg C towards the measured 45
@@ -235,6 +239,12 @@ def test_what_is_not_the_daemons_own_is_refused(made, tmp_path, missing):
         del recording.metadata[missing]
     with pytest.raises(RecordingError):
         verify(recording)
+
+
+def test_an_altered_velocity_offset_is_found(made, tmp_path):
+    recording = made.write(tmp_path / "run.mcap")["y"]
+    recording.columns["velocity_offset"][700] *= 1.0 + 1e-15
+    assert verify(recording).reason.startswith("cycle 700: velocity_offset was ")
 
 
 def test_a_csv_of_it_and_a_recording_of_a_version_with_other_columns_are_refused(made, tmp_path):

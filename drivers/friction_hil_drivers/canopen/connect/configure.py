@@ -83,7 +83,10 @@ def configure(
     identity = preparation.identify(access, options.identity)
     notes = preparation.check_mode(access, mode, is_required=options.is_mode_check_required)
     feedback, absent = preparation.feedback_objects(access)
-    commands, without = preparation.command_objects(access, mode, is_compensated=axis.compensation.enabled)
+    is_by_velocity = axis.compensation.velocity_offset is not None
+    commands, without = preparation.command_objects(
+        access, mode, is_compensated=axis.compensation.enabled, is_by_velocity=is_by_velocity
+    )
     notes += absent + without
     load_encoder = options.load_encoder
     if load_encoder is not None:
@@ -94,7 +97,7 @@ def configure(
         _check_eds(options, access, (*feedback, *commands))
     scales = read_scales(access, options, axis.model.axis)
     require_agreement(access, options, scales)
-    if mode is Mode.CSV:
+    if mode is Mode.CSV or is_by_velocity:
         require_velocity_unit(access, options)
     units = scales.units(is_inverted=options.is_inverted, inverted_torque=options.inverted_torque)
     notes += resolution_notes(scales, axis)
@@ -128,6 +131,7 @@ def configure(
         + (() if dry_run else (watch.row(times.max_missed),)),
         has_load_encoder=load_encoder is not None,
         takes_torque=not without,
+        takes_velocity_offset=is_by_velocity and not without,
     )
     code = access.find(objects.ERROR_CODE) if state is DriveState.FAULT else None
     error = profile.error_text(code) if code else ""

@@ -11,7 +11,7 @@ from friction_hil_drivers.canopen.connect.negotiation import FoundPdo, covering,
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.wire import cia301
 from friction_hil_drivers.cia402 import objects, profile
-from friction_hil_drivers.cia402.codec import COMMANDS
+from friction_hil_drivers.cia402.codec import command_entries
 from friction_hil_drivers.cia402.objects import Object
 from friction_hil_drivers.cia402.units import Kind, Measure, decode_position_unit
 
@@ -29,18 +29,24 @@ _TRANSMITTABLE = ("ro", "rw", "rwr", "const")
 
 
 def compare_eds(
-    dictionary: "ObjectDictionary", mode: Mode, options: CanopenOptions, *, is_compensated: bool
+    dictionary: "ObjectDictionary",
+    mode: Mode,
+    options: CanopenOptions,
+    *,
+    is_compensated: bool,
+    is_by_velocity: bool = False,
 ) -> Iterator[str]:
     """Yield the reasons for which a drive with this EDS cannot be driven as configured.
 
-    ``is_compensated``: the mode needs the torque offset, where it uses one.
+    ``is_compensated``: the mode needs the torque offset, where it uses one, or with ``is_by_velocity`` the velocity
+    offset in its place.
     """
     file = EdsObjects(dictionary, options.axis_number)
     yield from _compare_modes(file, mode, options)
     yield from _compare_counts(file, options)
-    commands = list(COMMANDS[mode])
-    if mode is not Mode.CST and not is_compensated and not file.has(objects.TORQUE_OFFSET):
-        commands.remove(objects.TORQUE_OFFSET)
+    commands = command_entries(mode, is_by_velocity=is_by_velocity)
+    if mode is not Mode.CST and not is_compensated and not file.has(commands[-1]):
+        commands.pop()
     for entry in (objects.MODE, *commands, *_FEEDBACK):
         bits = file.width(entry)
         if bits is None:
@@ -58,7 +64,8 @@ def _without_offset(file: EdsObjects, options: CanopenOptions) -> str:
     may_be_cst = not bits or Mode.CST in profile.supported_modes(bits) or not options.is_mode_check_required
     if file.has(objects.TARGET_TORQUE) and may_be_cst:
         return " (mode cst does without it)"
-    return " (without it, and without cst, compensation: {enabled: false})"
+    other = "compensation.velocity_offset or " if file.has(objects.VELOCITY_OFFSET) else ""
+    return f" (without it, and without cst, {other}compensation: {{enabled: false}})"
 
 
 def necessary_keys(dictionary: "ObjectDictionary", options: CanopenOptions, kind: Kind) -> Iterator[tuple[str, str]]:
@@ -188,6 +195,12 @@ def compare_axis(path: Path, axis: "AxisConfig") -> list[tuple[str, str]]:
     """Return the reasons for which a drive with this EDS cannot be driven as configured, each with its key."""
     options = canopen_options(axis)
     dictionary = load_eds(path, options.node)
-    reasons = compare_eds(dictionary, Mode[axis.mode.upper()], options, is_compensated=axis.compensation.enabled)
+    reasons = compare_eds(
+        dictionary,
+        Mode[axis.mode.upper()],
+        options,
+        is_compensated=axis.compensation.enabled,
+        is_by_velocity=axis.compensation.velocity_offset is not None,
+    )
     found = [("eds", reason) for reason in reasons]
     return found if options.sidecar is not None else [*found, *necessary_keys(dictionary, options, axis.model.axis)]

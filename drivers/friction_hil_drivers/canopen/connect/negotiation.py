@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _MOST_ENTRIES = 8  # of 8 bits each
 _FIRST_RECORDS = 4  # looked for one by one; those behind them only as long as there are any
 _DUMMIES = range(0x0001, 0x0008)  # data types that stand for bytes that mean nothing
-_ZEROED = (objects.TARGET_TORQUE, objects.TARGET_VELOCITY, objects.TORQUE_OFFSET)  # before the mapping, by the driver
+_ZEROED = objects.ACTING_SETPOINTS  # before the mapping, by the driver
 
 
 @dataclass(frozen=True, slots=True)

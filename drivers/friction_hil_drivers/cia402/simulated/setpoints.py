@@ -79,8 +79,7 @@ class Setpoints:
         """Give the set-points to the servo, which reaches them over the next interpolation periods."""
         self.are_new = self.are_offsets_new = self.are_limited = False
         units, sign = self._units, self._drive_sign
-        velocity_offset = sign * self._velocity_offset / units.increments
-        torque_offset = sign * self._torque_offset * units.torque
+        velocity_offset, torque_offset = self._offsets()
         if mode == _CSP:
             target = self._sign * self._next_position() / units.counts
             self._servo.command(_CSP, target, velocity_offset, torque_offset)
@@ -96,13 +95,18 @@ class Setpoints:
             self._servo.command(NO_MODE, 0.0, 0.0, 0.0)
 
     def activate_offsets(self) -> None:
-        """Give the torque offset to the servo, without a new target."""
+        """Give the offsets of torque and velocity to the servo, without a new target."""
         self.are_offsets_new = False
-        self._servo.torque_offset = self._drive_sign * self._torque_offset * self._units.torque
+        self._servo.velocity_offset, self._servo.torque_offset = self._offsets()
+
+    def _offsets(self) -> tuple[float, float]:
+        """Return the offsets of velocity and torque, SI."""
+        sign, units = self._drive_sign, self._units
+        return sign * self._velocity_offset / units.increments, sign * self._torque_offset * units.torque
 
     def _take(self, name: str, value: int) -> None:
         setattr(self, name, value)
-        if name == "_torque_offset":
+        if name in ("_torque_offset", "_velocity_offset"):
             self.are_offsets_new = True
         else:
             self.are_new = True
