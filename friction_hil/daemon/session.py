@@ -246,10 +246,14 @@ def _prepare(
         stack.callback(os.close, journal.descriptor)
         recorded = read_only(journal.descriptor)
         stack.callback(os.close, recorded)
-        learning_axes = {name: axis for name, axis in configuration.axes.items() if axis.compensation.learning != "off"}
-        if learning_axes:
+        learned = {}
+        for axis_name, axis_config in configuration.axes.items():
+            own, unit = axis_config.compensation, POSITION_UNITS[axis_config.model.axis]
+            if own.learning != "off":
+                learned[axis_name] = first_report(own.learning, unit, own.gain)
+        if learned:
             board = LearningBoard()
-            board.say(-1, {"axes": {name: _first_report(axis) for name, axis in learning_axes.items()}})
+            board.say(-1, {"axes": learned})
             stack.callback(board.close)
             others.append(learning_process(settings.control.path, board, is_simulated=settings.is_paced_by_sync))
         given = [settings.control.descriptor, ring.descriptor, journal.descriptor]
@@ -372,12 +376,6 @@ def _series(configuration: "Configuration", settings: SessionSettings) -> str:
     wanted = settings.record or (configuration.recording and configuration.recording.path)
     name = None if settings.control is None else settings.control.path.stem
     return series_name(configuration.source_path, wanted or Path("run.mcap"), name)
-
-
-def _first_report(axis: "AxisConfig") -> dict[str, Any]:
-    """Return what is known of the learning of an axis before its process runs."""
-    given = axis.compensation
-    return first_report(given.learning, POSITION_UNITS[axis.model.axis], given.gain)
 
 
 def _black_box_path(configuration: "Configuration", path: Path | None) -> Path:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,6 @@ from friction_hil import friction
 from friction_hil.friction import FrictionModel
 from friction_hil.friction.modifiers import SIDES
 
-DIRECTED = " + direction"  # in the name of a form: levels of each direction
 _LEVELS = ("coulomb", "static", "viscous", "sigma2")
 _ELEMENTS = 4  # of a Maxwell-slip model: each further one adds a stiffness that the motion has to show
 _BREAKAWAY_RATIO = 0.5
@@ -34,26 +34,36 @@ ALTERNATIVES = {
 }
 
 
-def form_of(model: FrictionModel) -> str:
-    """Return the family of a model, with `DIRECTED` where its directions differ: ``lugre + direction``."""
-    return model.name + (DIRECTED if "direction" in model.modifiers else "")
+@dataclass(frozen=True, slots=True)
+class Form:
+    """Form of a friction model."""
+
+    family: str
+    has_directions: bool = False  # levels of each direction
+
+    def __str__(self) -> str:
+        return f"{self.family} + direction" if self.has_directions else self.family
 
 
-def alternatives(model: FrictionModel) -> tuple[str, ...]:
+def form_of(model: FrictionModel) -> Form:
+    """Return the form of a model."""
+    return Form(model.name, "direction" in model.modifiers)
+
+
+def alternatives(model: FrictionModel) -> tuple[Form, ...]:
     """Return the forms that express what the present one cannot; first, where it has none, that with directions.
 
     A map has no presliding, without which it cannot tell a static level: its form with directions is that of LuGre.
     """
-    families = ALTERNATIVES.get(model.name, ())
-    if "direction" in model.modifiers:
-        return tuple(each + DIRECTED for each in families)
-    if "coulomb" not in model.parameters:
-        return families
-    name = families[0] if families and model.family.is_static else model.name
-    return (name + DIRECTED, *families)
+    own = form_of(model)
+    others = tuple(replace(own, family=each) for each in ALTERNATIVES.get(model.name, ()))
+    if own.has_directions or "coulomb" not in model.parameters:
+        return others
+    base = others[0] if others and model.family.is_static else own
+    return (replace(base, has_directions=True), *others)
 
 
-def converted(model: FrictionModel, form: str, *, speed: float, deflection: float) -> FrictionModel:
+def converted(model: FrictionModel, form: Form, *, speed: float, deflection: float) -> FrictionModel:
     """Return a model of another form that agrees with a given one as far as it can.
 
     Levels, Stribeck velocity and viscous friction stay, and so do all modifiers and the torque per deflection at the
@@ -64,13 +74,13 @@ def converted(model: FrictionModel, form: str, *, speed: float, deflection: floa
     ``deflection``: of the bristles at break-away, rad or m, where the model has none. Raises `UsageError`: a level is
     zero.
     """
-    name, modifiers = form.removesuffix(DIRECTED), dict(model.modifiers)
+    name, modifiers = form.family, dict(model.modifiers)
     elastic = model.level / deflection  # of a map, which has none of its own
     given = dict(model.given) if name == model.name else _parameters(model.name, model.given, name, speed, elastic)
     viscous = "viscous" if name == "gms" else "sigma2"
     if name in ("lugre", "gms", "elasto_plastic") and not given.get(viscous):
         given[viscous] = _VISCOUS * model.level / speed
-    if form.endswith(DIRECTED) and "direction" not in modifiers:
+    if form.has_directions and "direction" not in modifiers:
         modifiers["direction"] = {side: {key: given[key] for key in _LEVELS if given.get(key)} for side in SIDES}
     elif "direction" in modifiers:
         modifiers["direction"] = {

@@ -92,8 +92,8 @@ class Belief:
         values = self.coordinates.at(self.x[:-MECHANICS])
         return dict(zip(self.coordinates.names, values.tolist(), strict=True))
 
-    def shown(self, others: Array) -> Array:
-        """Return the coordinates with those that nothing has shown left at other values.
+    def shown(self, others: Array | None = None) -> Array:
+        """Return the coordinates with those that nothing has shown left at other values, those at first by default.
 
         What the record hardly says about a parameter is as likely an error of the model, which another motion would
         suffer from. The shown ones are then those that are most probable with the ``others`` (conditional mean).
@@ -105,6 +105,7 @@ class Belief:
         is_shown[-MECHANICS:] = True
         if is_shown.all():
             return self.x
+        others = np.zeros_like(self.x) if others is None else others
         found = others.copy()
         across = self.covariance[np.ix_(is_shown, ~is_shown)]
         within = self.covariance[np.ix_(~is_shown, ~is_shown)]

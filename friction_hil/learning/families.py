@@ -16,16 +16,15 @@ from typing import Any
 import numpy as np
 
 from friction_hil import friction
+from friction_hil.daemon.learning_board import FamilyFigures
 from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
-from friction_hil.learning.conversion import DIRECTED, alternatives, converted, form_of
+from friction_hil.learning.conversion import Form, alternatives, converted, form_of
 from friction_hil.learning.coordinates import Coordinates, value_of
 from friction_hil.learning.estimate import MECHANICS, STATIC, Belief, first_belief, refine, unexplained
-from friction_hil.learning.figures import FamilyFigures
 from friction_hil.learning.motions import Used
 from friction_hil.learning.window import Window, velocity_of
-from friction_hil.numerics.jit import Array
 
 WINDOWS = 8  # of the same motion, one after the other, that a family is judged by
 _SETTLED = 4  # windows of a motion in which the present family alone learns
@@ -55,13 +54,14 @@ class Families:
     """What is known of the families that are not in use."""
 
     figures: FamilyFigures
-    _others: dict[str, _Other] = field(default_factory=dict)
-    _used: set[str] = field(default_factory=set)  # that were in use: their coordinates may be those of a motion
+    of_file: Form
+    _others: dict[Form, _Other] = field(default_factory=dict)
+    _used: set[Form] = field(default_factory=set)  # that were in use: their coordinates may be those of a motion
     _windows: int = 0  # of the present motion
     _turn: int = 0
     _quiet: int = 0  # windows in which no family is considered
-    _rests: dict[str, int] = field(default_factory=dict)  # windows until a family is considered again
-    _pauses: dict[str, int] = field(default_factory=dict)  # the next rest
+    _rests: dict[Form, int] = field(default_factory=dict)  # windows until a family is considered again
+    _pauses: dict[Form, int] = field(default_factory=dict)  # the next rest
 
     def swap(self, belief: Belief, to: Coordinates) -> Belief:
         """Return what is known of the family that comes into use, and keep the belief about the former one."""
@@ -93,9 +93,9 @@ class Families:
             other.belief = other.belief.older(_DRIFT, seconds)
         self._windows += 1
         self._quiet = max(self._quiet - 1, 0)
-        self._rests = {name: left - 1 for name, left in self._rests.items() if left > 1}
-        names = self._considered(present.coordinates.model)
-        if self._quiet or not names:
+        self._rests = {form: left - 1 for form, left in self._rests.items() if left > 1}
+        forms = self._considered(present.coordinates.model)
+        if self._quiet or not forms:
             return
         given = (resolution, skipped_s)
         left, doubt = unexplained(window, present, present.x, *given)
@@ -104,62 +104,63 @@ class Families:
         if not (size > 0.0 and is_moving.any()):
             return
         weights = is_moving / np.hypot(size, doubt)  # of a reversal within a period nothing is known
-        before = _mean_square(weights * left)
-        for name in names:
-            if name in self._others and (other := self._others[name]).learned >= _BEGUN:
-                after = _mean_square(weights * unexplained(window, other.belief, _shown(other.belief), *given)[0])
+        before = float(np.mean((weights * left) ** 2))
+        for form in forms:
+            if form in self._others and (other := self._others[form]).learned >= _BEGUN:
+                remaining, _ = unexplained(window, other.belief, other.belief.shown(), *given)
+                after = float(np.mean((weights * remaining) ** 2))
                 if math.isfinite(after):
                     moving = np.count_nonzero(is_moving) / left.size
                     other.explained.append(1.0 - after / before)
                     other.torque.append((before - after) / moving * (size / present.coordinates.model.level) ** 2)
-                    self.figures.explained[name] = float(np.mean(other.explained))
+                    self.figures.explained[str(form)] = float(np.mean(other.explained))
                     self.figures.state = self.figures.state or "none explains more"
         self._turn += 1
-        quick = _for_directions(names, present.coordinates.model)
-        others = [each for each in names if each not in quick]
-        for name in quick + others[self._turn % max(len(others), 1) :][:1]:
-            self._learn(name, window, present, *given)
+        quick = _for_directions(forms, form_of(present.coordinates.model))
+        others = [each for each in forms if each not in quick]
+        for form in quick + others[self._turn % max(len(others), 1) :][:1]:
+            self._learn(form, window, present, *given)
 
-    def best(self) -> Used | None:
-        """Return a model of the family that explains clearly more, with the gain 1; or None."""
-        found = [other for name, other in self._others.items() if self._is_evident(name, other)]
+    def best(self, present: Form) -> Used | None:
+        """Return a model of the form that explains clearly more than the present one, with the gain 1; or None."""
+        found = [other for form, other in self._others.items() if self._is_evident(form, other, present)]
         if self._quiet or not found:
             return None
         best = max(found, key=lambda each: float(np.mean(each.explained)))
-        return Used(_shown(best.belief), 1.0, best.belief.coordinates)
+        return Used(best.belief.shown(), 1.0, best.belief.coordinates)
 
-    def reason(self, name: str, present: str) -> str:
+    def reason(self, form: Form, present: Form) -> str:
         """Return what speaks for a family."""
-        share = 100.0 * float(np.mean(self._others[name].explained))
-        return f"the family {name} in place of {present}: explains {share:.0f} % of what that leaves"
+        share = 100.0 * float(np.mean(self._others[form].explained))
+        return f"the family {form} in place of {present}: explains {share:.0f} % of what that leaves"
 
-    def was_tried(self, name: str, error: float) -> None:
+    def was_tried(self, form: Form, error: float) -> None:
         """Take note that a family is tried, with the following error before."""
         self.figures.tried += 1
-        self.figures.state, self.figures.text = "on trial", name
+        self.figures.state, self.figures.text = "on trial", str(form)
         self.figures.error_before, self.figures.error_after = error, None
-        self._used.add(name)
+        self._used.add(form)
 
-    def was_kept(self, name: str, error: float) -> None:
+    def was_kept(self, form: Form, error: float) -> None:
         """Take note that the trial of a family was a gain, with the following error after it."""
         self.figures.state, self.figures.error_after = "kept", error
-        self._quiet = 0 if name.endswith(DIRECTED) else _RARELY  # levels of each direction are no other family
+        self._quiet = 0 if form.has_directions else _RARELY  # levels of each direction are no other family
         self._forget_evidence()
 
-    def was_refused(self, name: str, why: str) -> None:
+    def was_refused(self, form: Form, why: str) -> None:
         """Take note that the trial was no gain, refused or without a verdict; ``why`` becomes the state."""
         self.figures.state = why
         is_undecided = why == "without a verdict"
-        self._rests[name] = _UNDECIDED if is_undecided else self._pauses.get(name, _RARELY)
+        self._rests[form] = _UNDECIDED if is_undecided else self._pauses.get(form, _RARELY)
         if not is_undecided:
-            self._pauses[name] = 2 * self._rests[name]
+            self._pauses[form] = 2 * self._rests[form]
         self._quiet = _UNDECIDED
         self._forget_evidence()
 
     def change_motion(self) -> None:
         """Take note of another motion: evidence is of one motion, and what was never in use is begun anew."""
-        kept = {*self._used, self.figures.of_file}
-        self._others = {name: each for name, each in self._others.items() if name in kept}
+        kept = {*self._used, self.of_file}
+        self._others = {form: each for form, each in self._others.items() if form in kept}
         self._forget_evidence()
 
     def doubt(self) -> None:
@@ -168,22 +169,22 @@ class Families:
             other.belief = other.belief.doubted()
         self._forget_evidence()
 
-    def _considered(self, model: FrictionModel) -> list[str]:
+    def _considered(self, model: FrictionModel) -> list[Form]:
         """Return the forms that are compared with the present model: at first, those that directions are shown by."""
-        names = alternatives(model)
-        names += tuple(each for each in self._used if each in self._others and each not in names)  # ways back
-        names = tuple(each for each in names if each not in self._rests)
-        return [*names] if self._windows > _SETTLED else _for_directions(names, model)
+        forms = alternatives(model)
+        forms += tuple(each for each in self._used if each in self._others and each not in forms)  # ways back
+        forms = tuple(each for each in forms if each not in self._rests)
+        return [*forms] if self._windows > _SETTLED else _for_directions(forms, form_of(model))
 
-    def _is_evident(self, name: str, other: _Other) -> bool:
+    def _is_evident(self, form: Form, other: _Other, present: Form) -> bool:
         """Return True if a family explained clearly more in all of the last windows.
 
         A few windows are enough for one that adds levels for each direction, and so explains most of what it leaves
         without them.
         """
         explained, torque = np.array(other.explained), np.array(other.torque)
-        adds_directions = name.endswith(DIRECTED) and not self.figures.in_use.endswith(DIRECTED)
-        if adds_directions and (plain := self._others.get(name.removesuffix(DIRECTED))) and plain.explained:
+        adds_directions = _adds_directions(form, present)
+        if adds_directions and (plain := self._others.get(Form(form.family))) and plain.explained:
             count = min(explained.size, len(plain.explained))
             explained = 1.0 - (1.0 - explained[-count:]) / (1.0 - np.array(plain.explained)[-count:])
             torque = torque[-count:] - np.array(plain.torque)[-count:]
@@ -201,29 +202,29 @@ class Families:
             other.explained.clear()
             other.torque.clear()
 
-    def _learn(self, name: str, window: Window, present: Belief, resolution: float, skipped_s: float) -> None:
+    def _learn(self, form: Form, window: Window, present: Belief, resolution: float, skipped_s: float) -> None:
         try:
-            if name not in self._others:
-                self._others[name] = _Other(_begun(name, window, present, resolution, skipped_s))
-            other = self._others[name]
+            if form not in self._others:
+                self._others[form] = _Other(_begun(form, window, present, resolution, skipped_s))
+            other = self._others[form]
             other.belief = refine(window, other.belief, resolution, skipped_s).belief
             other.learned += 1
         except (UsageError, *NUMERICAL):  # a level of zero, for example
-            self._rests[name] = _UNDECIDED
+            self._rests[form] = _UNDECIDED
 
 
-def _adds_directions(form: str, model: FrictionModel) -> bool:
-    """Return True if a form has levels for each direction, and the model has not."""
-    return form.endswith(DIRECTED) and "direction" not in model.modifiers
+def _adds_directions(form: Form, present: Form) -> bool:
+    """Return True if a form has levels for each direction, and the present one has not."""
+    return form.has_directions and not present.has_directions
 
 
-def _for_directions(names: Sequence[str], model: FrictionModel) -> list[str]:
+def _for_directions(forms: Sequence[Form], present: Form) -> list[Form]:
     """Return the form that adds levels for each direction, and the same without, which is to explain less."""
-    directed = [each for each in names if _adds_directions(each, model)]
-    return directed + [each for each in names if each + DIRECTED in directed]
+    added = [each for each in forms if _adds_directions(each, present)]
+    return added + [each for each in forms if replace(each, has_directions=True) in added and each not in added]
 
 
-def _begun(name: str, window: Window, present: Belief, resolution: float, skipped_s: float) -> Belief:
+def _begun(form: Form, window: Window, present: Belief, resolution: float, skipped_s: float) -> Belief:
     """Return what is known of another family at first: the present parameters or those of the file, little of the rest.
 
     What a family cannot express bends its parameters. Of both, and of the deflections at break-away, which a static map
@@ -234,27 +235,15 @@ def _begun(name: str, window: Window, present: Belief, resolution: float, skippe
     found: list[tuple[float, Belief]] = []
     for model, known in ((present.model, present.x), (present.coordinates.model, np.zeros_like(present.x))):
         for part in _DEFLECTIONS if model.family.is_static else _DEFLECTIONS[:1]:
-            other = converted(model, name, speed=speed, deflection=part * travel)
-            belief = first_belief(other, present.mechanics, _errors(other, model))
+            other = converted(model, form, speed=speed, deflection=part * travel)
+            # what it adds has standard errors as large as the parameters
+            errors = {name: abs(value_of(other, name)) for name in other.free if name not in model.free}
+            belief = first_belief(other, present.mechanics, errors)
             x = belief.x.copy()
             x[-MECHANICS:] = known[-MECHANICS:]
-            if _adds_directions(name, model):
+            if _adds_directions(form, form_of(model)):
                 x[STATIC - MECHANICS] = 0.0  # a constant torque had to stand for what differs between the directions
             belief = replace(belief, x=x)
             left, _ = unexplained(window, belief, x, resolution, skipped_s)
             found.append((float(np.mean(left**2)), belief))
     return min(found, key=lambda each: each[0])[1]
-
-
-def _errors(model: FrictionModel, present: FrictionModel) -> Mapping[str, float]:
-    """Return standard errors of what a model adds to the present one: as large as the parameters."""
-    return {name: abs(value_of(model, name)) for name in model.free if name not in present.free}
-
-
-def _shown(belief: Belief) -> Array:
-    """Return the coordinates with those at their first value that the record has not shown."""
-    return belief.shown(np.zeros_like(belief.x))
-
-
-def _mean_square(values: Array) -> float:
-    return float(np.mean(values**2))

@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
+from friction_hil.daemon.learning_board import FamilyFigures, Report
 from friction_hil.friction import FrictionModel
 from friction_hil.friction.model import as_dict
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning import oddity
-from friction_hil.learning.conversion import form_of
 from friction_hil.learning.estimate import Belief, Estimate, Mechanics, first_belief, left_over, refine
 from friction_hil.learning.families import Families
-from friction_hil.learning.figures import FamilyFigures, Figures
 from friction_hil.learning.judge import CHANCE, Work, is_harmful, no_help, objection, rms
 from friction_hil.learning.motions import WINDOW_TICKS, Limit, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.proposal import Proposal, Step, Trial
 from friction_hil.learning.record import TICK_S, Record
 from friction_hil.learning.residual import Finding, Residual
+from friction_hil.learning.states import TRANSITIONS, Event, State
 from friction_hil.learning.window import COLUMNS, joined
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import POSITION_UNITS, quantity
@@ -72,7 +72,7 @@ class Learner:
         has_families: bool = True,
     ) -> None:
         self._is_gain_fixed = is_gain_fixed
-        self._period_s, self._resolution, self._least_gain = period_s, resolution, gain
+        self._least_gain = gain
         self.belief: Belief = first_belief(model, mechanics, standard_errors)  # what is known now
         self._has_layer, self._residual = has_layer, Residual(model)
         self._is_turn_of_layer = False  # parameters and layer take turns
@@ -80,30 +80,30 @@ class Learner:
         self._file = self._used = self._kept = self._former = Used(self.belief.x, gain, self.belief.coordinates)
         self._motions = Motions(self._file, _FIRST_PAUSE, period_s)
         self._resumed: Used | None = None
-        self._misled = 0  # ticks in which the model file explained the torque better, one after the other
         self.record = Record(period_s, resolution)
-        self.rows_per_tick = self.record.rows_per_tick  # that `take` expects
-        self._fresh = 0  # ticks that no estimate has used yet
-        self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
+        self._ticks_misled = 0  # in which the model file explained the torque better, one after the other
+        self._ticks_unused = 0  # that no estimate has used yet
+        self._ticks_in_force = 0  # since the last change of what is in force, as far as they are comparable
+        self._ticks_stopped = 0  # until learning goes on
+        self._why_stopped = ""
+        self._state = State.WATCHING
         self._trial: Trial | None = None
         self._owed: Used | None = None  # what to go back to, which was refused
         self._is_back = False  # the last proposal went back
         self._estimate: Estimate | None = None
         self._usual = 0.0  # torque that the estimate leaves unexplained, N m
         self._residual_torque = math.inf  # of the last estimate, whatever the motion
-        self._stopped, self._why_stopped = 0, ""  # ticks until learning begins again
         self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
-        self._fade_ticks = fade = math.ceil(fade_s / TICK_S)
-        self._settling, self._first_ticks = fade + _SETTLING_TICKS, fade + _FIRST_TICKS
-        self.figures = Figures(gain=gain, family=FamilyFigures(form_of(model), form_of(model)))
-        self._has_families, self._families = has_families, Families(self.figures.family)
+        self._fade_ticks = math.ceil(fade_s / TICK_S)
+        self.figures = Report(gain=gain, family=FamilyFigures(str(self._file.form), str(self._file.form)))
+        self._has_families, self._families = has_families, Families(self.figures.family, self._file.form)
         self.notes: list[str] = []  # what is to be reported; whoever reports it removes it
 
     def pause(self, reason: str) -> Proposal | None:
         """Forget the rows so far, after some that are not to be learned from; return what is taken back therefore."""
         self.record.ticks.clear()
         self._motions.interrupt()
-        self._fresh = self._same = 0
+        self._ticks_unused = self._ticks_in_force = 0
         if self._trial is None:
             return None
         return self._take_back(f"{reason}: nothing to compare with", is_harmless=True)
@@ -146,13 +146,12 @@ class Learner:
     @property
     def doing(self) -> tuple[str, str]:
         """What learning does now: ``watching``, ``trying``, ``resting`` or ``stopped``; and why, empty for watching."""
-        if self._stopped:
+        if self._state is State.STOPPED:
             return "stopped", self._why_stopped
         if self._trial is not None:
             return "trying", self._trial.text
-        if self._motions.now.rest:
-            return "resting", f"no further change within {self._motions.now.rest * WINDOW_TICKS * TICK_S:g} s of motion"
-        return "watching", ""
+        rest_s = self._motions.now.rest * WINDOW_TICKS * TICK_S
+        return self._state.value, f"no further change within {rest_s:g} s of motion" if rest_s else ""
 
     @property
     def has_trial(self) -> bool:
@@ -167,7 +166,8 @@ class Learner:
             self._motions.now.used = self._former
         if not self._note_refused(self._trial, self._former, "refused"):
             self._wait(math.inf)
-        self._trial = None
+        if self._trial is not None:
+            self._go(Event.TAKEN_BACK)
         self._use(self._former)
 
     def take(
@@ -185,11 +185,11 @@ class Learner:
         if self._motions.take(tick["position_demand"], tick["velocity_demand"]):
             return self._change_motion()
         own = None if self._estimate is None else replace(self._used, x=self.belief.x)
-        if reason := self.record.oddity(tick, self._same - self._settling, own, self.belief, self._usual):
+        if reason := self.record.oddity(tick, self._ticks_settled, own, self.belief, self._usual):
             return self._stop(reason)
         self.record.ticks.append(tick)
-        self._fresh += 1
-        self._same += is_in_force
+        self._ticks_unused += 1
+        self._ticks_in_force += is_in_force
         if self._resumed is not None and np.any(tick["velocity_demand"]):
             self._motions.now.used = self._kept = self._resumed
             self._resumed = None
@@ -198,17 +198,43 @@ class Learner:
             return self._hand_over(Step.BACK, self._owed, "what came after it was refused")
         if (proposal := self._fall_back()) is not None:
             return proposal
-        if self._stopped:
-            self._stopped -= 1
+        if self._state is State.STOPPED:
+            self._ticks_stopped -= 1
+            if not self._ticks_stopped:
+                self._go(Event.OVER)
             return None
         if is_in_force and self._trial is not None and (proposal := self._judge(self._trial)) is not None:
             return proposal
         # not during a trial, which nobody would take back meanwhile
-        if self._trial is None and self._fresh >= WINDOW_TICKS and may_estimate:
+        if self._trial is None and self._ticks_unused >= WINDOW_TICKS and may_estimate:
             self._refine()
-            both = (self._propose, self._propose_layer)[:: -1 if self._is_turn_of_layer else 1]
-            return both[0]() or both[1]() or self._propose_family()
+            if self._ticks_in_force >= WINDOW_TICKS and self._motions.now.ranges is not None:
+                before = self.record.work(self._ticks_settled)
+                both = (self._propose, self._propose_layer)[:: -1 if self._is_turn_of_layer else 1]
+                return both[0](before) or both[1](before) or self._propose_family(before)
         return None
+
+    @property
+    def _ticks_settled(self) -> int:
+        """Ticks with what is in force whose errors count."""
+        return self._ticks_in_force - self._fade_ticks - _SETTLING_TICKS
+
+    def _is_seen(self, before: Work) -> bool:
+        """Return True if a lower error would be seen."""
+        return before.is_moving and before.rms >= _LEAST_COUNTS * self.record.resolution
+
+    def _go(self, event: Event) -> None:
+        """Go to the next state, with which a trial may end."""
+        self._state = TRANSITIONS[self._state, event]
+        if self._state not in (State.THIRD, State.WHOLE):
+            self._trial = None
+        self._settle()
+
+    def _settle(self) -> None:
+        """Rest while the present motion has to wait for a trial, and no longer."""
+        is_waiting = self._motions.now.rest > 0
+        if self._state is (State.WATCHING if is_waiting else State.RESTING):
+            self._go(Event.WAITS if is_waiting else Event.WAITED)
 
     def _size(self, length: float) -> str:
         """Return a position or an error in words."""
@@ -216,37 +242,37 @@ class Learner:
 
     def _refine(self) -> None:
         """Refine the belief by the last window."""
-        self._fresh, self._finding = 0, None
+        self._ticks_unused, self._finding = 0, None
         warm_s = self.record.warm_s
         if not any(np.any(tick["velocity_demand"]) for tick in self.record.ticks):
             return
         window = self.record.window(self._used.layer, self.belief.model)
         if self._has_families:
-            self._families.look(window, self.belief, self._resolution, warm_s)
+            self._families.look(window, self.belief, self.record.resolution, warm_s)
         try:
-            found = refine(window, self.belief, self._resolution, warm_s, self._residual_torque)
+            found = refine(window, self.belief, self.record.resolution, warm_s, self._residual_torque)
         except NUMERICAL:
             return
         self._estimate, self.belief, self._residual_torque = found, found.belief, found.residual
         self._usual = rms(self.record.unexplained(replace(self._used, x=self.belief.x), self.belief)[WARM_TICKS:])
-        self.figures.errors = self.belief.errors
+        self.figures.relative_errors = self.belief.errors
         if self._has_layer:
-            left = left_over(self.record.window(), self.belief, self._resolution, warm_s)
+            left = left_over(self.record.window(), self.belief, self.record.resolution, warm_s)
             self._finding = self._residual.look(left, self._used.layer)
 
-    def _propose(self) -> Proposal | None:
-        """Return what is worth a trial."""
-        if self._estimate is None or self._same < WINDOW_TICKS or self._motions.now.ranges is None:
+    def _propose(self, before: Work) -> Proposal | None:
+        """Return parameters or a gain that are worth a trial."""
+        if self._estimate is None:
             return None
-        before, now = self.record.work(self._same - self._settling), self._motions.now
-        level = self.belief.coordinates.model.level
+        level, now = self.belief.coordinates.model.level, self._motions.now
         refined = self.belief.shown(self._used.x)
         other = replace(self._used, x=refined)
-        if now.rest and before.rms <= _WORSE * now.refused_error and not self._is_another(other, now.refused):
-            now.rest -= 1
-            return None
-        now.rest = 0
-        if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
+        is_waiting = bool(now.rest) and before.rms <= _WORSE * now.refused_error
+        if is_waiting and now.refused is not None:  # what else would be tried is due to friction that has changed
+            is_waiting = not rms(np.subtract(*self.record.torques(now.refused, other))) > _OTHER * level
+        now.rest = now.rest - 1 if is_waiting else 0
+        self._settle()
+        if is_waiting or not self._is_seen(before):
             return None
         present, next_one = self.record.torques(self._used, other)
         change, decline = rms(next_one - present) / level, 1.0 - rms(next_one) / rms(present)
@@ -270,33 +296,31 @@ class Learner:
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
 
     def _next_gain(self, highest: float, falls: float) -> float:
-        """Return the gain to go on with: less where the known one was no help to this motion, or where friction falls.
+        """Return the gain to go on with: the less, the less is known of the torque.
 
-        Until the next change it will have fallen by as much as since the last one, ``falls``.
+        At least that of the configuration, and 1 at most: more than the friction would drive the axis. Less where the
+        known one was no help to this motion, ``highest``, or where friction falls: until the next change it will have
+        fallen by as much as since the last one, ``falls``.
         """
         if self._is_gain_fixed:
             return self._used.gain
         if self._is_gain_doubted:
             return max(self._used.gain - _LESS_GAIN, self._least_gain)
-        return max(min(self._known_gain(), highest) - falls, self._least_gain)
+        assert self._estimate is not None
+        doubt = math.hypot(self._estimate.torque_error, self._estimate.model_error)
+        known = max(min(1.0 - _DOUBT * doubt / self.belief.coordinates.model.level, 1.0), self._least_gain)
+        return max(min(known, highest) - falls, self._least_gain)
 
-    def _is_another(self, found: Used, refused: Used | None) -> bool:
-        """Return True if parameters are others than those that were refused: friction has changed since then."""
-        limit = _OTHER * self.belief.coordinates.model.level
-        return refused is not None and rms(np.subtract(*self.record.torques(refused, found))) > limit
-
-    def _propose_layer(self) -> Proposal | None:
+    def _propose_layer(self, before: Work) -> Proposal | None:
         """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
-        found, figures = self._finding, self.figures.layer
-        if found is None or self._same < WINDOW_TICKS or self._motions.now.ranges is None:
+        found, figures = self._finding, self.figures.residual_layer
+        if found is None:
             return None
         if self._used.layer is not None and found.is_spent:
             self._residual.end(figures)
             self._motions.now.used = replace(self._used, layer=None)
             return self._hand_over(Step.BACK, self._motions.now.used, "the residual layer explains nothing any more")
-        before = self.record.work(self._same - self._settling)
-        is_seen = before.is_moving and before.rms >= _LEAST_COUNTS * self._resolution
-        if not (self._residual.is_worth(found, self._used.layer, figures) and is_seen):
+        if not (self._residual.is_worth(found, self._used.layer, figures) and self._is_seen(before)):
             return None
         tried = replace(self._used, layer=found.layer)
         if found.x is not None:
@@ -306,32 +330,21 @@ class Learner:
         self._residual.was_tried(found, self._used.layer, figures, before.rms)
         return self._try(Step.LAYER, tried, before, found.text)
 
-    def _propose_family(self) -> Proposal | None:
+    def _propose_family(self, before: Work) -> Proposal | None:
         """Return a model of another family that is worth a trial, with the present gain."""
-        if self._same < WINDOW_TICKS or self._motions.now.ranges is None or (best := self._families.best()) is None:
-            return None
-        before = self.record.work(self._same - self._settling)
-        if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
+        best = self._families.best(self._used.form)
+        if best is None or not self._is_seen(before):
             return None
         self._families.was_tried(best.form, before.rms)
         tried = replace(best, gain=self._used.gain, layer=self._used.layer)
         return self._try(Step.FAMILY, tried, before, self._families.reason(best.form, self._used.form))
 
-    def _known_gain(self) -> float:
-        """Return the share of the friction that may be commanded: the less is known of the torque, the less.
-
-        At least that of the configuration, and 1 at most: more than the friction would drive the axis.
-        """
-        assert self._estimate is not None
-        level = self.belief.coordinates.model.level
-        doubt = math.hypot(self._estimate.torque_error, self._estimate.model_error) / level
-        return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
-
     def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:
         self._trial = Trial(step, tried, before, self._used, self.record.left(self.belief, self._used)[0], text)
+        self._go(Event.PROPOSED)
         self._is_turn_of_layer = step is not Step.LAYER
-        if self.figures.first_error is None:
-            self.figures.first_error = before.rms
+        if self.figures.error_before is None:
+            self.figures.error_before = before.rms
         return self._hand_over(step, self._used.towards(tried, _FIRST_PART), text)
 
     def _hand_over(self, step: Step, to: Used, text: str) -> Proposal:
@@ -344,58 +357,60 @@ class Learner:
         """Take note of what the compensator has; what is known of parameters is then that of its family."""
         if to.coordinates is not self.belief.coordinates:
             self.belief, self._estimate = self._families.swap(self.belief, to.coordinates), None
-        self._used, self._same = to, 0
-        self.figures.gain, self.figures.family.in_use = to.gain, to.form
+        self._used, self._ticks_in_force = to, 0
+        self.figures.gain, self.figures.family.in_use = to.gain, str(to.form)
 
     def _judge(self, trial: Trial) -> Proposal | None:
         """Look at a trial: it goes on, or it is kept, or it is taken back."""
-        trial.ticks += 1
+        ticks = self._ticks_in_force
         # a family comes as a whole: a drive's integrator has to give way to levels that differ between the directions
         unjudged = self._fade_ticks + _UNJUDGED_TICKS if trial.step is Step.FAMILY else _UNJUDGED_TICKS
-        error = self.record.errors(max(trial.ticks - unjudged, 1))
-        if trial.ticks > unjudged and is_harmful(error, trial.before, self._resolution, self._period_s):
+        error = self.record.errors(max(ticks - unjudged, 1))
+        if ticks > unjudged and is_harmful(error, trial.before, self.record.resolution, self.record.period_s):
             return self._take_back(f"the error rose from {self._size(trial.before.rms)} to {self._size(rms(error))}")
         if np.any(np.diff(self.record.rows(2)["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
-        if not trial.is_whole:
-            if trial.ticks < self._first_ticks:
+        if self._state is State.THIRD:
+            if ticks < self._fade_ticks + _FIRST_TICKS:
                 return None
-            if (both := no_help(error, self.record.expected(self.belief, trial), self._period_s)) is not None:
+            if (both := no_help(error, self.record.expected(self.belief, trial), self.record.period_s)) is not None:
                 shown, part = " -> ".join(map(self._size, both)), "a third of " * (trial.step is not Step.FAMILY)
                 return self._take_back(f"error {shown} with {part}the change")
-            trial.is_whole = True
+            self._go(Event.HARMLESS)
             if trial.step is Step.FAMILY:  # there is nothing between two families: the whole has been in force
                 return None
-            trial.ticks = 0
             return self._hand_over(trial.step, trial.tried, "the whole of a change of which a third did no harm")
-        if trial.ticks < self._settling + WINDOW_TICKS:
+        if self._ticks_settled < WINDOW_TICKS:
             return None
-        after = self.record.work(self._same - self._settling)
+        after = self.record.work(self._ticks_settled)
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
         expected = self.record.expected(self.belief, trial)
-        why = objection(after, expected, self._resolution)
+        why = objection(after, expected, self.record.resolution)
         shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
         if expected is not trial.before:
             shown += f" (without the change {self._size(expected.rms)} by now)"
         if why and not (why == CHANCE and self.record.explains_more(self.belief, trial.tried, trial.former)):
             return self._take_back(f"error {shown}: {why}")
-        self._trial, self._kept = None, trial.tried
+        self._go(Event.KEPT)
+        self._kept = trial.tried
         self._motions.keep(trial.tried)
         if self._is_gain_doubted and trial.tried.gain < trial.former.gain - _GAIN_WORTH:
             self._motions.now.limit = Limit(trial.tried.gain, rms(self.record.torques(trial.tried)[0]))
         self._is_gain_doubted = False
         if trial.step is Step.LAYER:
-            self._residual.was_kept(trial.tried.layer, self.figures.layer, after.rms)
+            self._residual.was_kept(trial.tried.layer, self.figures.residual_layer, after.rms)
         if trial.step is Step.FAMILY:
             self._families.was_kept(trial.tried.form, after.rms)
-        self.figures.kept += trial.step is Step.PARAMETERS
-        self.figures.error = after.rms
-        self.notes.append(f"learning keeps the {trial.words}: error {shown}")
+        self.figures.re_identified += trial.step is Step.PARAMETERS
+        self.figures.error_after = after.rms
+        words = f"family {trial.tried.form}" if trial.step is Step.FAMILY else trial.step.value
+        self.notes.append(f"learning keeps the {words}: error {shown}")
         return None
 
     def _take_back(self, reason: str, *, is_harmless: bool = False) -> Proposal:
-        trial, self._trial = self._trial, None
+        if (trial := self._trial) is not None:
+            self._go(Event.TAKEN_BACK)
         why = "without a verdict" if is_harmless else "no gain"
         if not self._note_refused(trial, self._motions.now.used, why) and not is_harmless:
             assert trial is not None
@@ -407,7 +422,7 @@ class Learner:
     def _note_refused(self, trial: Trial | None, stays: Used, why: str) -> bool:
         """Tell layer or families why their trial was no gain; return False if it was not theirs."""
         if trial is not None and trial.step is Step.LAYER:
-            self._residual.was_refused(stays.layer, self.figures.layer, why)
+            self._residual.was_refused(stays.layer, self.figures.residual_layer, why)
         elif trial is not None and trial.step is Step.FAMILY:
             self._families.was_refused(trial.tried.form, why)
         else:
@@ -419,39 +434,43 @@ class Learner:
         now = self._motions.now
         now.rest, now.pause = now.pause, min(_LONGER * now.pause, _LONGEST_PAUSE)
         now.refused_error, now.refused = error, refused
+        self._settle()
 
     def _change_motion(self) -> Proposal | None:
         """Go on with what is proven for the present motion, which is another one: the model file where nothing is."""
         now = self._motions.now
         self._note_refused(self._trial, now.used, "without a verdict")
-        self._trial = self._estimate = None
-        self._is_gain_doubted = False
-        self._residual.changed_motion(now.used.layer, self.figures.layer)
+        if self._trial is not None:
+            self._go(Event.TAKEN_BACK)
+        self._settle()
+        self._estimate, self._is_gain_doubted = None, False
+        self._residual.changed_motion(now.used.layer, self.figures.residual_layer)
         self.record.ticks.clear()
-        self._fresh = self._same = 0
-        if now.used is self._used:
-            proposal = None
-        elif now.used is self._file:
-            proposal = self._hand_over(Step.BACK, self._file, "another motion, for which nothing is proven yet")
-        else:
-            proposal = self._hand_over(Step.KNOWN, now.used, "what was kept for this motion")
+        self._ticks_unused = self._ticks_in_force = 0
+        step, text = Step.KNOWN, "what was kept for this motion"
+        if now.used is self._file:
+            step, text = Step.BACK, "another motion, for which nothing is proven yet"
+        proposal = None if now.used is self._used else self._hand_over(step, now.used, text)
         self._families.change_motion()
         return proposal
 
     def _stop(self, reason: str) -> Proposal | None:
         """Stop learning for a while: what was recorded so far is not of the axis as it is now."""
-        if not self._stopped:
+        if self._state is not State.STOPPED:
             self.figures.stopped += 1
             self.notes.append(f"learning stops for {_STOPPED_TICKS * TICK_S:g} s: {reason}")
-        self._stopped, self._why_stopped, self._fresh = _STOPPED_TICKS, reason, 0
+        self._ticks_stopped, self._why_stopped, self._ticks_unused = _STOPPED_TICKS, reason, 0
         self.record.ticks.clear()
         self._motions.interrupt()
         self._estimate = None
         self.belief = self.belief.doubted()
         self._families.doubt()
         if is_layered := self._motions.drop_layers():  # their phase is lost where the position has jumped
-            self._residual.end(self.figures.layer)
-        return self._take_back(reason, is_harmless=True) if is_layered or self._trial is not None else None
+            self._residual.end(self.figures.residual_layer)
+        is_back = is_layered or self._trial is not None
+        proposal = self._take_back(reason, is_harmless=True) if is_back else None
+        self._go(Event.ODD)
+        return proposal
 
     def _fall_back(self) -> Proposal | None:
         """Return to the model file where that explains the torque clearly better than what was kept elsewhere."""
@@ -460,10 +479,10 @@ class Learner:
         ticks = list(self.record.ticks)[-WARM_TICKS - 1 :]
         used, file = (self.record.unexplained(each, self.belief, ticks)[-1] for each in (self._used, self._file))
         level = self.belief.coordinates.model.level
-        self._misled = self._misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
-        if self._misled < _MISLED_TICKS:
+        self._ticks_misled = self._ticks_misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
+        if self._ticks_misled < _MISLED_TICKS:
             return None
         if self._used.layer is not None:
-            self._residual.end(self.figures.layer)
-        self._misled, self._motions.now.used = 0, self._file
+            self._residual.end(self.figures.residual_layer)
+        self._ticks_misled, self._motions.now.used = 0, self._file
         return self._hand_over(Step.BACK, self._file, "the model file explains the torque of this motion better")

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from friction_hil.friction import FrictionModel
-from friction_hil.learning.conversion import form_of
+from friction_hil.learning.conversion import Form, form_of
 from friction_hil.learning.coordinates import Coordinates
 from friction_hil.learning.estimate import MECHANICS
 from friction_hil.learning.judge import ALIKE
@@ -29,10 +29,7 @@ _PARTS = 10  # of a tick: spans begin at each, so that their ranges do not depen
 _MARGIN = 2  # of parts, by which a span of a motion may be longer or shorter
 _REMEMBERED_TICKS = 54  # of both sides of a comparison
 _MOST_KINDS = 8
-_LIMITED, _OTHER_FRICTION = (
-    20,
-    0.1,
-)  # proposals, and relative change of the friction, that a limit of the gain holds for
+_LIMITED, _OTHER_FRICTION = 20, 0.1  # proposals, and relative change of the friction: so long a gain is limited
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +52,8 @@ class Used:
         return self.own if self.layer is None else self.layer.on(self.own)
 
     @property
-    def form(self) -> str:
-        """Form of the model: its family, and whether its directions differ."""
+    def form(self) -> Form:
+        """Form of the model."""
         return form_of(self.coordinates.model)
 
     @property
@@ -87,10 +84,6 @@ class Limit:
     torque: float  # root mean square of the friction torque when it was found, N m
     left: int = _LIMITED  # proposals until a higher one is tried again
 
-    def is_of_other_friction(self, torque: float) -> bool:
-        """Return True if friction has changed so much since then that a higher gain may be a help now."""
-        return abs(torque - self.torque) > _OTHER_FRICTION * self.torque
-
 
 @dataclass(slots=True)
 class Kind:
@@ -109,12 +102,13 @@ class Kind:
 
     def highest_gain(self, torque: float) -> float:
         """Return the highest gain that is to be tried at a root mean square of the friction torque, N m."""
-        if self.limit is not None and (self.limit.left == 0 or self.limit.is_of_other_friction(torque)):
-            self.limit = None
-        if self.limit is None:
+        limit = self.limit
+        if limit is not None and (limit.left == 0 or abs(torque - limit.torque) > _OTHER_FRICTION * limit.torque):
+            limit = self.limit = None
+        if limit is None:
             return 1.0
-        self.limit.left -= 1
-        return self.limit.gain
+        limit.left -= 1
+        return limit.gain
 
 
 class Motions:
@@ -148,7 +142,7 @@ class Motions:
             return False
         if self.now.ranges is None:
             return self._meet()
-        if _is_within(_latest(self._parts), self.now.ranges):
+        if _is_within(_ranges(self._parts, is_latest=True), self.now.ranges):
             return False
         self._parts.clear()
         self.now = Kind(self._file, self._first_pause)
@@ -196,8 +190,8 @@ class Motions:
         self._kinds = [*(kind for kind in self._kinds if kind is not self.now), self.now][-_MOST_KINDS:]
 
 
-def _ranges(parts: Collection[tuple[float, ...]], margin: int = 0) -> Array:
-    """Return least and most of each span of a motion, (2, spans, 3).
+def _ranges(parts: Collection[tuple[float, ...]], margin: int = 0, *, is_latest: bool = False) -> Array:
+    """Return least and most of each span of a motion, (2, spans, 3); or what the last span of each length is.
 
     ``margin``: the least is that of spans by up to so many parts shorter, the most that of longer ones: rests shift the
     parts.
@@ -207,8 +201,9 @@ def _ranges(parts: Collection[tuple[float, ...]], margin: int = 0) -> Array:
     for k, ticks in enumerate(_SPANS_TICKS):
         if len(rows) < ticks * _PARTS:
             break
+        own = rows[-ticks * _PARTS :] if is_latest else rows
         for change in range(margin + 1):  # all: a mean square is not always least for the shortest ones
-            shorter, longer = (_spans(rows, ticks * _PARTS + sign * change) for sign in (-1, 1))
+            shorter, longer = (_spans(own, ticks * _PARTS + sign * change) for sign in (-1, 1))
             found[0, k] = np.fmin(found[0, k], shorter.min(axis=0))
             found[1, k] = np.fmax(found[1, k], longer.max(axis=0))
     return found
@@ -220,17 +215,6 @@ def _spans(rows: Array, length: int) -> Array:
     top, low, high, square, count = np.lib.stride_tricks.sliding_window_view(rows, length, axis=0).swapaxes(0, 1)
     mean = square.sum(axis=1) / count.sum(axis=1)
     return np.column_stack([top.max(axis=1), high.max(axis=1) - low.min(axis=1), mean])
-
-
-def _latest(parts: Collection[tuple[float, ...]]) -> Array:
-    """Return the same as `_ranges` of the last span of each length alone."""
-    rows = np.array(list(parts))
-    found = np.full((2, len(_SPANS_TICKS), 3), np.nan)
-    for k, ticks in enumerate(_SPANS_TICKS):
-        if len(rows) < ticks * _PARTS:
-            break
-        found[:, k] = _spans(rows[-ticks * _PARTS :], ticks * _PARTS)[0]
-    return found
 
 
 def _is_within(seen: Array, known: Array) -> bool:

@@ -7,7 +7,7 @@ import select
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from friction_hil.compensator.records import place
 from friction_hil.config import AxisConfig, Configuration, from_dict
 from friction_hil.daemon.companion import state_folder
 from friction_hil.daemon.control.ask import DaemonGoneError, Question, ask
-from friction_hil.daemon.learning_board import STARTING, LearningBoard, first_report
+from friction_hil.daemon.learning_board import STARTING, LearningBoard
 from friction_hil.daemon.learning_service import TICK_S
 from friction_hil.daemon.ring import RingObserver
 from friction_hil.daemon.safety import LoopState
@@ -70,7 +70,7 @@ class AxisLearning:
             fade_s=given.fade_s,
             is_gain_fixed=given.gain_negative is not None,
         )
-        self._gaps = Gaps(self.learner.rows_per_tick, period_s)
+        self._gaps = Gaps(self.learner.record.rows_per_tick, period_s)
         self.unit = POSITION_UNITS[config.model.axis]
         self._is_paused, self._why_paused = True, STARTING
         self._is_busy = False
@@ -187,22 +187,18 @@ class AxisLearning:
         doing, reason = ("ended", self.why_ended) if self.why_ended else self.learner.doing
         if doing == "watching" and (self._is_paused or self._is_busy):
             doing, reason = "waiting", self._why_paused if self._is_paused else _BUSY
-        return first_report(self.config.compensation.learning, self.unit, figures.gain) | {
-            "doing": doing,
-            "reason": reason,
-            "last": self._last,
-            "re_identified": figures.kept,
-            "taken_back": figures.taken_back,
-            "stopped": figures.stopped,
-            "error_before": figures.first_error,
-            "error_after": figures.error,
-            "in_use": self._in_use,
-            "parameters": self.learner.belief.parameters if figures.errors is not None else None,
-            "relative_errors": figures.errors,
-            "residual_layer": asdict(figures.layer),
-            "family": asdict(figures.family),
-            "proposed": self._proposed,
-        }
+        found = replace(
+            figures,
+            mode=self.config.compensation.learning,
+            unit=self.unit,
+            doing=doing,
+            reason=reason,
+            last=self._last,
+            in_use=self._in_use,
+            parameters=self.learner.belief.parameters if figures.relative_errors is not None else None,
+            proposed=self._proposed,
+        )
+        return asdict(found)
 
 
 class Learning:

@@ -44,13 +44,6 @@ class Trial:
     former: Used  # what was in force before
     left: Uncompensated  # by it, in the window before
     text: str = ""  # why
-    is_whole: bool = False  # False: only a part of it is in force
-    ticks: int = 0  # since it is in force
-
-    @property
-    def words(self) -> str:
-        """What is tried."""
-        return f"family {self.tried.form}" if self.step is Step.FAMILY else self.step.value
 
 
 def described(

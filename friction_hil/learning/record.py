@@ -27,14 +27,14 @@ class Record:
     """Rows of the last window, and those before that bring a model's state to where it was."""
 
     def __init__(self, period_s: float, resolution: float) -> None:
-        self._period_s, self._resolution = period_s, resolution  # step of the position, rad or m
+        self.period_s, self.resolution = period_s, resolution  # step of the position, rad or m
         # rows of each, `friction_hil.learning.window.COLUMNS`
         self.ticks: deque[dict[str, Array]] = deque(maxlen=WARM_TICKS + WINDOW_TICKS)
 
     @property
     def rows_per_tick(self) -> int:
         """Number of rows of a tick."""
-        return round(TICK_S / self._period_s)
+        return round(TICK_S / self.period_s)
 
     @property
     def warm_s(self) -> float:
@@ -47,18 +47,18 @@ class Record:
 
     def window(self, layer: Layer | None = None, model: FrictionModel | None = None) -> Window:
         """Return the motion, and the torque without that of a layer on a model."""
-        window = window_of(joined(list(self.ticks)), self._period_s)
+        window = window_of(joined(list(self.ticks)), self.period_s)
         if layer is None or model is None:
             return window
-        velocity = velocity_of(window, self._resolution)
-        friction = [each.simulate(velocity, self._period_s, **window.inputs()) for each in (layer.on(model), model)]
+        velocity = velocity_of(window, self.resolution)
+        friction = [each.simulate(velocity, self.period_s, **window.inputs()) for each in (layer.on(model), model)]
         return replace(window, torque=window.torque - (friction[0] - friction[1]))
 
     def work(self, settled: int) -> Work:
         """Return what the last window shows; of its errors, those of the last ``settled`` ticks, one at least."""
         rows = self.rows(WINDOW_TICKS)
         error = self.errors(min(max(settled, 1), WINDOW_TICKS))
-        return work_of(error, rows["position_demand"], rows["velocity_demand"], rows["compensation"], self._period_s)
+        return work_of(error, rows["position_demand"], rows["velocity_demand"], rows["compensation"], self.period_s)
 
     def errors(self, ticks: int) -> Array:
         """Return the following errors of the last ticks, (k,), rad or m, without those of missed periods."""
@@ -67,13 +67,13 @@ class Record:
     def torques(self, *compensations: Used) -> list[Array]:
         """Return the friction torques (n,) of models without their layers, N m."""
         window = self.window()
-        velocity = velocity_of(window, self._resolution)
-        return [each.own.simulate(velocity, self._period_s, **window.inputs()) for each in compensations]
+        velocity = velocity_of(window, self.resolution)
+        return [each.own.simulate(velocity, self.period_s, **window.inputs()) for each in compensations]
 
     def left(self, belief: Belief, *compensations: Used) -> list[Uncompensated]:
         """Return the friction that each would have left in the last window."""
         models = [(each.model, each.gain) for each in compensations]
-        return uncompensated(self.window(), belief, self._resolution, models, self.warm_s)
+        return uncompensated(self.window(), belief, self.resolution, models, self.warm_s)
 
     def promises(self, belief: Belief, tried: Used, in_use: Used) -> bool:
         """Return True if a change would have left less of the friction in the last window than what is in use.
@@ -113,7 +113,7 @@ class Record:
         Of ``belief`` the mechanics count. ``ticks``: all by default.
         """
         given = list(self.ticks) if ticks is None else ticks
-        return oddity.unexplained(used, given, belief, self._period_s, self._resolution)
+        return oddity.unexplained(used, given, belief, self.period_s, self.resolution)
 
     def oddity(self, tick: Mapping[str, Array], settled: int, own: Used | None, belief: Belief, usual: float) -> str:
         """Return why an axis is not what it was in the same motion; empty if it is.
@@ -125,10 +125,10 @@ class Record:
             return ""
         past = list(self.ticks)
         is_known = len(past) >= WINDOW_TICKS
-        if jump := oddity.jump(joined(past), tick, self._resolution, is_known=is_known):
+        if jump := oddity.jump(joined(past), tick, self.resolution, is_known=is_known):
             return f"the position jumps by {quantity(jump, POSITION_UNITS[belief.coordinates.model.axis])}"
         same = [*past[-settled:], tick] if settled > 0 else []
-        if times := oddity.follows_otherwise(same, self._resolution, self._period_s):
+        if times := oddity.follows_otherwise(same, self.resolution, self.period_s):
             return (
                 f"the following error is {times:.2g} times what it was, in the same motion with the same compensation"
             )

@@ -20,12 +20,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import linalg
 
+from friction_hil.daemon.learning_board import LayerFigures
 from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
 from friction_hil.friction.modifiers import MAX_HARMONICS
 from friction_hil.identification.ripple import RippleSearch
 from friction_hil.learning.estimate import MECHANICS, LeftOver
-from friction_hil.learning.figures import LayerFigures
 from friction_hil.learning.layer import LOAD, REVERSAL, RIPPLE, SPEED, Feature, Layer, columns, pairs
 from friction_hil.numerics.jit import Array
 
@@ -136,7 +136,8 @@ class Residual:
         is_moving = speed > _MOVING * float(np.max(speed, initial=0.0))
         if np.count_nonzero(is_moving) < STRETCHES * _PARTS or not np.isfinite(left.torque).all():
             return Finding(None)
-        weights = is_moving / np.hypot(_typical(left.torque[is_moving]), left.doubt)
+        typical = max(float(np.median(np.abs(left.torque[is_moving]))), 1e-12)
+        weights = is_moving / np.hypot(typical, left.doubt)
         if used is not None:
             gained = np.sum(weights**2 * (left.torque**2 - (left.torque - added) ** 2))
             self._spent = self._spent + 1 if gained <= 0.0 else 0
@@ -371,11 +372,6 @@ def _thinned(values: Array) -> Array:
     length = max(len(values) // _SEARCHED_ROWS, 1)
     rows = len(values) // length
     return np.asarray(values[: rows * length].reshape(rows, length, *values.shape[1:]).mean(axis=1))
-
-
-def _typical(torque: Array) -> float:
-    """Return the median size of a residual, N m or N, above zero."""
-    return max(float(np.median(np.abs(torque))), 1e-12)
 
 
 def empty(count: int) -> Memory:

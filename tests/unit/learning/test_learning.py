@@ -2,16 +2,19 @@
 
 import copy
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from friction_hil.learning import states
 from friction_hil.learning.coordinates import value_of, with_values
 from friction_hil.learning.estimate import Mechanics, first_belief
 from friction_hil.learning.motions import WINDOW_TICKS, Used
 from friction_hil.learning.proposal import Step, Trial
 from friction_hil.learning.proven import Proven, recall, store
 from friction_hil.learning.record import TICK_S, Record
+from friction_hil.learning.states import TRANSITIONS, Event, State
 from tests.compensators import INERTIA, LUGRE, PERIOD_S, quantised
 from tests.learning_records import COUNT, WRONG, Driven, levels, record
 
@@ -90,13 +93,13 @@ def test_rows_from_before_a_change_say_nothing_about_it(first):
 def test_a_computer_that_is_too_busy_for_an_estimate_judges_what_is_tried_all_the_same(tried):
     tried.take(WINDOW_TICKS + 6, may_estimate=False, error=3e-4)
     figures = tried.learner.figures
-    assert (figures.kept, figures.taken_back) == (1, 0)
-    estimated = figures.errors
+    assert (figures.re_identified, figures.taken_back) == (1, 0)
+    estimated = figures.relative_errors
     tried.take(2 * WINDOW_TICKS, may_estimate=False, error=3e-4, true=levels(1.1))
-    assert figures.errors is estimated
+    assert figures.relative_errors is estimated
     assert len(tried.proposals) == 2
     tried.take(1, error=3e-4, true=levels(1.1))
-    assert tried.learner.figures.errors is not estimated
+    assert tried.learner.figures.relative_errors is not estimated
 
 
 def disturbed(rows):
@@ -110,8 +113,8 @@ def test_errors_of_missed_periods_neither_stop_learning_nor_count_against_a_chan
     driven.take(8, until=Step.PARAMETERS, change=disturbed, error=8e-4)
     driven.take(WINDOW_TICKS + 6, change=disturbed, error=3e-4)
     figures = driven.learner.figures
-    assert (figures.kept, figures.taken_back, figures.stopped) == (1, 0, 0)
-    assert figures.error == pytest.approx(3e-4 / math.sqrt(2.0), rel=0.05)
+    assert (figures.re_identified, figures.taken_back, figures.stopped) == (1, 0, 0)
+    assert figures.error_after == pytest.approx(3e-4 / math.sqrt(2.0), rel=0.05)
 
 
 def test_what_does_not_help_is_taken_back(tried):
@@ -119,7 +122,7 @@ def test_what_does_not_help_is_taken_back(tried):
     _, back = tried.proposals[-1]
     assert (back.step, back.gain) == (Step.BACK, 0.9)
     np.testing.assert_array_equal(back.model.values, WRONG.values)
-    assert (tried.learner.figures.kept, tried.learner.figures.taken_back) == (0, 1)
+    assert (tried.learner.figures.re_identified, tried.learner.figures.taken_back) == (0, 1)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +145,7 @@ def test_what_harms_is_taken_back_in_time(tried, given, ticks, after_s, taken_ba
     tried.take(ticks, until=Step.BACK, **given)
     assert tried.proposals[-1][1].step is Step.BACK
     assert after_s[0] < (tried.ticks - at) * TICK_S <= after_s[1]
-    assert (tried.learner.figures.kept, tried.learner.figures.taken_back) == (0, taken_back)
+    assert (tried.learner.figures.re_identified, tried.learner.figures.taken_back) == (0, taken_back)
 
 
 @pytest.mark.parametrize(("true", "is_kept"), [(LUGRE, True), (WRONG, False)])
@@ -152,18 +155,18 @@ def test_a_gain_that_may_be_chance_is_kept_if_the_torque_since_then_is_explained
         error = 1e-3 * (1.0 + 0.6 * (-1.0) ** (second // 2)) * (1.0 if driven.proposals == [] else 0.93)
         is_tried = len(driven.proposals) == 2
         driven.take(4, error=error, true=true if is_tried else LUGRE)
-        if driven.learner.figures.kept or driven.learner.figures.taken_back:
+        if driven.learner.figures.re_identified or driven.learner.figures.taken_back:
             break
-    assert (driven.learner.figures.kept, driven.learner.figures.taken_back) == (is_kept, not is_kept)
+    assert (driven.learner.figures.re_identified, driven.learner.figures.taken_back) == (is_kept, not is_kept)
     assert is_kept or "without the change" in driven.proposals[-1][1].text
 
 
 def test_what_helps_is_kept_and_where_friction_falls_the_gain_leaves_room_until_the_next_change(tried):
     tried.take(WINDOW_TICKS + 6, error=3e-4)
     figures = tried.learner.figures
-    assert (figures.kept, figures.taken_back) == (1, 0)
+    assert (figures.re_identified, figures.taken_back) == (1, 0)
     errors = np.array([1e-3, 3e-4]) / math.sqrt(2.0)
-    assert [figures.first_error, figures.error] == pytest.approx(errors, rel=0.05)
+    assert [figures.error_before, figures.error_after] == pytest.approx(errors, rel=0.05)
     gain = tried.proposals[-1][1].gain
     tried.take(2 * WINDOW_TICKS, until=Step.PARAMETERS, error=3e-4, true=levels(0.93))
     tried.take(8, until=Step.PARAMETERS, error=2e-4, true=levels(0.93))
@@ -205,7 +208,7 @@ def test_another_motion_has_the_model_file_and_one_that_comes_back_what_was_kept
 def test_nothing_is_tried_where_nothing_is_to_be_learned(model, gain, ticks, given):
     driven = Driven(model, gain=gain).take(ticks, **given)
     assert driven.proposals == []
-    assert driven.learner.figures.errors is None or given.get("amplitude") != 0.0, "rest teaches nothing"
+    assert driven.learner.figures.relative_errors is None or given.get("amplitude") != 0.0, "rest teaches nothing"
 
 
 def test_a_truer_model_that_leaves_more_of_the_friction_with_its_gain_is_not_tried():
@@ -342,3 +345,18 @@ def test_a_run_begins_with_what_an_earlier_one_has_kept():
     assert value_of(first.model, "static") == value_of(WRONG, "static")
     assert first.gain == 1.0
     assert driven.learner.proven[0]["coulomb"] == pytest.approx(0.08)
+
+
+# states
+
+
+def test_the_page_has_the_transitions_of_the_code():
+    page = Path(states.__file__).with_name("layer.md").read_text(encoding="utf-8")
+    _, _, table = page.partition("| state | event | next |\n|---|---|---|\n")
+    rows = [tuple(line.strip("| ").split(" | ")) for line in table.partition("\n\n")[0].splitlines()]
+    assert rows == [(state.value, event.value, to.value) for (state, event), to in TRANSITIONS.items()]
+
+
+def test_every_state_is_reached_and_left_and_every_event_leads_somewhere():
+    assert {state for state, _ in TRANSITIONS} == set(TRANSITIONS.values()) == set(State)
+    assert {event for _, event in TRANSITIONS} == set(Event)

@@ -9,9 +9,8 @@ import pytest
 
 import friction_hil as fh
 from friction_hil.daemon import learning_words
-from friction_hil.daemon.learning_board import first_report
-from friction_hil.learning.conversion import ALTERNATIVES, alternatives, converted, form_of
-from friction_hil.learning.figures import LayerFigures
+from friction_hil.daemon.learning_board import LayerFigures, first_report
+from friction_hil.learning.conversion import ALTERNATIVES, Form, alternatives, converted, form_of
 from friction_hil.learning.proposal import Step, described
 from friction_hil.learning.proven import Proven, recall, store
 from tests.compensators import LUGRE, MODELS
@@ -35,7 +34,7 @@ ADDED = {"viscous": {"cubic": 1e-5}, "ripple": [{"order": 4.0, "cosine": 0.01}]}
 )
 def test_another_family_has_the_same_levels_and_the_same_presliding_stiffness(of, name, modifiers):
     model = fh.models.create(of, modifiers=modifiers, **MODELS[of].given)
-    other = converted(model, name, speed=1.0, deflection=1e-4)
+    other = converted(model, Form(name, "direction" in modifiers), speed=1.0, deflection=1e-4)
     assert other.name == name
     expected = model.presliding_stiffness or model.level / 1e-4
     assert other.presliding_stiffness == pytest.approx(expected, rel=1e-4)
@@ -49,14 +48,14 @@ def test_a_form_with_directions_begins_as_the_model_in_both(of):
     form = alternatives(model)[0]
     other = converted(model, form, speed=1.0, deflection=1e-4)
     assert form_of(other) == form
-    assert form.endswith(" + direction")
+    assert str(form).endswith(" + direction")
     np.testing.assert_allclose(other.steady_state(FAST), model.steady_state(FAST), rtol=1e-9)
     assert {"direction.positive.coulomb", "direction.negative.coulomb"} <= set(other.free)
 
 
 def test_elements_slip_like_a_bristle():
     """Closed form of LuGre's torque over a slow deflection x: static (1 - exp(-stiffness x / static))."""
-    model = converted(LUGRE, "gms", speed=1.0, deflection=1e-4)
+    model = converted(LUGRE, Form("gms"), speed=1.0, deflection=1e-4)
     scale = 0.12 / 2000.0
     x = np.linspace(0.01, 6.0, 200) * scale
     speed = 1e-9

@@ -180,7 +180,7 @@ def test_a_layer_that_helps_is_kept_and_told(rippled):
     assert last.step is Step.LAYER
     assert {7.0, 24.0} <= {each["order"] for each in last.model.modifiers["ripple"]}
     rippled.take(WINDOW_TICKS + 14, until=Step.BACK, error=3e-4, **ON_TRIAL)
-    figures = rippled.learner.figures.layer
+    figures = rippled.learner.figures.residual_layer
     assert figures.state == "on"
     assert figures.error_after < 0.5 * figures.error_before
     at, before = rippled.ticks, len(rippled.proposals)  # it is off at once where the position jumps
@@ -199,10 +199,10 @@ def test_a_layer_without_a_gain_is_off(rippled):
     rippled.take(WINDOW_TICKS + 14, until=Step.BACK, error=1e-3, **ON_TRIAL)
     _, back = rippled.proposals[-1]
     assert (back.step, dict(back.model.modifiers)) == (Step.BACK, {})
-    assert rippled.learner.figures.layer.state == "no gain"
+    assert rippled.learner.figures.residual_layer.state == "no gain"
 
 
 def test_an_axis_without_a_residual_never_gets_a_layer():
     driven = Driven().take(6 * WINDOW_TICKS, error=1e-3, amplitude=1.0, seed=1)
     assert Step.LAYER not in [each.step for _, each in driven.proposals]
-    assert driven.learner.figures.layer.state == "noise only"
+    assert driven.learner.figures.residual_layer.state == "noise only"

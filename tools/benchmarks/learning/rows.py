@@ -132,7 +132,7 @@ def _reductions(of: Setup, *, scored_s: float | None = None, is_fixed_from_start
         "learned_peak": none.peak / after.peak,
         "kept_ratio_rms": fixed.rms / after.rms,
         "cpu_share": learned.busy_s / end,
-        "kept": figures.kept,
+        "kept": figures.re_identified,
         "taken_back": figures.taken_back,
     }
 
@@ -215,7 +215,7 @@ def _layered(of: Setup) -> dict[str, float]:
         after = run.error(AFTER_S, end, period_s)
         found |= {f"{name}_rms": none.rms / after.rms, f"{name}_peak": none.peak / after.peak}
     assert run.learner is not None
-    layer = run.learner.figures.layer
+    layer = run.learner.figures.residual_layer
     return {
         **found,
         "layer_ratio_rms": found["layer_rms"] / found["learned_rms"],
