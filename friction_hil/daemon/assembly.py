@@ -81,6 +81,22 @@ def make_velocity_offset(config: "AxisConfig", facts: AxisFacts, period_s: float
     return VelocityOffset(period_s, given.velocity_gain, given.integral_hz, limit, given.slew, fade_s)
 
 
+def velocity_offset_shortage(config: "AxisConfig") -> str:
+    """Return that the limit of the velocity offset is too small for the model's friction; empty where it is not.
+
+    At a reversal the integral part of the drive's loop holds the torque of one direction and that of the other is due.
+    """
+    given = config.compensation.velocity_offset
+    if given is None:
+        return ""
+    step = 2.0 * config.compensation.gain * config.model.friction_model.level / given.velocity_gain
+    if given.limit >= step:
+        return ""
+    return (
+        f"is {given.limit:g}, and the friction of the model needs up to {step:.3g} at a reversal: the rest comes late"
+    )
+
+
 def largest_offset(config: "AxisConfig") -> float:
     """Return the bound on the offset of the motor, SI: half the gap and the greatest twist; 0 without an offset.
 

@@ -121,7 +121,8 @@ def identify_axis(
         if loops is not None:
             say(
                 f"loops of the drive: velocity_gain {brief(loops.velocity_gain, 3)}, integral_hz "
-                f"{brief(loops.integral_hz, 3)} ({loops.explained:.1%} of the torque explained)",
+                f"{brief(loops.integral_hz, 3)}, position_gain {brief(loops.position_gain, 3)} "
+                f"({loops.explained:.1%} of the torque explained)",
                 stderr=False,
             )
         if is_worthless and output is not None:
