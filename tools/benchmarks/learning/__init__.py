@@ -1,7 +1,8 @@
 """What learning makes of a wrong model: the following error of simulated servos before and after.
 
-Rows: `off`, parameters 12 to 30 % off, after 60 s of the axis's own motion; `exact`, the true parameters from the
-start; `drift`, a level that changes by 40 % up and down over ten minutes, with half as much again from 400 s on;
+Rows: `off`, parameters 12 to 30 % off, after 60 s of the axis's own motion; `noisy`, the same with noise of 5 % of the
+rated torque on the torque feedback; `exact`, the true parameters from the start; `drift`, a level that changes by 40 %
+up and down over ten minutes, with half as much again from 400 s on;
 `changing`, another motion every minute; `poor`, a 14-bit encoder, two cycles of delay, 1 % of noise on the torque and a
 torque constant 10 % off; `residual`, the true parameters on an axis with more than the model file knows of (cogging,
 Maxwell-slip elements instead of bristles, a hump over the speed, a pendulum whose weight loads the bearings), learned

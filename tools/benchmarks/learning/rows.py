@@ -37,6 +37,7 @@ _CHANGING = (
     (60.0, GridMotion(kind="dwell", amplitude=0.2, frequency=0.5)),
     (60.0, GridMotion(amplitude=1.0, frequency=1.0)),
 )
+_NOISE = 0.05  # of the rated torque: standard deviation of the torque feedback
 _COGGING = {7.0: 0.05, 24.0: 0.065}  # amplitude in friction levels, by order
 # Maxwell-slip elements: shares of the stiffness and of the level
 _SLIP_STIFFNESS, _SLIP = (0.4, 0.3, 0.2, 0.1), {"weight": [0.25] * 4, "attraction": 20.0}
@@ -145,6 +146,12 @@ def _off(grid: Grid) -> Cases:
 def _late(grid: Grid) -> Cases:
     for name, of in _combinations(grid, WRONG, AFTER_S):
         yield name, partial(_reductions, replace(of, missed_until_s=AFTER_S))
+
+
+def _noisy(grid: Grid) -> Cases:
+    for name, of in _combinations(grid, WRONG, AFTER_S):
+        sensors = replace(of.sensors, torque_noise=_NOISE * of.plant.rated_torque)
+        yield name, partial(_reductions, replace(of, sensors=sensors))
 
 
 def _exact(grid: Grid) -> Cases:
@@ -433,6 +440,7 @@ def _change_plant(axis: Axis, plant: Plant, drive: DriveLoops | None = None) -> 
 _ROWS: dict[str, Callable[[Grid], Cases]] = {
     "off": _off,
     "late": _late,
+    "noisy": _noisy,
     "exact": _exact,
     "drift": _drift,
     "changing": _changing,
