@@ -12,7 +12,7 @@ import click
 from friction_hil.cli.options import option_json
 from friction_hil.cli.output import print_json
 from tools.benchmarks.tune.axes import read_axes
-from tools.benchmarks.tune.judge import tune_axis
+from tools.benchmarks.tune.judge import judge_truth, tune_axis
 from tools.benchmarks.tune.report import as_json as to_json
 from tools.benchmarks.tune.report import show
 
@@ -22,8 +22,9 @@ OWN = Path(__file__).with_name("axes.yaml")
 @click.command()
 @click.argument("files", nargs=-1, type=click.Path(path_type=Path, exists=True))
 @click.option("--only", help="Names of the axes to tune, separated by commas.")
+@click.option("--truth", "gain", type=float, help="Only show what the true friction reaches at this gain, untuned.")
 @option_json
-def command(files: tuple[Path, ...], only: str | None, as_json: bool) -> None:
+def command(files: tuple[Path, ...], only: str | None, gain: float | None, as_json: bool) -> None:
     """Print how close tune comes to the true friction of simulated axes.
 
     FILES are configurations of one simulated axis each; by default the axes are those of axes.yaml.
@@ -32,8 +33,8 @@ def command(files: tuple[Path, ...], only: str | None, as_json: bool) -> None:
     results = []
     for name, configuration in axes.items():
         click.echo(f"{name} ...", err=True)
-        results.append(tune_axis(name, configuration))
+        results.append(tune_axis(name, configuration) if gain is None else judge_truth(name, configuration, gain))
     if as_json:
         print_json(to_json(results))
     else:
-        show(results)
+        show(results, is_truth_alone=gain is not None)

@@ -94,6 +94,18 @@ def tune_axis(name: str, content: dict[str, Any]) -> AxisResult:
         )
 
 
+def judge_truth(name: str, content: dict[str, Any], gain: float) -> AxisResult:
+    """Judge what the true friction of an axis reaches at a gain, without tuning it."""
+    with tempfile.TemporaryDirectory(prefix="friction-hil-") as folder:
+        file = Path(folder) / f"{name}.yaml"
+        file.write_text(dump(content), encoding="utf-8")
+        configuration = load(file, needs_models=False)
+    [axis] = configuration.axes.values()
+    axis = axis.model_copy(update={"compensation": axis.compensation.model_copy(update={"gain": gain})})
+    reached = Rehearsals(axis, configuration.period_s).reductions(truth(axis))
+    return AxisResult(name, reached, {}, "", "", 0.0, 0.0)
+
+
 def run_tune(file: Path, output: Path) -> "subprocess.CompletedProcess[str]":
     """Run the command for all axes of a configuration, against simulated drives and paced by SYNC."""
     words = ["tune", str(file), "--simulate", "--pace", "sync", "--yes", "--json", "--output", str(output)]

@@ -45,7 +45,7 @@ def as_json(results: Sequence[AxisResult]) -> dict[str, Any]:
     return {"machine": machine(), "summary": summary(results), "axes": [asdict(each) for each in results]}
 
 
-def show(results: Sequence[AxisResult]) -> None:
+def show(results: Sequence[AxisResult], *, is_truth_alone: bool) -> None:
     """Print a row for each axis, and the figures over all axes."""
     table = new_table(prose("axis"), prose("model"), *map(number, (OWN, *OTHERS, "tune s", "motion s")))
     for each in results:
@@ -53,10 +53,18 @@ def show(results: Sequence[AxisResult]) -> None:
         table.add_row(each.name, each.model or "none", *cells, f"{each.tune_s:.0f}", f"{each.motion_s:.0f}")
     print_table(table)
     click.echo("times lower, RMS/peak, with the tuned model; in brackets with the true one; ! the guard cut the gain")
+    found = summary(results)
+    if is_truth_alone:
+        click.echo("geometric means of the RMS: " + ", ".join(f"{k} {v:.1f}" for k, v in found["true"].items()))
+    else:
+        _show_tuned(results, found)
+    click.echo(machine())
+
+
+def _show_tuned(results: Sequence[AxisResult], found: dict[str, Any]) -> None:
     for each in results:
         if each.problem:
             click.echo(f"{each.name}: {each.problem}")
-    found = summary(results)
     click.echo(
         f"{found['enough_of_truth']} of {found['axes']} axes reach {ENOUGH:.0%} of the truth in RMS and peak on their "
         f"own motion; {found['without_model']} got no model"
@@ -70,7 +78,6 @@ def show(results: Sequence[AxisResult]) -> None:
         f"{found['worse_than_none']} of {found['runs']} runs are worse than none, the guard cut the gain in "
         f"{found['gain_cut']}"
     )
-    click.echo(machine())
 
 
 def _cell(result: AxisResult, motion: str) -> str:
