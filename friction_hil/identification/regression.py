@@ -8,6 +8,7 @@ Numerical Analysis 10(2), 1973.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from friction_hil.identification.least_squares import (
     project_out,
 )
 from friction_hil.identification.structures import ModelStructure
+from friction_hil.identification.workers import in_parallel
 from friction_hil.numerics.jit import Array
 
 # Linear parameters that stay at or above zero: friction must not drive the axis.
@@ -32,6 +34,7 @@ _BENDING_SPEEDS = 3.0
 GAIN, INVERSE_GAIN, BACK_EMF = "drive.gain", "drive.inverse_gain", "drive.back_emf"
 _LONGEST_STEP = 2.0  # of a logarithm: the parameter changes by a factor of 7 at most
 _REMEMBERED = 6  # evaluations kept
+_LONG = 20_000  # steps of the longest record: below, a thread takes longer to start than it saves
 _RANK = 1e-9  # of a column's norm: a smaller remainder outside the span of the columns before it is rounding
 _COLLINEAR = 1e-7  # the same for a derivative
 _SHORT_STEP = 0.03  # relative change of a parameter for which the torque follows its gradient
@@ -119,8 +122,9 @@ class Regression:
                 (np.empty(record.velocity.size), np.empty((record.velocity.size, len(directions))))
                 for record in records
             ]
-        for number, record in enumerate(records):
-            model.simulate_with_gradient(
+        jobs = [
+            partial(
+                model.simulate_with_gradient,
                 record.velocity,
                 record.dt,
                 free=directions,
@@ -129,6 +133,13 @@ class Regression:
                 temperature=record.temperature,
                 out=self._buffers[number],
             )
+            for number, record in enumerate(records)
+        ]
+        if max(record.velocity.size for record in records) >= _LONG:
+            in_parallel(jobs)
+        else:
+            for job in jobs:
+                job()
         torques, gradients = zip(*self._buffers, strict=True)
         return self.data.stack(torques), self.data.stack(gradients)
 
