@@ -83,16 +83,24 @@ def trial_text(
     bounds: Mapping[str, ExperimentBounds],  # of these axes
     labels: Sequence[Mapping[str, str]],  # label of the model by axis, for each run with compensation
     duration_s: float,  # of each run
+    *,
+    has_baseline: bool = False,  # the run without compensation was made ahead; without labels it is described alone
 ) -> str:
     """Describe the runs of a trial: the motions of each axis, and what compensates it in each run."""
     speeds = allowed_speeds(run, bounds)
     lines = [line for name in bounds for line in _motions(name, run, speeds[name])]
-    turns = ", ".join(["without compensation", *(f"compensated by {_models(each)}" for each in labels)])
+    turns = [
+        *([] if has_baseline else ["without compensation"]),
+        *(f"compensated by {_models(each)}" for each in labels),
+    ]
     has_other_gains = any(run.axes[name].compensation.gain_negative is None for name in bounds)
     more = f", then at most {MOST} times more by the best model at other gains" if has_other_gains else ""
+    if not labels:
+        more = ", while the models are computed that are tried on the same motions then"
     every = "all of it" if len(bounds) == 1 else "all axes at once, all of it"
+    times = f"{len(turns)} times" if len(turns) > 1 else "once"
     return "\n".join(
-        [*lines, f"{every} in {duration_s:.0f} s, {len(labels) + 1} times: {turns}{more}{_others(run, bounds)}"]
+        [*lines, f"{every} in {duration_s:.0f} s, {times}: {', '.join(turns)}{more}{_others(run, bounds)}"]
     )
 
 

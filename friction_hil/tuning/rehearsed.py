@@ -8,8 +8,8 @@ first.
 
 import math
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from friction_hil.identification.choice import log_likelihood_gain
 from friction_hil.identification.drive_loop import DriveLoops, identify_loops
 from friction_hil.identification.fits import ENDED_EARLY
 from friction_hil.identification.refine import is_dynamic
+from friction_hil.identification.workers import in_parallel
 from friction_hil.models.model_file import NETWORK, ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.rehearsal import Motion, Outcome, Rehearsal
@@ -33,6 +34,7 @@ from friction_hil.tuning.candidates import CandidateFit
 from friction_hil.tuning.choice import model_content
 from friction_hil.tuning.motions import experiment_of, own_motion
 from friction_hil.tuning.rehearsal_motions import rehearsal_motions
+from friction_hil.tuning.settings import ShowStep
 from friction_hil.tuning.two_steps import label, steady_weights
 
 SWING = 0.999  # factor left on the gain by the guard against limit cycles: below, the model swings
@@ -79,12 +81,12 @@ class RehearsedFit:
 
 
 def rehearse(
-    recording: Recording, configuration: Configuration, found: Sequence[Identification]
+    recording: Recording, configuration: Configuration, found: Sequence[Identification], show: ShowStep | None = None
 ) -> tuple[RehearsedFit, ...]:
     """Return the fits of an axis with what they do in simulation: those that do not swing first, best first.
 
     ``recording``: of the experiment, with a torque. ``configuration``: from which that run was made. ``found``: of that
-    recording.
+    recording. ``show``: called before each simulation.
 
     Raises `RecordingError`: the loops of the drive, or any friction that can be simulated, are not known.
     """
@@ -109,6 +111,7 @@ def rehearse(
         rehearsal_motions(own_motion(recording.axis, axis), experiment_of(recording.axis, axis), resolution),
         models,
         servos,
+        (lambda *_: None) if show is None else show,
     )
     likeliest = max(weights, key=lambda k: weights[k])
     everyone = range(len(fits))
@@ -130,16 +133,21 @@ class _Simulations:
         motions: Mapping[str, Motion],
         models: Sequence[ModelFile],
         servos: Mapping[int, ServoConfig],
+        show: ShowStep,
     ) -> None:
         self._rehearsal, self._motions, self._models, self._servos = rehearsal, motions, models, servos
+        self._show = show
         self._found: dict[tuple[int, int | None, str], Outcome] = {}
 
     def run(self, frictions: Sequence[int], assumed: Sequence[int]) -> None:
         """Simulate all combinations, on all cores."""
         jobs = [(k, other, name) for k in frictions for other in (None, *assumed) for name in self._motions]
         jobs = [job for job in jobs if job not in self._found]
-        with ThreadPoolExecutor() as pool:
-            self._found.update(zip(jobs, pool.map(self._simulate, jobs), strict=True))
+        found = in_parallel(
+            [partial(self._simulate, job) for job in jobs],
+            lambda number: self._show(f"rehearsal in simulation: {jobs[number][2]}", number + 1, len(jobs)),
+        )
+        self._found.update(zip(jobs, found, strict=True))
 
     def _simulate(self, job: tuple[int, int | None, str]) -> Outcome:
         friction, assumed, name = job

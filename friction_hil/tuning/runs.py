@@ -1,7 +1,9 @@
 """Runs of the daemon that record experiments and trials."""
 
+import contextlib
 import math
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,42 @@ from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import Recording, read_all
 from friction_hil.tuning.motions import TuningError
 from friction_hil.tuning.settings import Dialog, TuneSettings
+
+
+class Seconds:
+    """Where the time of a tuning goes: seconds of motion, and of computing while nothing moves."""
+
+    def __init__(self) -> None:
+        self.motion_s = 0.0  # of all runs, as planned
+        self._standstill_s = 0.0  # between two runs, without the time for an answer
+        self._since: float | None = None  # that is counted next
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Seconds by their names, up to now; those of enabling and disabling drives are in none of them."""
+        after_s = 0.0 if self._since is None else time.monotonic() - self._since
+        return {
+            "motion_s": round(self.motion_s, 3),
+            "computing_between_s": round(self._standstill_s, 3),
+            "computing_after_s": round(after_s, 3),
+        }
+
+    @contextlib.contextmanager
+    def moving(self, duration_s: float) -> Iterator[None]:
+        """Count a run."""
+        with self.asking():
+            yield
+        self.motion_s += duration_s
+        self._since = time.monotonic()
+
+    @contextlib.contextmanager
+    def asking(self) -> Iterator[None]:
+        """Count no time."""
+        if self._since is not None:
+            self._standstill_s += time.monotonic() - self._since
+        yield
+        if self._since is not None:
+            self._since = time.monotonic()
 
 
 class TuningRuns:

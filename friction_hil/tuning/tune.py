@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from friction_hil.config import Configuration
-from friction_hil.errors import FrictionHilError, RecordingError, UsageError, internal_error
-from friction_hil.identification import Identification
-from friction_hil.identification.mechanics import Mechanics, find_mechanics
+from friction_hil.errors import FrictionHilError, UsageError, internal_error
+from friction_hil.identification.mechanics import Mechanics
 from friction_hil.identification.settings import chosen_families
 from friction_hil.identification.torque_timing import TorqueTiming
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.recordings import Recording, read, read_all
+from friction_hil.tuning.analysis import Analysis, analysed, compile_ahead
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text, once_more_text, shaken_text, trial_text
-from friction_hil.tuning.candidates import CandidateFit, ExperimentPart, candidates, identified
+from friction_hil.tuning.beside import Worker
+from friction_hil.tuning.candidates import CandidateFit, ExperimentPart, candidates
 from friction_hil.tuning.choice import (
     SCALED,
     AxisTuning,
@@ -41,14 +42,16 @@ from friction_hil.tuning.motions import (
     trial_run,
     uncompensated,
 )
-from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, rehearse, to_try
-from friction_hil.tuning.runs import TuningRuns
+from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, to_try
+from friction_hil.tuning.runs import Seconds, TuningRuns
 from friction_hil.tuning.sequential import ExperimentResult, Observer, part_durations
 from friction_hil.tuning.settings import Dialog, TuneSettings, chosen_axes, claim
 from friction_hil.tuning.torque_lag import TorqueLag, find_torque_lag, with_torque_lag
 from friction_hil.tuning.torque_ratio import TorqueRatio, find_torque_ratio, refuse_turned_torque, with_torque_ratio
 from friction_hil.tuning.trial import judge
 from friction_hil.tuning.two_steps import label
+
+_WITHOUT = "trial_without.mcap"
 
 
 @dataclass(slots=True, eq=False)
@@ -66,6 +69,7 @@ class Tuning:
     leftovers: list[str] = field(default_factory=list)  # what drives were left with after some run
     # models with what they do in simulation, best first, by axis; empty for an axis that could not be simulated
     rehearsed: dict[str, tuple[RehearsedFit, ...]] = field(default_factory=dict)
+    seconds: Seconds = field(default_factory=Seconds)  # of motion, and of computing while nothing moves
 
 
 def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -> Tuning:
@@ -77,7 +81,8 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
     2. Identification: friction models and mechanics of each axis from its recording, dynamic models from all of it and
        static ones from where the axis slides.
     3. Candidates: each model compensates each plausible axis in simulation, with the loops that the experiment showed;
-       the best two or three that swing nowhere are tried.
+       the best two or three that swing nowhere are tried. This and the identification are computed by another process,
+       while other axes make their experiments, and all of them the first run of the trial.
     4. Trials: all axes make their own motion, slow, small, tiny and fast ones, and strokes with rests; first without
        compensation, then again with each candidate, and with the best one at other gains.
     5. Torque lag and ratio: how the reported torque follows the commanded one in the trial. Where it clearly is another
@@ -105,9 +110,11 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
         if not settings.is_simulated:
             refuse_unwritable_model(name, configuration.axes[name])
     claim(settings.folder)
-    tuner = _Tuner(configuration, settings, names, dialog)
+    worker = Worker()
+    tuner = _Tuner(configuration, settings, names, dialog, worker)
     try:
-        return tuner.tune()
+        with worker:
+            return tuner.tune()
     except Exception as error:
         if kept := tuner.kept():
             error.add_note(kept)
@@ -138,13 +145,17 @@ class _Turn:
 
 class _Tuner:
     def __init__(
-        self, configuration: Configuration, settings: TuneSettings, names: Sequence[str], dialog: Dialog
+        self,
+        configuration: Configuration,
+        settings: TuneSettings,
+        names: Sequence[str],
+        dialog: Dialog,
+        worker: Worker,
     ) -> None:
         self._configuration, self._settings, self._names, self._dialog = configuration, settings, names, dialog
-        self._runs = TuningRuns(settings, dialog)
+        self._runs, self._worker, self._seconds = TuningRuns(settings, dialog), worker, Seconds()
         self._warnings: list[str] = []
         self._mechanics: dict[str, Mechanics] = {}
-        self._shaken: dict[str, dict[str, Recording]] = {}  # of all axes, by the one that was shaken
         self._resolutions: dict[str, float] = {}  # of the encoders, found in the experiments
         self._timings: dict[str, TorqueTiming] = {}
         self._torque_lags: dict[str, TorqueLag] = {}
@@ -167,10 +178,16 @@ class _Tuner:
 
     def tune(self) -> Tuning:
         """Carry out all steps; see `tune`."""
-        recorded = {name: self._experiment(name) for name in self._names}
-        if self._settings.is_shaken:
-            self._shaken = {name: self._shake(name) for name in self._names}
-        tried = self._trials({name: self._candidates(name, recorded.pop(name)) for name in self._names})
+        recorded, jobs = {}, {}
+        for name in self._names:
+            recorded[name] = self._experiment(name)
+            if not self._settings.is_shaken:
+                jobs[name] = self._submit(name, recorded[name], {})
+        for name in self._names if self._settings.is_shaken else ():
+            jobs[name] = self._submit(name, recorded[name], self._shake(name))
+        recorded.clear()
+        without = self._trial_ahead()
+        tried = self._trials({name: self._candidates(name, job) for name, job in jobs.items()}, without)
         is_simulated = self._settings.is_simulated
         axes = {
             name: keep_best(
@@ -191,7 +208,37 @@ class _Tuner:
             experiments=self._experiments,
             leftovers=self._runs.leftovers,
             rehearsed=self._all_rehearsed,
+            seconds=self._seconds,
         )
+
+    def _run(self, run: Configuration, duration_s: float, file: str, speeds: Mapping[str, float]) -> Path:
+        """Record a run, while the worker goes on beside it."""
+        with self._worker.aside(), self._seconds.moving(duration_s):
+            return self._runs.run(run, duration_s, file, speeds)
+
+    def _confirm(self, text: str) -> None:
+        with self._seconds.asking():
+            self._dialog.confirm(text)
+
+    def _submit(self, name: str, parts: Sequence[ExperimentPart], shaken: Mapping[str, Recording]) -> int:
+        """Have the worker identify an axis and rehearse its models; return the number of that job."""
+        held = dict(shaken)
+        own = [held.pop(name)] if held else []
+        return self._worker.submit(analysed, self._configuration, self._settings.families, parts, own, held)
+
+    def _trial_ahead(self) -> dict[str, Recording] | None:
+        """Record the run of the trial without compensation, if no model matters for it; None if one does."""
+        axes = {name: self._configuration.axes[name] for name in self._names}
+        if any(
+            axis.mode == "cst" or axis.compensation.velocity == "kalman" or axis.compensation.adaptation is not None
+            for axis in axes.values()
+        ):
+            return None
+        models = {name: axis.model for name, axis in axes.items()}
+        run, duration_s = trial_run(self._configuration, models, self._resolutions)
+        bounds = {name: experiment_of(name, axis) for name, axis in axes.items()}
+        self._confirm(trial_text(run, bounds, [], duration_s))
+        return read_all(self._run(uncompensated(run), duration_s, _WITHOUT, allowed_speeds(run, bounds)))
 
     def _experiment(self, name: str) -> list[ExperimentPart]:
         """Record the experiment of an axis, part by part, until what is unknown does not matter any more."""
@@ -199,7 +246,7 @@ class _Tuner:
         lengths = part_durations(bounds.duration_s)
         runs = [experiment_run(self._configuration, name, length_s) for length_s in lengths]
         duration_s = math.fsum(duration_s for _, duration_s in runs)
-        self._dialog.confirm(experiment_text(runs[0][0], name, bounds, duration_s, lengths))
+        self._confirm(experiment_text(runs[0][0], name, bounds, duration_s, lengths))
         speeds = allowed_speeds(runs[0][0], {name: bounds})
         observer = Observer(self._configuration, name)
         parts: list[ExperimentPart] = []
@@ -207,17 +254,21 @@ class _Tuner:
         for number, (length_s, (run, duration_s)) in enumerate(zip(lengths, runs, strict=True), start=1):
             file = f"{name}_experiment{f'_{number}' if len(lengths) > 1 else ''}.mcap"
             parts.append(ExperimentPart(self._part(name, run, duration_s, file, speeds, length_s), length_s))
+            if number == 1 < len(lengths):  # whatever it shows is confirmed by a second part
+                self._worker.submit(compile_ahead, self._configuration, self._settings.families, parts[0])
+                continue
             if problem:
                 continue
             try:
                 with self._dialog.working(f"{name}: estimating what is unknown of the friction"):
-                    unknown = observer.take(parts[-1])
+                    for part in parts if number == 2 else parts[-1:]:
+                        unknown = observer.take(part)
             except FrictionHilError as error:
                 unknown, problem = None, str(error)
                 continue
-            if unknown.is_negligible:
+            if unknown is not None and unknown.is_negligible:
                 break
-            if number < len(lengths):
+            if unknown is not None and number < len(lengths):
                 self._dialog.report(f"{name}: after {sum(lengths[:number]):g} s: {unknown.text}")
         result = ExperimentResult(tuple(each.duration_s for each in parts), bounds.duration_s, unknown, problem)
         self._experiments[name] = result
@@ -230,7 +281,7 @@ class _Tuner:
     ) -> Recording:
         """Record a part of the experiment of an axis, with a torque."""
         axis = self._configuration.axes[name]
-        path = self._runs.run(run, duration_s, file, speeds)
+        path = self._run(run, duration_s, file, speeds)
         self._recorded.setdefault(name, []).append(path)
         recording = read(path, name)
         [facts] = (each for each in recording.metadata["facts"] if each["name"] == name)
@@ -247,63 +298,47 @@ class _Tuner:
         """Record an axis that is shaken while it slides, and the others, which are held."""
         bounds = experiment_of(name, self._configuration.axes[name])
         run, duration_s = shaken_run(self._configuration, name)
-        self._dialog.confirm(shaken_text(run, name, bounds, duration_s))
+        self._confirm(shaken_text(run, name, bounds, duration_s))
         speeds = allowed_speeds(run, {name: bounds})
-        recorded = read_all(self._runs.run(run, duration_s, f"{name}_shaken.mcap", speeds))
+        recorded = read_all(self._run(run, duration_s, f"{name}_shaken.mcap", speeds))
         return {**recorded, name: with_torque(recorded[name], run.axes[name].mode)}
 
-    def _candidates(self, name: str, parts: Sequence[ExperimentPart]) -> list[CandidateFit]:
-        """Identify an axis from its experiment; return the models to try on it, and write the first of them."""
+    def _candidates(self, name: str, job: int) -> list[CandidateFit]:
+        """Return the models to try on an axis by its analysis, and write the first of them."""
         axis = self._configuration.axes[name]
-        problems: list[str] = []
         with self._dialog.working(f"{name}: identifying friction and inertia") as show:
-            found = identified(
-                parts,
-                self._configuration,
-                self._settings.families,
-                on_fit=lambda step: show(f"{name}: {step.stage}: {step.label}", step.number, step.count),
-                on_problem=problems.append,
-            )
-        for problem in problems:
+            analysis: Analysis = self._worker.result(job, show)
+        for problem in analysis.problems:
             self._warn(f"{name}: {problem}")
-        timings = [each.torque for each in found if each.torque is not None]
+        timings = [each.torque for each in analysis.found if each.torque is not None]
         if timings:
             self._timings.setdefault(name, timings[0])
         for text in dict.fromkeys(each.text for each in timings):
             self._dialog.report(f"{name}: {text}")
-        for each in found:
+        for each in analysis.found:
             self._dialog.report(f"{name}: {label(each, each.best)}: {each.reason}")
-        with self._dialog.working(f"{name}: mechanics behind the motor"):
-            held = dict(self._shaken.get(name, {}))
-            shaken = [held.pop(name)] if held else []
-            mechanics = self._mechanics[name] = find_mechanics(
-                [each.recording for each in parts], found[0], shaken=shaken, held=held
-            )
+        mechanics = self._mechanics[name] = analysis.mechanics
         for line in (*mechanics.lines, *mechanics.notes):
             self._dialog.report(f"{name}: {line}")
         for flag in mechanics.flags:
             self._warn(f"{name}: {flag}")
-        chosen = self._rehearsed(parts[-1].recording, found)  # none is longer
+        chosen = self._chosen(name, analysis)
         for each, fit in chosen:
             if problem := inertia_problem(fit):
                 self._dialog.report(f"{name}: {label(each, fit)}: {problem}; the model file keeps the former one")
         write_model(self._file(name), model_content(*chosen[0], axis, mechanics))
         return chosen
 
-    def _rehearsed(self, recording: Recording, found: Sequence[Identification]) -> list[CandidateFit]:
-        """Return the models to try: the best ones of a rehearsal, or where there can be none, the best fits."""
-        name = recording.axis
-        try:
-            with self._dialog.working(f"{name}: rehearsing the models in simulation"):
-                rehearsed = rehearse(recording, self._configuration, found)
-        except RecordingError as error:
-            self._dialog.report(f"{name}: the models are not rehearsed in simulation: {error}")
-            return candidates(found)
-        except FrictionHilError:
-            raise
-        except Exception as error:  # noqa: BLE001  it costs the rehearsal, not the models
-            self._warn(f"{name}: the models are not rehearsed in simulation, because of {internal_error(error)}")
-            return candidates(found)
+    def _chosen(self, name: str, analysis: Analysis) -> list[CandidateFit]:
+        """Return the models to try: the best ones of the rehearsal, or where there was none, the best fits."""
+        rehearsed = analysis.rehearsed
+        if not rehearsed:
+            text = f"{name}: the models are not rehearsed in simulation"
+            if analysis.is_internal:
+                self._warn(f"{text}, because of {analysis.unrehearsed}")
+            else:
+                self._dialog.report(f"{text}: {analysis.unrehearsed}")
+            return candidates(analysis.found)
         self._all_rehearsed[name] = rehearsed
         for each in rehearsed:
             self._dialog.report(f"{name}: {rehearsal_text(each)}")
@@ -313,22 +348,26 @@ class _Tuner:
         self._dialog.report(f"{name}: to be tried on the axis: {', '.join(label(*each) for each in chosen)}")
         return chosen
 
-    def _trials(self, chosen: Mapping[str, Sequence[CandidateFit]]) -> dict[str, tuple[TriedModel, ...]]:
+    def _trials(
+        self, chosen: Mapping[str, Sequence[CandidateFit]], without: Mapping[str, Recording] | None
+    ) -> dict[str, tuple[TriedModel, ...]]:
         """Try every candidate of each axis; an axis with fewer than the others repeats its last one, uncounted.
 
-        All runs are the same motion; the first is without compensation, for all candidates.
+        All runs are the same motion; the first is without compensation, for all candidates. ``without``: its
+        recording, if there is one already.
         """
         turns = self._turns(chosen)
         bounds = {name: experiment_of(name, self._configuration.axes[name]) for name in self._names}
         first = turns[0]
         labels = [{name: label(*pair) for name, pair in turn.fits.items()} for turn in turns]
-        self._dialog.confirm(trial_text(first.run, bounds, labels, first.duration_s))
+        self._confirm(trial_text(first.run, bounds, labels, first.duration_s, has_baseline=without is not None))
         speeds = allowed_speeds(first.run, bounds)
 
         def recorded(run: Configuration, file: str) -> dict[str, Recording]:
-            return read_all(self._runs.run(run, first.duration_s, file, speeds))
+            return read_all(self._run(run, first.duration_s, file, speeds))
 
-        without = recorded(uncompensated(first.run), "trial_without.mcap")
+        if without is None:
+            without = recorded(uncompensated(first.run), _WITHOUT)
         tried: dict[str, list[TriedModel]] = {name: [] for name in self._names}
         runs: dict[str, list[Recording]] = {name: [] for name in self._names}
         for k, turn in enumerate(turns):
@@ -349,7 +388,7 @@ class _Tuner:
             names = {
                 name: f"{label(*pair)}{SCALED if name in again.scaled else ''}" for name, pair in again.fits.items()
             }
-            self._dialog.confirm(once_more_text(first.run, bounds, names, first.duration_s))
+            self._confirm(once_more_text(first.run, bounds, names, first.duration_s))
             try:
                 compensated = recorded(again.run, f"trial_{len(turns) + 1}.mcap")
                 for name in again.scaled:

@@ -163,6 +163,7 @@ def _as_dict(tuning: Tuning, config: Path = Path(), applied: Collection[str] = (
             }
             for name, axis in tuning.axes.items()
         },
+        "seconds": tuning.seconds.figures,
         "recordings": tuning.recordings,
         "report": tuning.report,
         "warnings": tuning.warnings,

@@ -175,6 +175,11 @@ def test_the_announcement_of_a_trial_says_how_far_and_how_fast(own, bounds) -> N
     assert last.startswith(f"all of it in {duration:.0f} s, 3 times: ")
     assert ", compensated by dahl, compensated by gms, then at most 2 times more" in last
     assert last.endswith("; y held")
+    *same, ahead = trial_text(run, limits, [], duration).splitlines()
+    assert same == [first, *lines]
+    assert ahead.startswith(f"all of it in {duration:.0f} s, once: without compensation, while the models are computed")
+    *_, rest = trial_text(run, limits, [{"x": "dahl"}], duration, has_baseline=True).splitlines()
+    assert rest.startswith(f"all of it in {duration:.0f} s, once: compensated by dahl, then at most 2 times more")
 
 
 def test_the_announcement_names_the_model_of_each_axis():

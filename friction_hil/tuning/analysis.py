@@ -1,0 +1,77 @@
+"""What is computed from the experiment of an axis before models are tried on it: friction, mechanics, rehearsal. Pure.
+
+It needs nothing but the recordings, so that it is computed by `friction_hil.tuning.beside` while axes move.
+"""
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from friction_hil.config import Configuration
+from friction_hil.errors import FrictionHilError, RecordingError, internal_error
+from friction_hil.identification import Identification, IdentificationSettings
+from friction_hil.identification.mechanics import Mechanics, find_mechanics
+from friction_hil.identification.settings import chosen_families
+from friction_hil.recordings import Recording
+from friction_hil.tuning.candidates import ExperimentPart, identified
+from friction_hil.tuning.rehearsed import RehearsedFit, rehearse
+from friction_hil.tuning.sequential import Observer, plain_fit
+from friction_hil.tuning.settings import ShowStep
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Analysis:
+    """What the experiment of an axis shows."""
+
+    found: Sequence[Identification]
+    mechanics: Mechanics
+    rehearsed: tuple[RehearsedFit, ...]  # best first; empty if the models cannot be simulated
+    problems: tuple[str, ...]  # what cannot be identified, or what an internal error has cost
+    unrehearsed: str = ""  # why the models are not simulated
+    is_internal: bool = False  # that is an error of the program
+
+
+def analysed(
+    configuration: Configuration,  # from which the runs were made
+    families: Sequence[str],  # to fit; empty: all
+    parts: Sequence[ExperimentPart],  # all of the experiment
+    shaken: Sequence[Recording],  # while the axis was shaken, if it was
+    held: Mapping[str, Recording],  # of the others meanwhile, by axis
+    show: ShowStep,
+) -> Analysis:
+    """Identify an axis from its experiment, and rehearse the models.
+
+    Raises `RecordingError`: nothing can be identified.
+    """
+    name = parts[0].recording.axis
+    problems: list[str] = []
+    found = identified(
+        parts,
+        configuration,
+        families,
+        on_fit=lambda step: show(f"{name}: {step.stage}: {step.label}", step.number, step.count),
+        on_problem=problems.append,
+    )
+    show(f"{name}: mechanics behind the motor")
+    mechanics = find_mechanics([each.recording for each in parts], found[0], shaken=shaken, held=held)
+    try:
+        rehearsed = rehearse(  # no part is longer
+            parts[-1].recording, configuration, found, lambda text, *steps: show(f"{name}: {text}", *steps)
+        )
+    except RecordingError as error:
+        return Analysis(found, mechanics, (), tuple(problems), str(error))
+    except FrictionHilError:
+        raise
+    except Exception as error:  # noqa: BLE001  it costs the rehearsal, not the models
+        return Analysis(found, mechanics, (), tuple(problems), internal_error(error), is_internal=True)
+    return Analysis(found, mechanics, rehearsed, tuple(problems))
+
+
+def compile_ahead(configuration: Configuration, families: Sequence[str], part: ExperimentPart, _: ShowStep) -> None:
+    """Compile what `Observer` and `analysed` need, by simple fits to the first part, which are of no other use."""
+    name = part.recording.axis
+    settings = IdentificationSettings(chosen_families(tuple(families)), axis=configuration.axes[name].model.axis)
+    with contextlib.suppress(Exception):  # what is wrong is met again
+        Observer(configuration, name).take(part)
+    with contextlib.suppress(Exception):
+        plain_fit([part.recording], settings)
