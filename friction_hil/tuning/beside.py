@@ -131,7 +131,7 @@ def main() -> None:
     """Compute jobs until there are no more, or the parent has ended."""
     with contextlib.suppress(AttributeError, OSError):  # not on every system
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    os.nice(_NICENESS)
+    os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     for line in sys.stdin:

@@ -33,7 +33,7 @@ class ExperimentPart:
     duration_s: float  # length that was given to it
 
 
-_LUGRE = "lugre"
+_LUGRE, _CURVE = "lugre", "stribeck"  # the second is the steady curve of the first
 _LEAST_SPEED_RATIO = 0.01  # of the highest speed: below, what holds the axis is no friction to a static model
 _NO_PRESLIDING = (
     "the recording does not show presliding: its stiffness and damping (sigma0, sigma1) are not determined, and only "
@@ -68,9 +68,10 @@ def identified(
     problem: RecordingError | None = None
     name = parts[0].recording.axis
     travel = experiment_of(name, configuration.axes[name]).travel
-    for recordings, wanted in _parts(parts, configuration, tuple(families), on_problem):
-        settings = replace(wanted, sliding_distance=_sliding_distance(found, travel)) if wanted.sliding_s else wanted
-        kind = "static" if wanted.sliding_s else "dynamic"
+    for recordings, settings in _parts(parts, configuration, tuple(families), on_problem):
+        kind = "dynamic"
+        if settings.sliding_s:
+            kind, settings = "static", replace(settings, sliding_distance=_sliding_distance(found, travel))
         try:
             found.append(_identified(recordings, settings, on_fit))
         except RecordingError as error:  # e.g. an axis that hardly slides
@@ -80,11 +81,16 @@ def identified(
         raise problem
     for text in dict.fromkeys(text for each in found for text in each.failures):
         on_problem(text)
-    return [
-        *found[:1],
-        *_in_two_steps([each.recording for each in parts], found, chosen_families(tuple(families)), on_fit, on_problem),
-        *found[1:],
-    ]
+    wanted, curve = chosen_families(tuple(families)), found[1:]
+    if _CURVE not in wanted and with_steady_curve(wanted):  # the curve of another family bends inertia and levels
+        slow, settings = _slow_sweeps(parts, configuration, (_CURVE,))
+        settings = replace(settings, sliding_distance=_sliding_distance(found, travel))
+        try:
+            curve = [_identified(slow, settings, on_fit)]
+        except RecordingError:  # the axis hardly slides
+            curve = []
+    recordings = [each.recording for each in parts]
+    return [*found[:1], *_in_two_steps(recordings, found, curve, wanted, on_fit, on_problem), *found[1:]]
 
 
 def _identified(
@@ -105,6 +111,7 @@ def _identified(
 def _in_two_steps(
     recordings: Sequence[Recording],
     found: Sequence[Identification],
+    curve: Sequence[Identification],  # of the slow sweeps
     families: Sequence[str],
     on_fit: Callable[[FitStep], None],
     on_problem: Callable[[str], None],
@@ -116,12 +123,12 @@ def _in_two_steps(
     may compensate well. Modifiers are tried if the slow sweeps show one: where an axis sticks and slips, what the
     encoder does not resolve of that looks like a ripple.
     """
-    if len(found) < 2:
+    if not found or not curve:
         return
-    best, slow = found[0].best.structure.family, found[1].best.structure
+    best, slow = found[0].best.structure.family, curve[0].best.structure
     is_modified = not {*slow.modifiers} <= {"direction"}
     for family in with_steady_curve([each for each in families if each in (_LUGRE, best)]):
-        if held := steady_curve(found[1:], family):
+        if held := steady_curve(curve, family):
             settings = replace(found[0].settings, families=(family,), held=held, torque=_settled_torque(found[0]))
             settings = replace(settings, has_modifiers=is_modified)
             try:
@@ -182,8 +189,15 @@ def _parts(
         lowpass_hz = _lowpass_hz(configuration.period_s) if is_noisy else None
         yield recordings, IdentificationSettings(families=dynamic, axis=kind, lowpass_hz=lowpass_hz)
     if static:
-        slow = [sliding_part(each.recording, configuration, each.duration_s) for each in parts]
-        yield slow, sliding_settings(recordings[0], configuration, static)
+        yield _slow_sweeps(parts, configuration, static)
+
+
+def _slow_sweeps(
+    parts: Sequence[ExperimentPart], configuration: Configuration, families: tuple[str, ...]
+) -> tuple[list[Recording], IdentificationSettings]:
+    """Return the slow sweeps, with the settings for static families."""
+    slow = [sliding_part(each.recording, configuration, each.duration_s) for each in parts]
+    return slow, sliding_settings(parts[0].recording, configuration, families)
 
 
 def shows_presliding(recordings: Sequence[Recording]) -> bool:

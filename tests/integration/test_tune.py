@@ -153,7 +153,7 @@ def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
 def test_of_two_kinds_of_model_the_machine_decides_and_a_file_that_is_there_stays(tmp_path) -> None:
     present = "version: 1\naxis: rotary\nfriction: {model: coulomb, parameters: {coulomb: 0.02}}\n"
     (tmp_path / "learned.yaml").write_text(present + "mechanics: {torque_lag_s: 4e-4}\n")
-    configuration = configured("canopen", tmp_path, period_s=3e-3)
+    configuration = configured("canopen", tmp_path, period_s=2e-3)
 
     result, _ = tuned(configuration, "--models", "coulomb,lugre")
 
