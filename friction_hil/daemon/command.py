@@ -104,8 +104,9 @@ class CommandWriter:
         self._is_held_by_loop = False  # the loop's own controller (cst) has carried the axis up to now
         self._error_left = 0.0  # following error with which it came to rest
         self._torque = LimitedOutput(limits.torque, limits.torque_slew * period_s)
-        limit, slew = (0.0, 0.0) if velocity_offset is None else (velocity_offset.limit, velocity_offset.slew)
-        self._velocity_offset = LimitedOutput(limit, slew * period_s)
+        self._velocity_offset: LimitedOutput | None = None
+        if velocity_offset is not None:
+            self._velocity_offset = LimitedOutput(velocity_offset.limit, velocity_offset.slew * period_s)
         self.offset_sent = (0.0, 0.0)  # position and velocity that are added to the set-point that is sent, SI
         # at which the axis is held outside of the moving states, SI; NaN before the first cycle
         self.held_position = math.nan
@@ -203,9 +204,11 @@ class CommandWriter:
 
     def write_velocity_offset(self, command: Command, state: LoopState, wanted: float, feedback: Feedback) -> None:
         """Write the velocity offset of the compensator, rad/s; where the axis is not to move it goes to zero."""
-        self._velocity_offset.begin(is_lost=feedback.is_setpoint_lost)
+        output = self._velocity_offset
+        assert output is not None
+        output.begin(is_lost=feedback.is_setpoint_lost)
         is_acting = state in MOVING or (state is LoopState.FAULT_STOPPING and _has_power(feedback.state))
-        command.velocity_offset = self._velocity_offset.next(wanted if is_acting else 0.0)
+        command.velocity_offset = output.next(wanted if is_acting else 0.0)
 
     def _static_torque(self, position: float, velocity: float, now: Setpoint | None) -> float:
         """Return the feed-forward of gravity and offset, N m: on the demanded path, without one at the axis."""
