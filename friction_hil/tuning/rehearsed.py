@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from friction_hil.config import AxisConfig, Configuration
+from friction_hil.config import AxisConfig, Configuration, from_dict
 from friction_hil.daemon.safety import LoopState
-from friction_hil.errors import RecordingError, UsageError
+from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 from friction_hil.identification import Fit, Identification, plausible_fits
 from friction_hil.identification.choice import log_likelihood_gain
 from friction_hil.identification.drive_loop import DriveLoops, identify_loops
@@ -280,6 +280,30 @@ def drive_loops(recording: Recording, axis: AxisConfig, resolution: float) -> Dr
         return None
     gain = axis.controller.position_gain if axis.controller is not None else 0.0
     return identify_loops(recording, axis.mode, resolution, gain)
+
+
+def recorded_loops(recordings: Sequence[Recording]) -> tuple[DriveLoops | None, str]:
+    """Return the loops of the drive from the first recording of the daemon whose uncompensated motion shows them.
+
+    Returns also why none does; that is empty if no recording has such a motion.
+    """
+    why = ""
+    for each in recordings:
+        if "configuration" not in each.metadata or "facts" not in each.metadata or "is_enabled" not in each:
+            continue
+        own = (each["state"] == LoopState.RUNNING) & (each["is_enabled"] == 0.0) & (each["compensation"] == 0.0)
+        bounds = np.flatnonzero(np.diff(np.concatenate([[False], own, [False]]).astype(np.int8)))
+        if not bounds.size:
+            continue
+        begin, end = max(bounds.reshape(-1, 2).tolist(), key=lambda pair: pair[1] - pair[0])
+        rows = np.arange(len(own))
+        try:
+            axis = from_dict(each.metadata["configuration"], each.path, reads_files=False).axes[each.axis]
+            resolution = facts_of(each.metadata, each).position_resolution
+            return drive_loops(each.at((rows >= begin) & (rows < end)), axis, resolution), ""
+        except FrictionHilError as error:  # another version's, or a motion that does not show them
+            why = why or str(error)
+    return None, why
 
 
 def simulated_axis(

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 from friction_hil import __version__
 from friction_hil.checked_yaml.text import dump
@@ -16,11 +15,8 @@ from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.read import expanded, kind_of, read_recordings
 from friction_hil.cli.work.result_files import check_result_files
 from friction_hil.cli.work.tables import new_table, number, print_files, print_table, prose, say
-from friction_hil.config import from_dict
-from friction_hil.daemon.safety import LoopState
-from friction_hil.errors import FrictionHilError, UsageError
+from friction_hil.errors import UsageError
 from friction_hil.identification import Fit, Identification, IdentificationSettings, free_run, identify
-from friction_hil.identification.drive_loop import DriveLoops
 from friction_hil.identification.export import add_mechanics, as_model_file, mechanics_as_json, model_file
 from friction_hil.identification.export import as_json as result_as_json
 from friction_hil.identification.mechanics import Mechanics, find_mechanics
@@ -31,9 +27,8 @@ from friction_hil.identification.static_map import StaticFit, StaticMap, fit_map
 from friction_hil.numerics.readable import brief
 from friction_hil.recordings import Recording, read_all
 from friction_hil.recordings.segments import with_position
-from friction_hil.replay.verify import facts_of
 from friction_hil.reports.identification_report import write_report
-from friction_hil.tuning.rehearsed import drive_loops
+from friction_hil.tuning.rehearsed import recorded_loops
 
 _SHOWN = 12  # candidates in the table, besides the simplest; JSON has all
 _REMARKS = 2  # in the summary; -v has all
@@ -90,7 +85,7 @@ def identify_axis(
             if is_worthless
             else find_mechanics(recordings, result, disturbed=disturbed, report=lambda step: show(f"mechanics: {step}"))
         )
-    loops = _drive_loops(recordings)
+    loops, unknown = recorded_loops(recordings)
     free: dict[str, Any] = {"relative_error": None, "reason": "no usable model"}
     if not is_worthless:
         free = _free_run(result, controller)
@@ -125,29 +120,11 @@ def identify_axis(
                 f"({loops.explained:.1%} of the torque explained)",
                 stderr=False,
             )
+        elif unknown and verbose:
+            say(f"loops of the drive: not found: {unknown}")
         if is_worthless and output is not None:
             say(f"{output} is not written.")
     return int(is_worthless)
-
-
-def _drive_loops(recordings: Sequence[Recording]) -> DriveLoops | None:
-    """Return the loops of the drive from the first recording of the daemon whose uncompensated motion shows them."""
-    for each in recordings:
-        if "configuration" not in each.metadata or "facts" not in each.metadata or "is_enabled" not in each:
-            continue
-        own = (each["state"] == LoopState.RUNNING) & (each["is_enabled"] == 0.0) & (each["compensation"] == 0.0)
-        bounds = np.flatnonzero(np.diff(np.concatenate([[False], own, [False]]).astype(np.int8)))
-        if not bounds.size:
-            continue
-        begin, end = max(bounds.reshape(-1, 2).tolist(), key=lambda pair: pair[1] - pair[0])
-        rows = np.arange(len(own))
-        try:
-            axis = from_dict(each.metadata["configuration"], each.path, reads_files=False).axes[each.axis]
-            resolution = facts_of(each.metadata, each).position_resolution
-            return drive_loops(each.at((rows >= begin) & (rows < end)), axis, resolution)
-        except (FrictionHilError, KeyError):
-            continue  # another version's, or a motion that does not show them
-    return None
 
 
 def _beside(recordings: Sequence[Recording]) -> dict[str, dict[str, Recording]]:

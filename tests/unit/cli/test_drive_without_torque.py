@@ -7,10 +7,10 @@ import pytest
 
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.work.config import _short_limits
-from friction_hil.cli.work.identify import _drive_loops
 from friction_hil.config import load, self_contained
 from friction_hil.recordings import Recording
 from friction_hil.servo.config import Loops, ServoConfig
+from friction_hil.tuning.rehearsed import recorded_loops
 from tests.servo_drives import axis_dict, configuration, run
 
 LOOP = {"velocity_gain": 0.1, "integral_hz": 10.0, "slew": 1e4}
@@ -36,8 +36,8 @@ def test_the_gains_of_the_loops_are_found_in_the_part_without_compensation():
     assert columns["compensation"].any()
     facts = [asdict(fact) for fact in drives.connect()]
     about = {"configuration": self_contained(config), "facts": facts}
-    found = _drive_loops([Recording("other", "x", columns), Recording("run.mcap", "x", columns, metadata=about)])
+    found, _ = recorded_loops([Recording("other", "x", columns), Recording("run.mcap", "x", columns, metadata=about)])
     assert found.velocity_gain == pytest.approx(0.1, rel=0.1)
     assert found.integral_hz == pytest.approx(6.0, rel=0.3)
     columns["is_enabled"][:] = 1.0
-    assert _drive_loops([Recording("run.mcap", "x", columns, metadata=about)]) is None
+    assert recorded_loops([Recording("run.mcap", "x", columns, metadata=about)]) == (None, "")

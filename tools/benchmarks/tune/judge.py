@@ -14,7 +14,7 @@ from typing import Any
 from friction_hil_drivers.canopen.simulated.drives import SimulatedCanopenDrives
 
 from friction_hil.checked_yaml.text import dump
-from friction_hil.config import AxisConfig, load
+from friction_hil.config import AxisConfig, Configuration, load
 from friction_hil.models.files import load_model_file
 from friction_hil.models.model_file import ModelFile
 from friction_hil.motion.trajectory import Path as MotionPath
@@ -71,8 +71,7 @@ def tune_axis(name: str, content: dict[str, Any]) -> AxisResult:
     """Tune an axis in a folder of its own, and judge the model that is kept."""
     with tempfile.TemporaryDirectory(prefix="friction-hil-") as folder:
         file = Path(folder) / f"{name}.yaml"
-        file.write_text(dump(content), encoding="utf-8")
-        configuration = load(file, needs_models=False)
+        configuration = _written(content, file)
         [(axis_name, axis)] = configuration.axes.items()
         output = Path(folder) / "tuned"
         start = time.monotonic()
@@ -94,12 +93,16 @@ def tune_axis(name: str, content: dict[str, Any]) -> AxisResult:
         )
 
 
+def _written(content: dict[str, Any], file: Path) -> Configuration:
+    """Write a configuration to a file, and return it as read from there."""
+    file.write_text(dump(content), encoding="utf-8")
+    return load(file, needs_models=False)
+
+
 def judge_truth(name: str, content: dict[str, Any], gain: float) -> AxisResult:
     """Judge what the true friction of an axis reaches at a gain, without tuning it."""
     with tempfile.TemporaryDirectory(prefix="friction-hil-") as folder:
-        file = Path(folder) / f"{name}.yaml"
-        file.write_text(dump(content), encoding="utf-8")
-        configuration = load(file, needs_models=False)
+        configuration = _written(content, Path(folder) / f"{name}.yaml")
     [axis] = configuration.axes.values()
     axis = axis.model_copy(update={"compensation": axis.compensation.model_copy(update={"gain": gain})})
     reached = Rehearsals(axis, configuration.period_s).reductions(truth(axis))
