@@ -85,23 +85,20 @@ class Chart:
     change_error: float  # as the change
 
 
-def average_run_length(threshold: float, allowance: float = _ALLOWANCE) -> float:
+def average_run_length(threshold: float) -> float:
     """Return the mean number of observations until a one-sided sum gives a false alarm (Siegmund 1985)."""
-    b = threshold + _OVERSHOOT
-    return (math.exp(2.0 * allowance * b) - 2.0 * allowance * b - 1.0) / (2.0 * allowance**2)
+    b = 2.0 * _ALLOWANCE * (threshold + _OVERSHOOT)
+    return (math.exp(b) - b - 1.0) / (2.0 * _ALLOWANCE**2)
 
 
-def threshold_for(run_length: float, allowance: float = _ALLOWANCE) -> float:
+def threshold_for(run_length: float) -> float:
     """Return the threshold of a one-sided sum with this mean number of observations between false alarms."""
     if not 1.0 < run_length < math.inf:
         raise ValueError(f"a run length is a number above 1, not {run_length:g}")
-    low, high = 0.0, 2.0 + math.log(2.0 + run_length) / (2.0 * allowance)
-    while average_run_length(high, allowance) < run_length:
-        high *= 2.0
-    for _ in range(100):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if average_run_length(middle, allowance) < run_length else (low, middle)
-    return high
+    from scipy.optimize import bisect  # imported here: commands that do not need it start faster
+
+    wanted = max(run_length, average_run_length(0.0))
+    return float(bisect(lambda each: average_run_length(each) - wanted, 0.0, 2.0 + math.log(2.0 + run_length)))
 
 
 def fit_baseline(values: Array, errors: Array, temperatures: Array | None) -> Baseline:

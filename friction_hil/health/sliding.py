@@ -17,6 +17,7 @@ import numpy as np
 
 from friction_hil.health.observation import ASYMMETRY, COULOMB, DIRECTIONS, RIPPLE, VISCOUS, ZONE, Layout, Quantity
 from friction_hil.identification.inference import infer
+from friction_hil.identification.least_squares import scaled_solution
 from friction_hil.identification.regression import Estimate
 from friction_hil.identification.sliding import SlidingRows, compared
 from friction_hil.numerics.jit import Array
@@ -95,9 +96,7 @@ def _fitted(
     matrix: Array, torque: Array, names: Sequence[str], counts: Sequence[int]
 ) -> tuple[dict[str, float], dict[str, float], Array]:
     """Return values and standard errors by name, and the residual; errors are infinite for what is not determined."""
-    norms = np.linalg.norm(matrix, axis=0)
-    norms[norms == 0.0] = 1.0
-    factors = np.linalg.lstsq(matrix / norms, torque, rcond=_RANK)[0] / norms
+    factors = scaled_solution(matrix, torque, _RANK)
     residual = torque - matrix @ factors
     values = dict(zip(names, map(float, factors), strict=True))
     estimate = Estimate(

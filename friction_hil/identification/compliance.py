@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from friction_hil.identification.least_squares import scaled_solution
 from friction_hil.identification.motor_motion import MotorMotion
 from friction_hil.numerics.jit import Array, compiled
 
@@ -233,9 +234,7 @@ class ComplianceFitter:
     def _result(self, at: Array) -> TorqueFit:
         coupling, free = self._coupling(at)
         columns = np.column_stack([self._bristle(at), self._fixed])
-        norms = np.linalg.norm(columns, axis=0)
-        norms[norms == 0.0] = 1.0
-        linear = np.linalg.lstsq(columns / norms, self._target - coupling, rcond=None)[0] / norms
+        linear = scaled_solution(columns, self._target - coupling)
         residual = self._target - coupling - columns @ linear
         steps = np.diag(_DIFFERENCE * np.maximum(np.abs(at), 1.0))
 

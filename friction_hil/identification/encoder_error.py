@@ -23,7 +23,6 @@ from friction_hil.numerics.jit import Array
 
 _MOST_LOOKED_AT = 6  # orders, of torque or encoder
 MOST_ORDERS = 2000  # that are looked at
-_CHUNK = 64
 _EVIDENT = 12.0  # least Wald statistic beyond that of the largest of N orders of noise, 2 ln N
 _LEAST_SHARE = 0.3  # of what both ripples of an order explain: friction that varies over the travel looks like less
 _CLEAR = 8.0  # standard errors, because the speed of a stroke depends on the position, too
@@ -95,14 +94,13 @@ class _Search:
     def gains(self, orders: Array) -> Array:
         """Return by how much each order (n,) lowers the sum of squares, as ripple of the torque and of the position."""
         found = np.zeros(len(orders))
-        for begin in range(0, len(orders), _CHUNK):
-            for i, order in enumerate(orders[begin : begin + _CHUNK]):
-                columns = self._columns(float(order))
-                columns[~self._is_slow(float(order))] = 0.0
-                norms = np.linalg.norm(columns, axis=0)
-                columns /= np.where(norms > 0.0, norms, 1.0)
-                score = columns.T @ self._residual
-                found[begin + i] = float(score @ np.linalg.lstsq(columns.T @ columns, score, rcond=1e-6)[0])
+        for i, order in enumerate(orders.tolist()):
+            columns = self._columns(order)
+            columns[~self._is_slow(order)] = 0.0
+            norms = np.linalg.norm(columns, axis=0)
+            columns /= np.where(norms > 0.0, norms, 1.0)
+            score = columns.T @ self._residual
+            found[i] = float(score @ np.linalg.lstsq(columns.T @ columns, score, rcond=1e-6)[0])
         return found
 
     def _columns(self, order: float) -> Array:

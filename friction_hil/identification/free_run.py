@@ -57,7 +57,6 @@ def simulate_axis(
     *,
     position: float = 0.0,  # at the beginning, rad or m
     velocity: float = 0.0,  # at the beginning, rad/s or m/s
-    steps: int = _STEPS,  # integration steps per sample
 ) -> FreeRun:
     """Simulate the axis of a model file under a controller.
 
@@ -74,13 +73,13 @@ def simulate_axis(
     friction = model.friction_model
     runner = friction.start("simulation")
     is_static = friction.family.is_static
-    h = dt / steps
+    h = dt / _STEPS
     q, v = float(position), float(velocity)
     trace = np.empty((3, samples))
     for k in range(samples):
         torque = controller(k, q, v)
         trace[0, k], trace[1, k], trace[2, k] = q, v, torque
-        for _ in range(steps):
+        for _ in range(_STEPS):
             load = gravity.at(q)
             applied = torque - offset - load
             resistance = runner.step(v, h, position=q, load_torque=load, applied_torque=applied)

@@ -76,13 +76,11 @@ class FrequencyResponse:
         return float(used[0]), float(used[-1])
 
 
-def frequency_response(
-    segments: Sequence[Segment], least_coherence: float = LEAST_COHERENCE, beside: Sequence[Array] | None = None
-) -> FrequencyResponse | None:
+def frequency_response(segments: Sequence[Segment], beside: Sequence[Array] | None = None) -> FrequencyResponse | None:
     """Estimate the frequency response of the motor from segments of one axis and one sampling rate.
 
     ``encoder`` and ``torque`` are used as they were recorded, ``velocity`` only to find where the axis slides. Lines
-    with less than ``least_coherence`` are not used. ``beside``: positions (n, k) of ``k`` other axes at the rows of
+    with less than `LEAST_COHERENCE` are not used. ``beside``: positions (n, k) of ``k`` other axes at the rows of
     each segment; an axis whose motion is not coherent with that of this one is left out. None: too few windows slide,
     or hardly any line is coherent, as the motion does not excite the axis.
     """
@@ -92,17 +90,16 @@ def frequency_response(
         spectra, lengths = _windows(segments, others, window_s, has_instrument=has_instrument)
         if len(spectra) >= LEAST_WINDOWS:
             own, rate_hz = spectra[:, :3], segments[0].rate_hz
-            found = _estimate(own, lengths, rate_hz, has_instrument, least_coherence)
+            found = _estimate(own, lengths, rate_hz, has_instrument)
             if np.count_nonzero(found.is_used) < _LEAST_LINES:
                 return None
             ratios = [
-                _estimate(spectra[:, [0, k, 2]], lengths, rate_hz, has_instrument, least_coherence)
-                for k in range(3, spectra.shape[1])
+                _estimate(spectra[:, [0, k, 2]], lengths, rate_hz, has_instrument) for k in range(3, spectra.shape[1])
             ]
             moving = [
                 each.response / found.response
                 for each in ratios
-                if np.median(each.coherence[found.is_used]) >= least_coherence
+                if np.median(each.coherence[found.is_used]) >= LEAST_COHERENCE
             ]
             return replace(found, beside=np.array(moving, dtype=complex).reshape(len(moving), len(found.response)))
     return None
@@ -150,9 +147,7 @@ def _windows(
     return (np.array(found) if found else nothing), count
 
 
-def _estimate(
-    spectra: Complex, count: int, rate_hz: float, has_instrument: bool, least_coherence: float
-) -> FrequencyResponse:
+def _estimate(spectra: Complex, count: int, rate_hz: float, has_instrument: bool) -> FrequencyResponse:
     lines = np.arange(1 + _REACH, min(count // 2 - _REACH, math.floor(_TOP_RATIO * count) + 1))
     frequency = lines * rate_hz / count
     turn = np.exp(-2j * math.pi * frequency / rate_hz)
@@ -202,7 +197,7 @@ def _estimate(
     with np.errstate(all="ignore"):  # a line without any power has no response
         logs = np.log(left_out / response)
     deviations = (logs - logs.mean(axis=0)) * math.sqrt((number - 1) / number)
-    is_used = (coherence >= least_coherence) & np.all(np.isfinite(deviations), axis=0)
+    is_used = (coherence >= LEAST_COHERENCE) & np.all(np.isfinite(deviations), axis=0)
     return FrequencyResponse(
         frequency,
         response * of_difference,

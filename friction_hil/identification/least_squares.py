@@ -37,7 +37,6 @@ class BoundedSolution:
     residual: Array  # (k,)
     jacobian: Array  # (k, m), derivative of the residual
     cost: float  # sum of squares of the residual
-    evaluations: int
     is_converged: bool  # no step was left that lowers the cost; False: the evaluations ran out
 
 
@@ -100,6 +99,13 @@ def least_norm_solution(matrix: Array, right: Array, rank: float | None = None) 
         return np.asarray(linalg.lstsq(matrix, right, cond=rank, lapack_driver="gelsy")[0])
 
 
+def scaled_solution(matrix: Array, right: Array, rank: float | None = None) -> Array:
+    """Return `least_norm_solution` with the columns scaled to length 1; 0 for a column of zeros."""
+    norms = np.linalg.norm(matrix, axis=0)
+    norms[norms == 0.0] = 1.0
+    return np.asarray(least_norm_solution(matrix / norms, right, rank) / norms)
+
+
 def _norm(values: Array) -> float:
     return math.sqrt(values @ values)
 
@@ -148,18 +154,18 @@ def minimise_bounded(
     cost = _cost(r, jacobian)
     calls, damping, scale = 1, _FIRST_DAMPING, np.zeros(len(at))
     if not math.isfinite(cost):
-        return BoundedSolution(at, r, jacobian, math.inf, calls, False)
+        return BoundedSolution(at, r, jacobian, math.inf, False)
     matrix, gradient = np.empty((len(at), len(at))), np.empty(len(at))
     while calls < evaluations:
         normal_equations(jacobian, r, matrix, gradient)
         is_held = ((at <= lower) & (gradient > 0.0)) | ((at >= upper) & (gradient < 0.0))
         norms = np.sqrt(np.diag(matrix))
         if not math.isfinite(float(np.sum(norms))):
-            return BoundedSolution(at, r, jacobian, cost, calls, False)
+            return BoundedSolution(at, r, jacobian, cost, False)
         scale = np.maximum(scale, norms)
         free = np.flatnonzero(~is_held & (norms > 0.0))
         if not free.size or cost == 0.0:
-            return BoundedSolution(at, r, jacobian, cost, calls, True)
+            return BoundedSolution(at, r, jacobian, cost, True)
         size = scale[free]
         scaled = matrix[np.ix_(free, free)] / np.outer(size, size)
         rejected: Array | None = None
@@ -181,14 +187,14 @@ def minimise_bounded(
             if math.isfinite(cost_trial) and cost - cost_trial > _LEAST_GAIN * max(predicted, 0.0):
                 break
             if abs(predicted) <= tolerance * cost or calls >= evaluations:
-                return BoundedSolution(at, r, jacobian, cost, calls, abs(predicted) <= tolerance * cost)
+                return BoundedSolution(at, r, jacobian, cost, abs(predicted) <= tolerance * cost)
             damping = _increased(damping)
         else:
-            return BoundedSolution(at, r, jacobian, cost, calls, False)
+            return BoundedSolution(at, r, jacobian, cost, False)
         decrease = cost - cost_trial
         damping = _adapted(damping, decrease, predicted)
         is_over = decrease <= tolerance * cost
         at, r, jacobian, cost = trial, r_trial, jacobian_trial, cost_trial
         if is_over:
-            return BoundedSolution(at, r, jacobian, cost, calls, True)
-    return BoundedSolution(at, r, jacobian, cost, calls, False)
+            return BoundedSolution(at, r, jacobian, cost, True)
+    return BoundedSolution(at, r, jacobian, cost, False)

@@ -21,6 +21,7 @@ import numpy as np
 
 from friction_hil.identification.compliance import sandwich
 from friction_hil.identification.data import RegressionSegment
+from friction_hil.identification.least_squares import scaled_solution
 from friction_hil.identification.motor_motion import derivatives
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
@@ -38,6 +39,7 @@ _LEAST_KNOWN = 0.9  # of the rows
 _LEAST_SPEED = 0.05  # of the RMS of a velocity: slower, a side may stand still
 _FALL = 0.8  # of the residual without a gap
 _WIDEST = 0.95  # of the range of the twist
+_SMALLEST = 1e-10  # relative singular value that counts
 _WIDTHS = (0.02, 0.1, 0.3, 0.6)  # of the range of the twist, to start from
 
 
@@ -133,7 +135,7 @@ def _found(parts: Sequence[_Part], count: float) -> LoadSide | None:
         return np.column_stack([fixed, np.concatenate(coupling)])
 
     def residual(at: Array) -> Array:
-        return torque - columns(at) @ _factors(columns(at), torque)
+        return torque - columns(at) @ scaled_solution(columns(at), torque, _SMALLEST)
 
     bounds = [0.0, -0.5], [_WIDEST, 0.5]
     ends = [
@@ -145,7 +147,7 @@ def _found(parts: Sequence[_Part], count: float) -> LoadSide | None:
     has_gap = np.linalg.norm(residual(at)) < _FALL * np.linalg.norm(residual(closed))
     if not has_gap:
         at = closed
-    factors = _factors(columns(at), torque)
+    factors = scaled_solution(columns(at), torque, _SMALLEST)
     steps = [np.array([1e-3, 0.0]), np.array([0.0, 1e-3])]
     slopes = [(columns(at + step) - columns(at - step)) @ factors / 2e-3 for step in steps]
     starts = _joined([each.starts(each.motor_rows) for each in parts], [len(each.motor_rows) for each in parts])
@@ -159,7 +161,7 @@ def _found(parts: Sequence[_Part], count: float) -> LoadSide | None:
     centre = middle + float(at[1]) * spread
     coupling = np.concatenate([each.low(each.coupling(width, centre), each.load_rows) for each in parts]) @ factors[4:6]
     load = np.concatenate([each.low(each.load, each.load_rows) for each in parts])
-    found = _factors(load, coupling)
+    found = scaled_solution(load, coupling, _SMALLEST)
     starts = _joined([each.starts(each.load_rows) for each in parts], [len(each.load_rows) for each in parts])
     again = np.sqrt(np.maximum(np.diag(sandwich(load, coupling - load @ found, starts)), 0.0))
     # the torque of the coupling is in proportion to its stiffness, whose error it shares
@@ -173,9 +175,3 @@ def _found(parts: Sequence[_Part], count: float) -> LoadSide | None:
 def _joined(starts: Sequence[Any], counts: Sequence[int]) -> Any:
     begins = np.cumsum([0, *counts])[:-1]
     return np.concatenate([begin + each for begin, each in zip(begins, starts, strict=True)]).astype(np.intp)
-
-
-def _factors(columns: Array, target: Array) -> Array:
-    norms = np.linalg.norm(columns, axis=0)
-    norms[norms == 0.0] = 1.0
-    return np.asarray(np.linalg.lstsq(columns / norms, target, rcond=1e-10)[0] / norms)

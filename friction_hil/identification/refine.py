@@ -91,12 +91,11 @@ def _weights(data: Data, residual: Array) -> Array:
 def _shifts(regression: Regression, originals: Data, estimate: Estimate, replicas: int, seed: int) -> Array:
     """Return the errors of estimates from simulated experiments whose truth is ``estimate``, (replicas, p)."""
     random = np.random.default_rng(seed)
-    torques = _sensed(regression, estimate)
-    mechanics = [name for name in regression.keys if name not in regression.structure.linear]
+    torques = sensed(regression, estimate)
     rows = []
     for _ in range(replicas):
         data = recounted(regression.data, originals.records, torques, random)
-        again = Regression(data, regression.structure, mechanics, regression.held, regression.loads)
+        again = regression.on(data)
         linear = {name: estimate.values[name] for name in again.keys}
         residual = data.torque - again.predict(estimate.coordinates, linear, again.friction(estimate.coordinates)[0])
         jacobian = again.jacobian(estimate.coordinates, estimate.names)
@@ -109,7 +108,7 @@ def _shifts(regression: Regression, originals: Data, estimate: Estimate, replica
     return np.array(rows)
 
 
-def _sensed(regression: Regression, estimate: Estimate) -> list[Array]:
+def sensed(regression: Regression, estimate: Estimate) -> list[Array]:
     """Return the torque that a sensor without noise would report at the samples of each record."""
     found = []
     for record, torque in zip(regression.data.records, torque_at_steps(regression, estimate), strict=True):
@@ -120,19 +119,10 @@ def _sensed(regression: Regression, estimate: Estimate) -> list[Array]:
 
 def torque_at_steps(regression: Regression, estimate: Estimate) -> list[Array]:
     """Return the predicted torque (n,) of each record at the steps of the model."""
-    structure = regression.structure
     linear = {**regression.held, **{name: estimate.values[name] for name in regression.keys}}
     keys = {**{name: name for name in regression.held}, **regression.keys}
-    model = structure.model(structure.values(estimate.coordinates))
     found = []
-    for number, record in enumerate(regression.data.records):
-        torque = model.simulate(
-            record.velocity,
-            record.dt,
-            position=record.position,
-            load_torque=None if regression.loads is None else regression.loads[number],
-            temperature=record.temperature,
-        )
+    for record, torque in zip(regression.data.records, regression.simulated(estimate.coordinates), strict=True):
         for name, value in linear.items():
             unit = record.acceleration if keys[name] == "inertia" else linear_column(keys[name], record)
             torque = torque + value * unit

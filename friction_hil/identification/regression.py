@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,7 @@ _RANK = 1e-9  # of a column's norm: a smaller remainder outside the span of the 
 _COLLINEAR = 1e-7  # the same for a derivative
 _SHORT_STEP = 0.03  # relative change of a parameter for which the torque follows its gradient
 _REFIT_DAMPING = 0.1  # of columns of length 1
+_REFIT_EVALUATIONS = 4
 _ROUNDS = 4  # of reweighting
 _NORMAL_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 ROBUST_DEVIATIONS = 3.0  # beyond which a residual counts less
@@ -128,10 +130,8 @@ class Regression:
                 record.velocity,
                 record.dt,
                 free=directions,
-                position=record.position,
-                load_torque=None if self.loads is None else self.loads[number],
-                temperature=record.temperature,
                 out=self._buffers[number],
+                **self._inputs(number),
             )
             for number, record in enumerate(records)
         ]
@@ -184,7 +184,6 @@ class Regression:
         rows: Mask,
         weights: Array | None = None,
         pinned: Sequence[str] = (),
-        evaluations: int = 4,
         is_linear: bool = False,
     ) -> tuple[Array, Array]:
         """Return coordinates fitted to the rows of a mask, starting from a fit to all rows, and their torque (k,).
@@ -225,7 +224,9 @@ class Regression:
             promised = cost - float(np.sum((both[:, 0] + both[:, 1:] @ (trial - at)) ** 2))
             if cost - float(np.sum(after**2)) >= 0.5 * promised >= 0.0:  # below zero where a bound has bent the step
                 return trial, torque
-        at = self.search(at, evaluations=evaluations, rows=rows, weights=weights, pinned=pinned, tolerance=1e-4).at
+        at = self.search(
+            at, evaluations=_REFIT_EVALUATIONS, rows=rows, weights=weights, pinned=pinned, tolerance=1e-4
+        ).at
         return at, self.friction(at)[0]
 
     def _is_short(self, at: Array, trial: Array) -> bool:
@@ -290,18 +291,23 @@ class Regression:
 
     def friction_torque(self, coordinates: Array) -> Array:
         """Return the torque of `friction` without derivatives."""
+        return self.data.stack(self.simulated(coordinates))
+
+    def simulated(self, coordinates: Array) -> list[Array]:
+        """Return the nonlinear friction torque along each record, (n,)."""
         model = self.structure.model(self.structure.values(coordinates))
-        torques = [
-            model.simulate(
-                record.velocity,
-                record.dt,
-                position=record.position,
-                load_torque=None if self.loads is None else self.loads[number],
-                temperature=record.temperature,
-            )
-            for number, record in enumerate(self.data.records)
-        ]
-        return self.data.stack(torques)
+        records = enumerate(self.data.records)
+        return [model.simulate(record.velocity, record.dt, **self._inputs(number)) for number, record in records]
+
+    def _inputs(self, number: int) -> dict[str, Any]:
+        """Return what a model is given of a record beside its velocity."""
+        record, load = self.data.records[number], None if self.loads is None else self.loads[number]
+        return {"position": record.position, "load_torque": load, "temperature": record.temperature}
+
+    def on(self, data: Data) -> "Regression":
+        """Return the same regression on other data with the same loads."""
+        mechanics = [name for name in self.keys if name not in self.structure.linear]
+        return Regression(data, self.structure, mechanics, self.held, self.loads)
 
     def jacobian(self, at: Array, names: Sequence[str]) -> Array:
         """Return the derivative (k, p) of the predicted torque over named parameters, linear ones included."""

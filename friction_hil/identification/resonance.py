@@ -47,7 +47,6 @@ class Resonance:
     # ``resonance_hz``, ``damping_ratio`` (of the resonance), ``viscous`` and ``delay_s``: SI of the axis
     values: dict[str, float]
     errors: dict[str, float]  # standard errors of the values; include the mismatch of the form
-    misfit: float  # root mean square of the relative deviation from the measured response, used lines
 
 
 def fit_resonance(response: FrequencyResponse) -> tuple[Resonance | None, str]:
@@ -128,7 +127,7 @@ def _fit(response: FrequencyResponse, corrected: Complex) -> tuple[Resonance | N
             f"the response from {low:.3g} to {high:.3g} Hz is neither that of one mass nor clearly that of two: a "
             "resonance beyond this band, backlash, losses of a gear or a third mass look so"
         )
-    return Resonance(values, errors, misfit), ""
+    return Resonance(values, errors), ""
 
 
 def two_mass_response(values: dict[str, float], frequency_hz: Array, beside: Complex | float = 0.0) -> Complex:

@@ -7,6 +7,7 @@ import numpy as np
 from friction_hil import friction as models
 from friction_hil.errors import RecordingError
 from friction_hil.identification.data import Data, moved_since_reversal
+from friction_hil.identification.least_squares import scaled_solution
 from friction_hil.identification.structures import TABLE_POINTS, InitialScales
 from friction_hil.numerics.jit import Array
 
@@ -126,9 +127,7 @@ def _least_sliding_speed(data: Data, distance: float, top: float) -> float:
 def _largest(data: Data, mechanics: tuple[str, ...], sign: Array) -> float:
     """Return the largest torque that is left without mechanics, apart from outliers."""
     columns = np.column_stack([*(data.column(name) for name in mechanics), data.column("viscous"), sign])
-    norms = np.linalg.norm(columns, axis=0)
-    norms[norms == 0.0] = 1.0
-    factors = np.linalg.lstsq(columns / norms, data.torque, rcond=None)[0] / norms
+    factors = scaled_solution(columns, data.torque)
     friction = data.torque - columns[:, : len(mechanics)] @ factors[: len(mechanics)]
     return float(np.quantile(np.abs(friction), _LARGEST))
 

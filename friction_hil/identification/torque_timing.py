@@ -25,8 +25,8 @@ from friction_hil.identification.data import Data
 from friction_hil.identification.fine import FineSegment, recounted
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.inference import infer
-from friction_hil.identification.least_squares import NUMERICAL
-from friction_hil.identification.refine import LAG_ROWS, is_dynamic, torque_at_steps, weighted_estimate
+from friction_hil.identification.least_squares import NUMERICAL, scaled_solution
+from friction_hil.identification.refine import LAG_ROWS, is_dynamic, sensed, torque_at_steps, weighted_estimate
 from friction_hil.identification.regression import Estimate, Regression
 from friction_hil.identification.structures import EXTENDS
 from friction_hil.numerics.jit import Array
@@ -171,10 +171,7 @@ def _step(regression: Regression, estimate: Estimate, residual: Array, weights: 
         [-np.gradient(torque) / record.dt for torque, record in zip(torques, regression.data.records, strict=True)]
     )
     jacobian = np.column_stack([estimate.jacobian, column])
-    weighted = jacobian * weights[:, None]
-    norms = np.linalg.norm(weighted, axis=0)
-    norms[norms == 0.0] = 1.0
-    change = np.linalg.lstsq(weighted / norms, residual * weights, rcond=1e-9)[0] / norms
+    change = scaled_solution(jacobian * weights[:, None], residual * weights, 1e-9)
     after = replace(
         estimate, jacobian=jacobian, names=(*estimate.names, "delay"), residual=residual - jacobian @ change
     )
@@ -185,20 +182,10 @@ def _step(regression: Regression, estimate: Estimate, residual: Array, weights: 
 def _bias(fitter: CandidateFitter, regression: Regression, estimate: Estimate) -> tuple[float, float]:
     """Return the mean error of the delay in simulated experiments, and the standard error of that mean and one, s."""
     random = np.random.default_rng(fitter.settings.seed)
-    sensed = []
-    for record, torque in zip(regression.data.records, torque_at_steps(regression, estimate), strict=True):
-        assert isinstance(record, FineSegment)
-        sensed.append(record.at_samples(torque))
-    found = []
+    torques, found = sensed(regression, estimate), []
     for _ in range(_REPLICAS):
-        data = recounted(regression.data, fitter.data.records, sensed, random)
-        again = Regression(
-            data,
-            regression.structure,
-            [name for name in regression.keys if name not in regression.structure.linear],
-            regression.held,
-            regression.loads,
-        )
+        data = recounted(regression.data, fitter.data.records, torques, random)
+        again = regression.on(data)
         linear = {name: estimate.values[name] for name in again.keys}
         residual = data.torque - again.predict(estimate.coordinates, linear)
         local = replace(estimate, jacobian=again.jacobian(estimate.coordinates, estimate.names))
