@@ -9,6 +9,7 @@ from friction_hil.learning.coordinates import with_values
 from friction_hil.learning.estimate import Mechanics
 from friction_hil.learning.learner import Learner
 from friction_hil.learning.record import TICK_S
+from friction_hil.learning.states import LearnerSettings
 from friction_hil.learning.window import COLUMNS, Window
 from tests.compensators import INERTIA, LUGRE, PERIOD_S, quantised, resolution
 
@@ -67,7 +68,7 @@ class Driven:
 
     def __init__(self, model=WRONG, gain=0.9, **options):
         self.learner = Learner(
-            model, Mechanics(INERTIA), {}, period_s=PERIOD_S, resolution=COUNT, gain=gain, fade_s=0.5, **options
+            model, Mechanics(INERTIA), {}, LearnerSettings(PERIOD_S, COUNT, gain, fade_s=0.5, **options)
         )
         self.ticks, self.proposals, self.notes = 0, [], []
 

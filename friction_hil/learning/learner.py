@@ -17,15 +17,15 @@ from friction_hil.friction import FrictionModel
 from friction_hil.friction.model import as_dict
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning import oddity
-from friction_hil.learning.estimate import Belief, Estimate, Mechanics, first_belief, left_over, refine
+from friction_hil.learning.estimate import Belief, Mechanics, first_belief, left_over, refine
 from friction_hil.learning.families import Families
 from friction_hil.learning.judge import CHANCE, Work, is_harmful, no_help, objection, rms
 from friction_hil.learning.motions import WINDOW_TICKS, Limit, Motions, Used
 from friction_hil.learning.oddity import WARM_TICKS
 from friction_hil.learning.proposal import Proposal, Step, Trial
 from friction_hil.learning.record import TICK_S, Record
-from friction_hil.learning.residual import Finding, Residual
-from friction_hil.learning.states import TRANSITIONS, Event, State
+from friction_hil.learning.residual import Residual
+from friction_hil.learning.states import TRANSITIONS, Event, Halt, InForce, LearnerSettings, Seen, State
 from friction_hil.learning.window import COLUMNS, joined
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import POSITION_UNITS, quantity
@@ -51,10 +51,7 @@ _MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplain
 class Learner:
     """Learning of one axis.
 
-    ``model``: that of the model file, without a network; ``standard_errors``: see `coordinates_of`. ``resolution``:
-    step of the position, rad or m. ``gain``: that of the configuration, the least that is commanded; with
-    ``is_gain_fixed`` it stays. ``fade_s``: time over which a change is blended, s. ``has_layer``: a residual layer is
-    looked for; ``has_families``: other families of models are considered.
+    ``model``: that of the model file, without a network; ``standard_errors``: see `coordinates_of`.
     """
 
     def __init__(
@@ -62,48 +59,28 @@ class Learner:
         model: FrictionModel,
         mechanics: Mechanics,
         standard_errors: Mapping[str, float],
-        *,
-        period_s: float,
-        resolution: float,
-        gain: float,
-        fade_s: float,
-        is_gain_fixed: bool = False,
-        has_layer: bool = True,
-        has_families: bool = True,
+        settings: LearnerSettings,
     ) -> None:
-        self._is_gain_fixed = is_gain_fixed
-        self._least_gain = gain
+        self._settings = settings
         self.belief: Belief = first_belief(model, mechanics, standard_errors)  # what is known now
-        self._has_layer, self._residual = has_layer, Residual(model)
-        self._is_turn_of_layer = False  # parameters and layer take turns
-        self._finding: Finding | None = None  # what the last window shows of a residual layer
-        self._file = self._used = self._kept = self._former = Used(self.belief.x, gain, self.belief.coordinates)
-        self._motions = Motions(self._file, _FIRST_PAUSE, period_s)
-        self._resumed: Used | None = None
-        self.record = Record(period_s, resolution)
-        self._ticks_misled = 0  # in which the model file explained the torque better, one after the other
-        self._ticks_unused = 0  # that no estimate has used yet
-        self._ticks_in_force = 0  # since the last change of what is in force, as far as they are comparable
-        self._ticks_stopped = 0  # until learning goes on
-        self._why_stopped = ""
+        self._file = Used(self.belief.x, settings.gain, self.belief.coordinates)
+        self._force, self._seen, self._halt = InForce(self._file, self._file, self._file), Seen(), Halt()
+        self._motions = Motions(self._file, _FIRST_PAUSE, settings.period_s)
+        self.record = Record(settings.period_s, settings.resolution)
         self._state = State.WATCHING
         self._trial: Trial | None = None
-        self._owed: Used | None = None  # what to go back to, which was refused
-        self._is_back = False  # the last proposal went back
-        self._estimate: Estimate | None = None
-        self._usual = 0.0  # torque that the estimate leaves unexplained, N m
-        self._residual_torque = math.inf  # of the last estimate, whatever the motion
+        self._is_turn_of_layer = False  # parameters and layer take turns
         self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
-        self._fade_ticks = math.ceil(fade_s / TICK_S)
-        self.figures = Report(gain=gain, family=FamilyFigures(str(self._file.form), str(self._file.form)))
-        self._has_families, self._families = has_families, Families(self.figures.family, self._file.form)
+        self.figures = Report(gain=settings.gain, family=FamilyFigures(str(self._file.form), str(self._file.form)))
+        self._residual = Residual(model, self.figures.residual_layer)
+        self._families = Families(self.figures.family, self._file.form)
         self.notes: list[str] = []  # what is to be reported; whoever reports it removes it
 
     def pause(self, reason: str) -> Proposal | None:
         """Forget the rows so far, after some that are not to be learned from; return what is taken back therefore."""
         self.record.ticks.clear()
         self._motions.interrupt()
-        self._ticks_unused = self._ticks_in_force = 0
+        self._seen.unused = self._force.ticks = 0
         if self._trial is None:
             return None
         return self._take_back(f"{reason}: nothing to compare with", is_harmless=True)
@@ -115,39 +92,39 @@ class Learner:
         ``model``: as `friction_hil.friction.model.as_dict` returns it, if it is of another family than the model file.
         Raises `UsageError`: there is no such model.
         """
-        is_fixed = self._is_gain_fixed or self._least_gain > 1.0
-        gain = self._least_gain if is_fixed else min(max(gain, self._least_gain), 1.0)
+        is_fixed = self._settings.is_gain_fixed or self._settings.gain > 1.0
+        gain = self._settings.gain if is_fixed else min(max(gain, self._settings.gain), 1.0)
         if model is not None:
-            self._resumed = replace(self._families.add(model, self.belief), gain=gain)
+            self._force.resumed = replace(self._families.add(model, self.belief), gain=gain)
             return
         x = self.belief.x.copy()
         names = self.belief.coordinates.names
         x[: len(names)] = self.belief.coordinates.inverse(parameters)
         self.belief = replace(self.belief, x=x)
-        self._resumed = Used(x, gain, self.belief.coordinates)
+        self._force.resumed = Used(x, gain, self.belief.coordinates)
 
     @property
     def proven(self) -> tuple[dict[str, float], float, dict[str, Any] | None]:
         """Parameters by name, and gain, that were kept last; and the model where it is not of the file's family."""
-        kept = self._kept
+        kept = self._force.kept
         return kept.parameters, kept.gain, None if kept.coordinates is self._file.coordinates else as_dict(kept.own)
 
     @property
     def in_use(self) -> dict[str, float]:
         """Parameters by name that the compensator has."""
-        return self._used.parameters
+        return self._force.used.parameters
 
     @property
     def wanted(self) -> tuple[dict[str, float], float]:
         """The same, and the gain, once all of what is on trial is handed over."""
-        used = self._used if self._trial is None else self._trial.tried
+        used = self._force.used if self._trial is None else self._trial.tried
         return used.parameters, used.gain
 
     @property
     def doing(self) -> tuple[str, str]:
         """What learning does now: ``watching``, ``trying``, ``resting`` or ``stopped``; and why, empty for watching."""
         if self._state is State.STOPPED:
-            return "stopped", self._why_stopped
+            return "stopped", self._halt.why
         if self._trial is not None:
             return "trying", self._trial.text
         rest_s = self._motions.now.rest * WINDOW_TICKS * TICK_S
@@ -156,19 +133,25 @@ class Learner:
     @property
     def has_trial(self) -> bool:
         """True if something that is not proven is in force."""
-        return self._trial is not None or self._owed is not None
+        return self._trial is not None or self._force.owed is not None
 
     def refuse(self) -> None:
         """Take note that the last proposal was not handed over; what is in force unproven is taken back next."""
-        back = self._trial.former if self._trial is not None else self._used if self._is_back else self._former
-        self._owed = None if back is self._former else back
-        if self._trial is None and self._owed is None:
-            self._motions.now.used = self._former
-        if not self._note_refused(self._trial, self._former, "refused"):
+        back = (
+            self._trial.former
+            if self._trial is not None
+            else self._force.used
+            if self._force.is_back
+            else self._force.former
+        )
+        self._force.owed = None if back is self._force.former else back
+        if self._trial is None and self._force.owed is None:
+            self._motions.now.used = self._force.former
+        if not self._note_refused(self._trial, self._force.former, "refused"):
             self._wait(math.inf)
         if self._trial is not None:
             self._go(Event.TAKEN_BACK)
-        self._use(self._former)
+        self._use(self._force.former)
 
     def take(
         self, rows: Mapping[str, Array], *, is_in_force: bool = True, may_estimate: bool = True
@@ -184,31 +167,31 @@ class Learner:
             return self._stop(reason)
         if self._motions.take(tick["position_demand"], tick["velocity_demand"]):
             return self._change_motion()
-        own = None if self._estimate is None else replace(self._used, x=self.belief.x)
-        if reason := self.record.oddity(tick, self._ticks_settled, own, self.belief, self._usual):
+        own = None if self._seen.estimate is None else replace(self._force.used, x=self.belief.x)
+        if reason := self.record.oddity(tick, self._ticks_settled, own, self.belief, self._seen.usual):
             return self._stop(reason)
         self.record.ticks.append(tick)
-        self._ticks_unused += 1
-        self._ticks_in_force += is_in_force
-        if self._resumed is not None and np.any(tick["velocity_demand"]):
-            self._motions.now.used = self._kept = self._resumed
-            self._resumed = None
-            return self._hand_over(Step.PARAMETERS, self._kept, "parameters that were kept in an earlier run")
-        if self._owed is not None:
-            return self._hand_over(Step.BACK, self._owed, "what came after it was refused")
+        self._seen.unused += 1
+        self._force.ticks += is_in_force
+        if self._force.resumed is not None and np.any(tick["velocity_demand"]):
+            self._motions.now.used = self._force.kept = self._force.resumed
+            self._force.resumed = None
+            return self._hand_over(Step.PARAMETERS, self._force.kept, "parameters that were kept in an earlier run")
+        if self._force.owed is not None:
+            return self._hand_over(Step.BACK, self._force.owed, "what came after it was refused")
         if (proposal := self._fall_back()) is not None:
             return proposal
         if self._state is State.STOPPED:
-            self._ticks_stopped -= 1
-            if not self._ticks_stopped:
+            self._halt.ticks -= 1
+            if not self._halt.ticks:
                 self._go(Event.OVER)
             return None
         if is_in_force and self._trial is not None and (proposal := self._judge(self._trial)) is not None:
             return proposal
         # not during a trial, which nobody would take back meanwhile
-        if self._trial is None and self._ticks_unused >= WINDOW_TICKS and may_estimate:
+        if self._trial is None and self._seen.unused >= WINDOW_TICKS and may_estimate:
             self._refine()
-            if self._ticks_in_force >= WINDOW_TICKS and self._motions.now.ranges is not None:
+            if self._force.ticks >= WINDOW_TICKS and self._motions.now.ranges is not None:
                 before = self.record.work(self._ticks_settled)
                 both = (self._propose, self._propose_layer)[:: -1 if self._is_turn_of_layer else 1]
                 return both[0](before) or both[1](before) or self._propose_family(before)
@@ -217,7 +200,7 @@ class Learner:
     @property
     def _ticks_settled(self) -> int:
         """Ticks with what is in force whose errors count."""
-        return self._ticks_in_force - self._fade_ticks - _SETTLING_TICKS
+        return self._force.ticks - self._settings.fade_ticks - _SETTLING_TICKS
 
     def _is_seen(self, before: Work) -> bool:
         """Return True if a lower error would be seen."""
@@ -242,31 +225,33 @@ class Learner:
 
     def _refine(self) -> None:
         """Refine the belief by the last window."""
-        self._ticks_unused, self._finding = 0, None
+        self._seen.unused, self._seen.finding = 0, None
         warm_s = self.record.warm_s
         if not any(np.any(tick["velocity_demand"]) for tick in self.record.ticks):
             return
-        window = self.record.window(self._used.layer, self.belief.model)
-        if self._has_families:
+        window = self.record.window(self._force.used.layer, self.belief.model)
+        if self._settings.has_families:
             self._families.look(window, self.belief, self.record.resolution, warm_s)
         try:
-            found = refine(window, self.belief, self.record.resolution, warm_s, self._residual_torque)
+            found = refine(window, self.belief, self.record.resolution, warm_s, self._seen.residual)
         except NUMERICAL:
             return
-        self._estimate, self.belief, self._residual_torque = found, found.belief, found.residual
-        self._usual = rms(self.record.unexplained(replace(self._used, x=self.belief.x), self.belief)[WARM_TICKS:])
+        self._seen.estimate, self.belief, self._seen.residual = found, found.belief, found.residual
+        self._seen.usual = rms(
+            self.record.unexplained(replace(self._force.used, x=self.belief.x), self.belief)[WARM_TICKS:]
+        )
         self.figures.relative_errors = self.belief.errors
-        if self._has_layer:
+        if self._settings.has_layer:
             left = left_over(self.record.window(), self.belief, self.record.resolution, warm_s)
-            self._finding = self._residual.look(left, self._used.layer)
+            self._seen.finding = self._residual.look(left, self._force.used.layer)
 
     def _propose(self, before: Work) -> Proposal | None:
         """Return parameters or a gain that are worth a trial."""
-        if self._estimate is None:
+        if self._seen.estimate is None:
             return None
         level, now = self.belief.coordinates.model.level, self._motions.now
-        refined = self.belief.shown(self._used.x)
-        other = replace(self._used, x=refined)
+        refined = self.belief.shown(self._force.used.x)
+        other = replace(self._force.used, x=refined)
         is_waiting = bool(now.rest) and before.rms <= _WORSE * now.refused_error
         if is_waiting and now.refused is not None:  # what else would be tried is due to friction that has changed
             is_waiting = not rms(np.subtract(*self.record.torques(now.refused, other))) > _OTHER * level
@@ -274,24 +259,24 @@ class Learner:
         self._settle()
         if is_waiting or not self._is_seen(before):
             return None
-        present, next_one = self.record.torques(self._used, other)
+        present, next_one = self.record.torques(self._force.used, other)
         change, decline = rms(next_one - present) / level, 1.0 - rms(next_one) / rms(present)
-        falls = decline if decline > _FALLS and not self._used.has_model_of(self._file) else 0.0
+        falls = decline if decline > _FALLS and not self._force.used.has_model_of(self._file) else 0.0
         gain = self._next_gain(now.highest_gain(rms(next_one)), falls)
         is_other = change > _WORTH
-        if not is_other and abs(gain - self._used.gain) <= _GAIN_WORTH:
+        if not is_other and abs(gain - self._force.used.gain) <= _GAIN_WORTH:
             self._is_gain_doubted = False
             return None
-        tried = replace(self._used, x=refined if is_other else self._used.x, gain=gain)
+        tried = replace(self._force.used, x=refined if is_other else self._force.used.x, gain=gain)
         # more torque than the friction will be makes an axis swing, which the torque of now does not show
-        is_less = falls > 0.0 or not (is_other or gain > self._used.gain)
+        is_less = falls > 0.0 or not (is_other or gain > self._force.used.gain)
         if not is_less and not self.record.promises(
-            self.belief, replace(tried, gain=max(gain, self._used.gain)), self._used
+            self.belief, replace(tried, gain=max(gain, self._force.used.gain)), self._force.used
         ):
             self._is_gain_doubted = False
             return None
         words = [f"torque changes by {100.0 * change:.1f} % of the friction level"] * is_other
-        gains = f"{self._used.gain:.2f}", f"{gain:.2f}"
+        gains = f"{self._force.used.gain:.2f}", f"{gain:.2f}"
         words += [f"gain {gains[0]} -> {gains[1]}"] * (gains[0] != gains[1])
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
 
@@ -302,76 +287,78 @@ class Learner:
         known one was no help to this motion, ``highest``, or where friction falls: until the next change it will have
         fallen by as much as since the last one, ``falls``.
         """
-        if self._is_gain_fixed:
-            return self._used.gain
+        if self._settings.is_gain_fixed:
+            return self._force.used.gain
         if self._is_gain_doubted:
-            return max(self._used.gain - _LESS_GAIN, self._least_gain)
-        assert self._estimate is not None
-        doubt = math.hypot(self._estimate.torque_error, self._estimate.model_error)
-        known = max(min(1.0 - _DOUBT * doubt / self.belief.coordinates.model.level, 1.0), self._least_gain)
-        return max(min(known, highest) - falls, self._least_gain)
+            return max(self._force.used.gain - _LESS_GAIN, self._settings.gain)
+        assert self._seen.estimate is not None
+        doubt = math.hypot(self._seen.estimate.torque_error, self._seen.estimate.model_error)
+        known = max(min(1.0 - _DOUBT * doubt / self.belief.coordinates.model.level, 1.0), self._settings.gain)
+        return max(min(known, highest) - falls, self._settings.gain)
 
     def _propose_layer(self, before: Work) -> Proposal | None:
         """Return a residual layer that is worth a trial, or the end of one that explains nothing any more."""
-        found, figures = self._finding, self.figures.residual_layer
+        found = self._seen.finding
         if found is None:
             return None
-        if self._used.layer is not None and found.is_spent:
-            self._residual.end(figures)
-            self._motions.now.used = replace(self._used, layer=None)
+        if self._force.used.layer is not None and found.is_spent:
+            self._residual.end()
+            self._motions.now.used = replace(self._force.used, layer=None)
             return self._hand_over(Step.BACK, self._motions.now.used, "the residual layer explains nothing any more")
-        if not (self._residual.is_worth(found, self._used.layer, figures) and self._is_seen(before)):
+        if not (self._residual.is_worth(found, self._force.used.layer) and self._is_seen(before)):
             return None
-        tried = replace(self._used, layer=found.layer)
+        tried = replace(self._force.used, layer=found.layer)
         if found.x is not None:
-            tried = replace(tried, x=replace(self.belief, x=found.x).shown(self._used.x))
-            if not self.record.promises(self.belief, tried, self._used):
+            tried = replace(tried, x=replace(self.belief, x=found.x).shown(self._force.used.x))
+            if not self.record.promises(self.belief, tried, self._force.used):
                 return None
-        self._residual.was_tried(found, self._used.layer, figures, before.rms)
+        self._residual.was_tried(found, self._force.used.layer, before.rms)
         return self._try(Step.LAYER, tried, before, found.text)
 
     def _propose_family(self, before: Work) -> Proposal | None:
         """Return a model of another family that is worth a trial, with the present gain."""
-        best = self._families.best(self._used.form)
+        best = self._families.best(self._force.used.form)
         if best is None or not self._is_seen(before):
             return None
         self._families.was_tried(best.form, before.rms)
-        tried = replace(best, gain=self._used.gain, layer=self._used.layer)
-        return self._try(Step.FAMILY, tried, before, self._families.reason(best.form, self._used.form))
+        tried = replace(best, gain=self._force.used.gain, layer=self._force.used.layer)
+        return self._try(Step.FAMILY, tried, before, self._families.reason(best.form, self._force.used.form))
 
     def _try(self, step: Step, tried: Used, before: Work, text: str) -> Proposal:
-        self._trial = Trial(step, tried, before, self._used, self.record.left(self.belief, self._used)[0], text)
+        self._trial = Trial(
+            step, tried, before, self._force.used, self.record.left(self.belief, self._force.used)[0], text
+        )
         self._go(Event.PROPOSED)
         self._is_turn_of_layer = step is not Step.LAYER
         if self.figures.error_before is None:
             self.figures.error_before = before.rms
-        return self._hand_over(step, self._used.towards(tried, _FIRST_PART), text)
+        return self._hand_over(step, self._force.used.towards(tried, _FIRST_PART), text)
 
     def _hand_over(self, step: Step, to: Used, text: str) -> Proposal:
-        self._former, self._owed, self._is_back = self._used, None, step is Step.BACK
-        model = None if to.has_model_of(self._used) else to.model
+        self._force.former, self._force.owed, self._force.is_back = self._force.used, None, step is Step.BACK
+        model = None if to.has_model_of(self._force.used) else to.model
         self._use(to)
         return Proposal(step, model, to.gain, text)
 
     def _use(self, to: Used) -> None:
         """Take note of what the compensator has; what is known of parameters is then that of its family."""
         if to.coordinates is not self.belief.coordinates:
-            self.belief, self._estimate = self._families.swap(self.belief, to.coordinates), None
-        self._used, self._ticks_in_force = to, 0
+            self.belief, self._seen.estimate = self._families.swap(self.belief, to.coordinates), None
+        self._force.used, self._force.ticks = to, 0
         self.figures.gain, self.figures.family.in_use = to.gain, str(to.form)
 
     def _judge(self, trial: Trial) -> Proposal | None:
         """Look at a trial: it goes on, or it is kept, or it is taken back."""
-        ticks = self._ticks_in_force
+        ticks = self._force.ticks
         # a family comes as a whole: a drive's integrator has to give way to levels that differ between the directions
-        unjudged = self._fade_ticks + _UNJUDGED_TICKS if trial.step is Step.FAMILY else _UNJUDGED_TICKS
+        unjudged = self._settings.fade_ticks + _UNJUDGED_TICKS if trial.step is Step.FAMILY else _UNJUDGED_TICKS
         error = self.record.errors(max(ticks - unjudged, 1))
         if ticks > unjudged and is_harmful(error, trial.before, self.record.resolution, self.record.period_s):
             return self._take_back(f"the error rose from {self._size(trial.before.rms)} to {self._size(rms(error))}")
         if np.any(np.diff(self.record.rows(2)["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
         if self._state is State.THIRD:
-            if ticks < self._fade_ticks + _FIRST_TICKS:
+            if ticks < self._settings.fade_ticks + _FIRST_TICKS:
                 return None
             if (both := no_help(error, self.record.expected(self.belief, trial), self.record.period_s)) is not None:
                 shown, part = " -> ".join(map(self._size, both)), "a third of " * (trial.step is not Step.FAMILY)
@@ -393,13 +380,13 @@ class Learner:
         if why and not (why == CHANCE and self.record.explains_more(self.belief, trial.tried, trial.former)):
             return self._take_back(f"error {shown}: {why}")
         self._go(Event.KEPT)
-        self._kept = trial.tried
+        self._force.kept = trial.tried
         self._motions.keep(trial.tried)
         if self._is_gain_doubted and trial.tried.gain < trial.former.gain - _GAIN_WORTH:
             self._motions.now.limit = Limit(trial.tried.gain, rms(self.record.torques(trial.tried)[0]))
         self._is_gain_doubted = False
         if trial.step is Step.LAYER:
-            self._residual.was_kept(trial.tried.layer, self.figures.residual_layer, after.rms)
+            self._residual.was_kept(trial.tried.layer, after.rms)
         if trial.step is Step.FAMILY:
             self._families.was_kept(trial.tried.form, after.rms)
         self.figures.re_identified += trial.step is Step.PARAMETERS
@@ -422,7 +409,7 @@ class Learner:
     def _note_refused(self, trial: Trial | None, stays: Used, why: str) -> bool:
         """Tell layer or families why their trial was no gain; return False if it was not theirs."""
         if trial is not None and trial.step is Step.LAYER:
-            self._residual.was_refused(stays.layer, self.figures.residual_layer, why)
+            self._residual.was_refused(stays.layer, why)
         elif trial is not None and trial.step is Step.FAMILY:
             self._families.was_refused(trial.tried.form, why)
         else:
@@ -443,14 +430,14 @@ class Learner:
         if self._trial is not None:
             self._go(Event.TAKEN_BACK)
         self._settle()
-        self._estimate, self._is_gain_doubted = None, False
-        self._residual.changed_motion(now.used.layer, self.figures.residual_layer)
+        self._seen.estimate, self._is_gain_doubted = None, False
+        self._residual.changed_motion(now.used.layer)
         self.record.ticks.clear()
-        self._ticks_unused = self._ticks_in_force = 0
+        self._seen.unused = self._force.ticks = 0
         step, text = Step.KNOWN, "what was kept for this motion"
         if now.used is self._file:
             step, text = Step.BACK, "another motion, for which nothing is proven yet"
-        proposal = None if now.used is self._used else self._hand_over(step, now.used, text)
+        proposal = None if now.used is self._force.used else self._hand_over(step, now.used, text)
         self._families.change_motion()
         return proposal
 
@@ -459,14 +446,14 @@ class Learner:
         if self._state is not State.STOPPED:
             self.figures.stopped += 1
             self.notes.append(f"learning stops for {_STOPPED_TICKS * TICK_S:g} s: {reason}")
-        self._ticks_stopped, self._why_stopped, self._ticks_unused = _STOPPED_TICKS, reason, 0
+        self._halt.ticks, self._halt.why, self._seen.unused = _STOPPED_TICKS, reason, 0
         self.record.ticks.clear()
         self._motions.interrupt()
-        self._estimate = None
+        self._seen.estimate = None
         self.belief = self.belief.doubted()
         self._families.doubt()
         if is_layered := self._motions.drop_layers():  # their phase is lost where the position has jumped
-            self._residual.end(self.figures.residual_layer)
+            self._residual.end()
         is_back = is_layered or self._trial is not None
         proposal = self._take_back(reason, is_harmless=True) if is_back else None
         self._go(Event.ODD)
@@ -474,15 +461,19 @@ class Learner:
 
     def _fall_back(self) -> Proposal | None:
         """Return to the model file where that explains the torque clearly better than what was kept elsewhere."""
-        if self._trial is not None or self._used.has_model_of(self._file) or len(self.record.ticks) < WARM_TICKS + 1:
+        if (
+            self._trial is not None
+            or self._force.used.has_model_of(self._file)
+            or len(self.record.ticks) < WARM_TICKS + 1
+        ):
             return None
         ticks = list(self.record.ticks)[-WARM_TICKS - 1 :]
-        used, file = (self.record.unexplained(each, self.belief, ticks)[-1] for each in (self._used, self._file))
+        used, file = (self.record.unexplained(each, self.belief, ticks)[-1] for each in (self._force.used, self._file))
         level = self.belief.coordinates.model.level
-        self._ticks_misled = self._ticks_misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
-        if self._ticks_misled < _MISLED_TICKS:
+        self._seen.misled = self._seen.misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
+        if self._seen.misled < _MISLED_TICKS:
             return None
-        if self._used.layer is not None:
-            self._residual.end(self.figures.residual_layer)
-        self._ticks_misled, self._motions.now.used = 0, self._file
+        if self._force.used.layer is not None:
+            self._residual.end()
+        self._seen.misled, self._motions.now.used = 0, self._file
         return self._hand_over(Step.BACK, self._file, "the model file explains the torque of this motion better")

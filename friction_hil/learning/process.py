@@ -30,6 +30,7 @@ from friction_hil.learning.gaps import Gaps
 from friction_hil.learning.learner import Learner
 from friction_hil.learning.proposal import Proposal, Step, described, fitting
 from friction_hil.learning.proven import Proven, digest, recall, store
+from friction_hil.learning.states import LearnerSettings
 from friction_hil.learning.window import RECORDED
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import POSITION_UNITS
@@ -64,11 +65,13 @@ class AxisLearning:
             config.model.friction_model,
             Mechanics(mechanics.inertia, static),
             (config.model.fit or {}).get("standard_errors") or {},
-            period_s=period_s,
-            resolution=facts.position_resolution,
-            gain=given.gain,
-            fade_s=given.fade_s,
-            is_gain_fixed=given.gain_negative is not None,
+            LearnerSettings(
+                period_s,
+                facts.position_resolution,
+                given.gain,
+                given.fade_s,
+                is_gain_fixed=given.gain_negative is not None,
+            ),
         )
         self._gaps = Gaps(self.learner.record.rows_per_tick, period_s)
         self.unit = POSITION_UNITS[config.model.axis]

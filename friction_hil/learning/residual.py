@@ -114,6 +114,7 @@ class Residual:
     """Learning of the residual layer of one axis."""
 
     model: FrictionModel  # of the model file
+    figures: LayerFigures = field(default_factory=LayerFigures)
     _waves: tuple[Feature, ...] = ()
     _memory: Memory = field(default_factory=lambda: empty(0))  # of the amplitudes of waves alone
     _grid: tuple[Feature, ...] = ()  # of the other groups
@@ -182,11 +183,11 @@ class Residual:
             self._begin(())  # another search at the next window
         return found
 
-    def is_worth(self, found: Finding, used: Layer | None, figures: LayerFigures) -> bool:
+    def is_worth(self, found: Finding, used: Layer | None) -> bool:
         """Return True if a finding is worth a trial now."""
-        figures.explained = found.explained
-        if not figures.state:
-            figures.state = "noise only"
+        self.figures.explained = found.explained
+        if not self.figures.state:
+            self.figures.state = "noise only"
         if found.layer is None or found.layer == used:
             return False
         if self._rest:
@@ -194,34 +195,34 @@ class Residual:
             return False
         return True
 
-    def was_tried(self, found: Finding, used: Layer | None, figures: LayerFigures, error: float) -> None:
+    def was_tried(self, found: Finding, used: Layer | None, error: float) -> None:
         """Take note that a finding is tried, with the error before; ``used`` is the layer in use so far."""
-        figures.tried += 1
+        self.figures.tried += 1
         self._is_beside = found.layer is not None and found.layer.groups != (RIPPLE,)
         if used is None:
-            figures.state, figures.text = "on trial", str(found.layer)
-            figures.error_before, figures.error_after = error, None
+            self.figures.state, self.figures.text = "on trial", str(found.layer)
+            self.figures.error_before, self.figures.error_after = error, None
 
-    def was_kept(self, tried: Layer | None, figures: LayerFigures, error: float) -> None:
+    def was_kept(self, tried: Layer | None, error: float) -> None:
         """Take note that a trial was a gain."""
-        figures.state, figures.text, figures.error_after = "on", str(tried), error
+        self.figures.state, self.figures.text, self.figures.error_after = "on", str(tried), error
         self._pause, self._is_waves_turn = _FIRST_PAUSE, False
 
-    def was_refused(self, used: Layer | None, figures: LayerFigures, why: str) -> None:
+    def was_refused(self, used: Layer | None, why: str) -> None:
         """Take note that a trial was no gain, refused or without a verdict; ``used`` is the layer that stays."""
-        figures.state = why if used is None else "on"
+        self.figures.state = why if used is None else "on"
         self._is_waves_turn = self._is_beside
         self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
 
-    def changed_motion(self, used: Layer | None, figures: LayerFigures) -> None:
+    def changed_motion(self, used: Layer | None) -> None:
         """Take note of another motion and of what is proven for it; what was learned goes on."""
         self._spent, self._grouped = 0, ()
-        if figures.tried:
-            figures.state = "on" if used is not None else "not proven for this motion"
+        if self.figures.tried:
+            self.figures.state = "on" if used is not None else "not proven for this motion"
 
-    def end(self, figures: LayerFigures) -> None:
+    def end(self) -> None:
         """Begin anew: the layer in use was switched off."""
-        figures.state = "no longer a gain"
+        self.figures.state = "no longer a gain"
         self._begin(())
         self._grid, self._ranges, self._spent = (), None, 0
 

@@ -14,6 +14,7 @@ from friction_hil.learning.gaps import Gaps
 from friction_hil.learning.learner import Learner
 from friction_hil.learning.proposal import Proposal
 from friction_hil.learning.record import TICK_S
+from friction_hil.learning.states import LearnerSettings
 from friction_hil.learning.window import RECORDED
 from friction_hil.numerics.jit import Array
 from tools.benchmarks.compensation.grid import DriveLoops, Grid, Plant
@@ -137,12 +138,14 @@ def follow(
             model,
             Mechanics(settings.inertia, settings.gravity),
             {},
-            period_s=period_s,
-            resolution=settings.position_resolution,
-            gain=settings.gain,
-            fade_s=settings.fade_s,
-            has_layer=has_layer,
-            has_families=has_families,
+            LearnerSettings(
+                period_s,
+                settings.position_resolution,
+                settings.gain,
+                settings.fade_s,
+                has_layer=has_layer,
+                has_families=has_families,
+            ),
         )
     cycles = round(TICK_S / period_s)
     gaps = Gaps(cycles, period_s)
