@@ -8,8 +8,8 @@ import friction_hil as fh
 from friction_hil.learning.coordinates import with_values
 from friction_hil.learning.estimate import Mechanics
 from friction_hil.learning.learner import Learner
-from friction_hil.learning.record import TICK_S
 from friction_hil.learning.states import LearnerSettings
+from friction_hil.learning.thresholds import TICK_S
 from friction_hil.learning.window import COLUMNS, Window
 from tests.compensators import INERTIA, LUGRE, PERIOD_S, quantised, resolution
 

@@ -16,9 +16,10 @@ temperature is removed, and CUSUM charts with a stated rate of false alarms show
 [('Coulomb friction, positive direction', 45.0)]
 """
 
-from friction_hil.health.judge import BASELINE, FALSE_ALARMS, Health, Verdict, judge
+from friction_hil.health.judge import Health, Verdict, judge
 from friction_hil.health.observation import Layout, Motion, Observation, Quantity, layout_of
 from friction_hil.health.observe import observe
+from friction_hil.health.thresholds import BASELINE, FALSE_ALARMS
 
 __all__ = [
     "BASELINE",

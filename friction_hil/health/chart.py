@@ -22,18 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from friction_hil.health import thresholds as th
 from friction_hil.numerics.jit import Array
 
-LEAST_BASELINE = 10
-_ALLOWANCE = 0.5  # standard deviations: half of the smallest change that is to be found soon
-_PREDICTION = 2.0  # standard errors
-_LARGEST_REST = 4.0  # standard deviations: one recording that went wrong is no change
 _OVERSHOOT = 1.166  # of the threshold, in discrete time
-_MOST_CORRELATION = 0.9
-_HIGHEST = 1.5  # thresholds: a sum ends soon after its reason has ended
 _NORMAL_90 = 1.2816
 _LEAST_SCATTER = 1e-150  # where all observations are equal, as no measurement is
-_LEAST_SPREAD_K = 0.5  # standard deviation of the temperatures: below, no coefficient is known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,8 +81,8 @@ class Chart:
 
 def average_run_length(threshold: float) -> float:
     """Return the mean number of observations until a one-sided sum gives a false alarm (Siegmund 1985)."""
-    b = 2.0 * _ALLOWANCE * (threshold + _OVERSHOOT)
-    return (math.exp(b) - b - 1.0) / (2.0 * _ALLOWANCE**2)
+    b = 2.0 * th.ALLOWANCE * (threshold + _OVERSHOOT)
+    return (math.exp(b) - b - 1.0) / (2.0 * th.ALLOWANCE**2)
 
 
 def threshold_for(run_length: float) -> float:
@@ -102,14 +96,14 @@ def threshold_for(run_length: float) -> float:
 
 
 def fit_baseline(values: Array, errors: Array, temperatures: Array | None) -> Baseline:
-    """Learn a baseline from observations and their standard errors, (n,) each, `LEAST_BASELINE` or more.
+    """Learn a baseline from observations and their standard errors, (n,) each, `th.LEAST_BASELINE` or more.
 
     ``temperatures``: (n,), °C; None if temperature is not to be removed.
     """
     n = len(values)
-    if n < LEAST_BASELINE:
-        raise ValueError(f"{n} observations are too few for a baseline, which needs {LEAST_BASELINE}")
-    has_slope = temperatures is not None and float(np.std(temperatures)) >= _LEAST_SPREAD_K
+    if n < th.LEAST_BASELINE:
+        raise ValueError(f"{n} observations are too few for a baseline, which needs {th.LEAST_BASELINE}")
+    has_slope = temperatures is not None and float(np.std(temperatures)) >= th.LEAST_SPREAD_K
     centre = float(np.mean(temperatures)) if has_slope and temperatures is not None else None
     rows = _design(np.zeros(n) if temperatures is None else temperatures, centre)
     inverse = np.asarray(np.linalg.inv(rows.T @ rows), dtype=np.float64)
@@ -143,10 +137,10 @@ def draw_chart(baseline: Baseline, values: Array, errors: Array, temperatures: A
     predicted, leverage = baseline.predict(temperatures)
     rest = values - predicted
     scatters = baseline.scatters(errors) * baseline.inflation
-    doubt = _PREDICTION * leverage * baseline.scatter * baseline.inflation / scatters
-    steps = np.clip(rest / scatters, -_LARGEST_REST - doubt, _LARGEST_REST + doubt)
-    upper, rise = _sum(steps - doubt - _ALLOWANCE, _HIGHEST * threshold)
-    lower, fall = _sum(-steps - doubt - _ALLOWANCE, _HIGHEST * threshold)
+    doubt = th.PREDICTION * leverage * baseline.scatter * baseline.inflation / scatters
+    steps = np.clip(rest / scatters, -th.LARGEST_REST - doubt, th.LARGEST_REST + doubt)
+    upper, rise = _sum(steps - doubt - th.ALLOWANCE, th.HIGHEST * threshold)
+    lower, fall = _sum(-steps - doubt - th.ALLOWANCE, th.HIGHEST * threshold)
     n = len(values)
     for sign, sums, begins in ((1, upper, rise), (-1, lower, fall)):
         if n and sums[-1] > threshold:
@@ -188,4 +182,4 @@ def _correlation(residual: Array) -> float:
     if power <= 0.0:
         return 0.0
     found = float(residual[1:] @ residual[:-1]) / power
-    return min(max(found + (1.0 + 4.0 * found) / len(residual), 0.0), _MOST_CORRELATION)
+    return min(max(found + (1.0 + 4.0 * found) / len(residual), 0.0), th.MOST_CORRELATION)

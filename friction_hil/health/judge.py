@@ -9,17 +9,13 @@ from typing import Literal
 import numpy as np
 
 from friction_hil.errors import UsageError
-from friction_hil.health.chart import LEAST_BASELINE, Baseline, Chart, draw_chart, fit_baseline, threshold_for
+from friction_hil.health import thresholds as th
+from friction_hil.health.chart import Baseline, Chart, draw_chart, fit_baseline, threshold_for
 from friction_hil.health.observation import RIPPLE, Layout, Observation, family, label, unit
 from friction_hil.numerics.jit import Array
 
 YEAR_S = 365.25 * 86400.0
-BASELINE = 30
-FALSE_ALARMS = 1.0  # per year and axis
-_SIMILAR = 1.3  # ratio of speed or travel, at most: what is not a straight line over the speed would look like a change
-_LEAST_INTERVAL_S = 1.0
 _SIDES = 2
-_KNOWN = 3.0  # standard errors: a smaller value has no percentage
 
 State = Literal["unchanged", "changed", "learning", "not shown"]
 
@@ -74,7 +70,7 @@ class Verdict:
         """Change over baseline; None if either is not known, or the baseline is near zero."""
         if self.state != "changed" or self.baseline is None or self.baseline_error is None:
             return None
-        is_known = abs(self.baseline) > _KNOWN * self.baseline_error
+        is_known = abs(self.baseline) > th.KNOWN_BASELINE * self.baseline_error
         return self.change / abs(self.baseline) if is_known else None
 
 
@@ -124,8 +120,8 @@ def judge(
     observations: Sequence[Observation],
     layout: Layout,
     *,
-    baseline: int = BASELINE,
-    false_alarms: float = FALSE_ALARMS,
+    baseline: int = th.BASELINE,
+    false_alarms: float = th.FALSE_ALARMS,
 ) -> Health:
     """Compare the observations of an axis with the first ones.
 
@@ -145,8 +141,8 @@ def judge(
     UsageError
         The baseline is too short, or the number of false alarms is none.
     """
-    if baseline < LEAST_BASELINE:
-        raise UsageError(f"a baseline needs {LEAST_BASELINE} observations or more, not {baseline}")
+    if baseline < th.LEAST_BASELINE:
+        raise UsageError(f"a baseline needs {th.LEAST_BASELINE} observations or more, not {baseline}")
     if not 0.0 < false_alarms < math.inf:
         raise UsageError(f"false alarms per year are a number above 0, not {false_alarms:g}")
     notes: list[str] = []
@@ -172,7 +168,7 @@ def _similar(observations: list[Observation], baseline: int, notes: list[str]) -
 
     def is_similar(each: Observation) -> bool:
         pairs = ((each.motion.speed, speed), (each.motion.travel, travel))
-        return all(a <= _SIMILAR * b and b <= _SIMILAR * a for a, b in pairs)
+        return all(a <= th.SIMILAR * b and b <= th.SIMILAR * a for a, b in pairs)
 
     kept = [each for each in observations if is_similar(each)]
     if len(kept) < len(observations):
@@ -202,7 +198,7 @@ def _threshold(observations: Sequence[Observation], judged: int, false_alarms: f
     if len(observations) < 2 or not judged:
         return math.inf
     span = observations[-1].time_s - observations[0].time_s
-    per_year = YEAR_S / max(span / (len(observations) - 1), _LEAST_INTERVAL_S)
+    per_year = YEAR_S / max(span / (len(observations) - 1), th.LEAST_INTERVAL_S)
     return threshold_for(max(_SIDES * judged * per_year / false_alarms, 2.0))
 
 

@@ -7,17 +7,15 @@ from typing import Literal
 
 import numpy as np
 
+from friction_hil.health import thresholds as th
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import POSITION_UNITS
 
 AxisKind = Literal["rotary", "linear"]
 
-ZONES = 4  # parts of the travel, for friction over the position
-MOST_ORDERS = 6
 COULOMB, VISCOUS, BREAKAWAY = "coulomb", "viscous", "breakaway"
 ASYMMETRY, LOST_MOTION, RIPPLE, ZONE = "asymmetry", "lost_motion", "ripple", "zone"
 DIRECTIONS = ("positive", "negative")
-_EDGE = 0.02  # of the positions, left out at either end of the travel: overshoot
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,14 +108,14 @@ def layout_of(position: Array, kind: AxisKind, orders: tuple[float, ...] = ()) -
         Orders of ripple to watch besides those that the travel resolves: of a rotary axis these are the lowest whole
         orders, each with a period of its own in the travel. Periods per revolution, or per metre.
     """
-    low, high = np.quantile(position, (_EDGE, 1.0 - _EDGE))
+    low, high = np.quantile(position, (th.OVERSHOOT, 1.0 - th.OVERSHOOT))
     own: tuple[float, ...] = ()
     travel = float(np.ptp(position))
     if kind == "rotary" and travel > 0.0:
         step = max(1, math.ceil(math.tau / travel))
-        own = tuple(float(step * k) for k in range(1, MOST_ORDERS + 1))
+        own = tuple(float(step * k) for k in range(1, th.MOST_ORDERS + 1))
     together = tuple(sorted({*own, *map(float, orders)}))
-    return Layout(kind, tuple(map(float, np.linspace(low, high, ZONES + 1))), together)
+    return Layout(kind, tuple(map(float, np.linspace(low, high, th.ZONES + 1))), together)
 
 
 def family(name: str) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from friction_hil.errors import RecordingError
+from friction_hil.health import thresholds as th
 from friction_hil.health.observation import (
     BREAKAWAY,
     DIRECTIONS,
@@ -30,14 +31,7 @@ from friction_hil.recordings.columns import TIME
 from friction_hil.recordings.quality import without_overflow
 
 COLUMNS = (TIME, "position", "velocity", "torque", "temperature", "load_position")  # of a recording, that are used
-WINDOW_S = 600.0
-_WIDE_HZ, _BAND = 100.0, 0.2  # of the low-pass, and share of the sampling rate
-_REACH = 0.05  # of the travel, after a reversal: where break-away is looked for
-_LEAST_STROKE = 0.1  # of the travel: smaller strokes do not leave presliding
-_REACHED = 0.75  # of the level of the new direction
-_FEWEST = 4  # reversals in a direction
-_SLOW = 0.05  # of the top speed: slower, the load may stick
-_HOW = f"reverse {_FEWEST} times or more in each direction, with strokes of a tenth of the travel"
+_HOW = f"reverse {th.FEWEST_REVERSALS} times or more in each direction, with strokes of a tenth of the travel"
 
 
 def observe(
@@ -47,7 +41,7 @@ def observe(
     kind: AxisKind = "rotary",
     layout: Layout | None = None,
     orders: tuple[float, ...] = (),
-    window_s: float = WINDOW_S,
+    window_s: float = th.WINDOW_S,
 ) -> tuple[list[Observation], Layout, list[str]]:
     """Measure the friction of an axis in a recording.
 
@@ -148,7 +142,7 @@ def add_reversals(
     distances: list[float] = []
     travel = max(float(np.ptp(each.position)) for each in records)
     for record in records:
-        cut = min(_WIDE_HZ, _BAND * record.rate_hz)
+        cut = min(th.WIDE_HZ, th.WIDE_BAND * record.rate_hz)
         if len(record.velocity) <= filtering.lowpass_padding():
             continue
         both = np.column_stack([record.torque - inertia * record.acceleration, record.velocity])
@@ -171,14 +165,14 @@ def _collect(
     turns = np.flatnonzero(np.diff(np.signbit(velocity))) + 1
     for begin, end in itertools.pairwise([*turns.tolist(), len(velocity)]):
         moved = np.abs(position[begin:end] - position[begin])
-        if not np.max(moved, initial=0.0) >= _LEAST_STROKE * travel:
+        if not np.max(moved, initial=0.0) >= th.LEAST_STROKE * travel:
             continue
         direction = DIRECTIONS[int(velocity[begin] < 0.0)]
         along = (-friction if velocity[begin] < 0.0 else friction)[begin:end]
-        reach = int(np.argmax(moved >= _REACH * travel)) + 1
+        reach = int(np.argmax(moved >= th.REACH * travel)) + 1
         peaks[direction].append(float(np.max(along[:reach])))
         if direction in levels:
-            is_reached = along >= _REACHED * levels[direction]
+            is_reached = along >= th.REACHED * levels[direction]
             if is_reached.any():
                 distances.append(float(moved[int(np.argmax(is_reached))]))
 
@@ -186,7 +180,7 @@ def _collect(
 def _add(
     name: str, found: Sequence[float], how: str, quantities: dict[str, Quantity], not_shown: dict[str, str]
 ) -> None:
-    if len(found) < _FEWEST:
+    if len(found) < th.FEWEST_REVERSALS:
         not_shown[name] = how
         return
     quantities[name] = Quantity(float(np.mean(found)), float(np.std(found, ddof=1)) / math.sqrt(len(found)))
@@ -200,15 +194,15 @@ def lost_motion_of_load(recording: Recording) -> Quantity | None:
     velocity = np.gradient(motor, recording["time_s"])
     top = float(np.nanmax(np.abs(velocity), initial=0.0))
     is_known = np.isfinite(motor) & np.isfinite(load) & np.isfinite(velocity)
-    rows = is_known & (np.abs(np.nan_to_num(velocity)) > _SLOW * top)
-    if np.count_nonzero(rows) < _FEWEST:
+    rows = is_known & (np.abs(np.nan_to_num(velocity)) > th.STUCK * top)
+    if np.count_nonzero(rows) < th.FEWEST_REVERSALS:
         return None
     sides = np.sign(velocity[rows])
     strokes = np.cumsum(np.diff(sides, prepend=sides[0]) != 0.0)  # each stroke gives one independent mean
     means = np.array([np.mean((motor - load)[rows][strokes == k]) for k in range(strokes[-1] + 1)])
     of_side = np.array([sides[strokes == k][0] for k in range(strokes[-1] + 1)])
     pair = [means[of_side == side] for side in (1.0, -1.0)]
-    if min(map(len, pair)) < _FEWEST:
+    if min(map(len, pair)) < th.FEWEST_REVERSALS:
         return None
     error = math.hypot(*(float(np.std(each, ddof=1)) / math.sqrt(len(each)) for each in pair))
     return Quantity(float(np.mean(pair[0]) - np.mean(pair[1])), error)

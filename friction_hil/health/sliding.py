@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from friction_hil.health import thresholds as th
 from friction_hil.health.observation import ASYMMETRY, COULOMB, DIRECTIONS, RIPPLE, VISCOUS, ZONE, Layout, Quantity
 from friction_hil.identification.inference import infer
 from friction_hil.identification.least_squares import scaled_solution
@@ -23,8 +24,6 @@ from friction_hil.identification.sliding import SlidingRows, compared
 from friction_hil.numerics.jit import Array
 
 _INERTIA = "inertia"
-_VAGUE = 0.2  # standard error over the friction: what is less exact is not shown by the motion
-_LEAST_ROWS = 30  # in one zone and direction
 _RANK = 1e-9
 _SEVERAL = "hold several constant speeds up to the top speed, in this direction"
 
@@ -55,9 +54,9 @@ def fit_sliding(parts: Sequence[SlidingRows], layout: Layout) -> SlidingFit:
     not_shown: dict[str, str] = {}
     for direction, sign in zip(DIRECTIONS, (1.0, -1.0), strict=True):
         pair = {f"{COULOMB}.{direction}": 1.0, f"{VISCOUS}.{direction}": speed}
-        is_seen = np.count_nonzero(sign * velocity > 0.0) >= _LEAST_ROWS
+        is_seen = np.count_nonzero(sign * velocity > 0.0) >= th.LEAST_ROWS
         for name, arm in pair.items():
-            if is_seen and arm * errors[name] <= _VAGUE * friction:
+            if is_seen and arm * errors[name] <= th.VAGUE * friction:
                 quantities[name] = Quantity(values[name], errors[name])
             else:
                 not_shown[name] = _SEVERAL
@@ -128,7 +127,7 @@ def _add_ripple(
         name = f"{RIPPLE}.{order:g}"
         pair = [f"{name}.{each}" for each in ("cosine", "sine")]
         error = math.hypot(*(errors[each] for each in pair)) / math.sqrt(2.0)
-        if wave * travel >= math.tau and error <= _VAGUE * friction:
+        if wave * travel >= math.tau and error <= th.VAGUE * friction:
             quantities[name] = Quantity(math.hypot(*(values[each] for each in pair)), error)
         else:
             not_shown[name] = "slide slowly over whole periods of this order"
@@ -154,7 +153,7 @@ def _add_zones(
         for direction, sign in zip(DIRECTIONS, (1.0, -1.0), strict=True):
             rows = inside & (zone == k) & (sign * velocity > 0.0)
             name = f"{ZONE}.{k}.{direction}"
-            if direction in levels and np.count_nonzero(rows) >= _LEAST_ROWS:
+            if direction in levels and np.count_nonzero(rows) >= th.LEAST_ROWS:
                 names.append(name)
                 columns.append(sign * rows)
             else:

@@ -11,12 +11,9 @@ from scipy.special import lambertw
 from friction_hil import friction
 from friction_hil.friction import FrictionModel
 from friction_hil.friction.modifiers import SIDES
+from friction_hil.learning import thresholds as th
 
 _LEVELS = ("coulomb", "static", "viscous", "sigma2")
-_ELEMENTS = 4  # of a Maxwell-slip model: each further one adds a stiffness that the motion has to show
-_BREAKAWAY_RATIO = 0.5
-_VISCOUS = 0.02  # of the level at the top speed, where there is none: one of zero could never be learned
-_STRIBECK = 0.05  # of the top speed: a hump that is not known is beside the speeds at which the level is
 
 # Families that express what the present one cannot: a static map has no presliding, Dahl and Bouc-Wen have no Stribeck
 # curve, LuGre has neither memory of inner loops nor a range without drift. Those that have them need not be right, and
@@ -67,8 +64,8 @@ def converted(model: FrictionModel, form: Form, *, speed: float, deflection: flo
     """Return a model of another form that agrees with a given one as far as it can.
 
     Levels, Stribeck velocity and viscous friction stay, and so do all modifiers and the torque per deflection at the
-    begin of a motion. A Maxwell-slip model has `_ELEMENTS` elements of equal weight, whose torque over the deflection
-    is that of a bristle, ``static (1 - exp(-stiffness x / static))``, by pieces of straight lines.
+    begin of a motion. A Maxwell-slip model has elements of equal weight, whose torque over the deflection is that of a
+    bristle, ``static (1 - exp(-stiffness x / static))``, by pieces of straight lines.
 
     ``model``: without a network. ``form``: of its `alternatives`. ``speed``: top speed of the motion, rad/s or m/s.
     ``deflection``: of the bristles at break-away, rad or m, where the model has none. Raises `UsageError`: a level is
@@ -79,7 +76,7 @@ def converted(model: FrictionModel, form: Form, *, speed: float, deflection: flo
     given = dict(model.given) if name == model.name else _parameters(model.name, model.given, name, speed, elastic)
     viscous = "viscous" if name == "gms" else "sigma2"
     if name in ("lugre", "gms", "elasto_plastic") and not given.get(viscous):
-        given[viscous] = _VISCOUS * model.level / speed
+        given[viscous] = th.VISCOUS_OF_LEVEL * model.level / speed
     if form.has_directions and "direction" not in modifiers:
         modifiers["direction"] = {side: {key: given[key] for key in _LEVELS if given.get(key)} for side in SIDES}
     elif "direction" in modifiers:
@@ -104,14 +101,14 @@ def _parameters(
     static = float(known.get("static", coulomb))
     viscous = float(known.get("sigma2", known.get("viscous", 0.0)))
     stiffness = float(np.sum(known.get("sigma0", known.get("stiffness", elastic)))) * float(known.get("A", 1.0))
-    stribeck_velocity = float(known.get("stribeck_velocity", _STRIBECK * speed))
+    stribeck_velocity = float(known.get("stribeck_velocity", th.STRIBECK_OF_SPEED * speed))
     found: dict[str, float | list[float]] = {
         "coulomb": coulomb,
         "static": static,
         "stribeck_velocity": stribeck_velocity,
     }
     if name == "gms":
-        shares, weights = _elements(_ELEMENTS)
+        shares, weights = _elements(th.MAXWELL_ELEMENTS)
         return {
             **found,
             "viscous": viscous,
@@ -126,7 +123,7 @@ def _parameters(
         "sigma2": viscous,
         "damping_velocity": float(known.get("damping_velocity", math.inf)),
     }
-    return found if name == "lugre" else {**found, "breakaway_ratio": _BREAKAWAY_RATIO}
+    return found if name == "lugre" else {**found, "breakaway_ratio": th.BREAKAWAY_RATIO}
 
 
 def _elements(count: int) -> tuple[list[float], list[float]]:

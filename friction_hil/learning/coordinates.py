@@ -11,12 +11,9 @@ import numpy as np
 
 from friction_hil import friction
 from friction_hil.friction import FrictionModel
+from friction_hil.learning import thresholds as th
 from friction_hil.numerics.jit import Array
 
-DEFAULT_ERROR = 0.3  # relative standard error of a parameter for which the model file has none
-_MOST_ERROR = 1.0
-_LEAST_BELOW = 1e-6  # of an upper bound: a parameter stays so far below
-_LEAST_ERROR = 0.01  # a standard error of identification does not contain what temperature has changed since
 # Exponents and weights shape a curve: the motion of a machine in service hardly tells them from its levels.
 _FIXED = re.compile(r"(^|\.)(weight\[\d+\]|.*exponent|reference|order|A|interpolation|rise_s|lag_s)$")
 _INDEX = re.compile(r"(.+)\[(\d+)\]$")
@@ -43,7 +40,7 @@ class Coordinates:
         is_linear, share = np.isfinite(self.scales), self.values / self.uppers
         growth = np.exp(np.where(share > 0.0, x / (1.0 - share), x))
         bounded = growth / (1.0 + share * (growth - 1.0)) if np.any(share > 0.0) else growth
-        most = np.where(np.isfinite(self.uppers), (1.0 - _LEAST_BELOW) * self.uppers, np.inf)
+        most = np.where(np.isfinite(self.uppers), (1.0 - th.LEAST_BELOW) * self.uppers, np.inf)
         return np.where(
             is_linear, self.values + np.nan_to_num(self.scales) * x, np.minimum(self.values * bounded, most)
         )
@@ -86,7 +83,7 @@ def coordinates_of(model: FrictionModel, standard_errors: Mapping[str, float]) -
     """Return the coordinates of a model.
 
     ``model``: without a network. ``standard_errors``: absolute ones of the parameters by name, as `identify` writes
-    them into a model file; parameters without one get a relative error of `DEFAULT_ERROR`.
+    them into a model file; parameters without one get a relative error of `th.DEFAULT_ERROR`.
     """
     names, values, scales, uppers, errors = [], [], [], [], []
     for name in model.free:
@@ -95,12 +92,12 @@ def coordinates_of(model: FrictionModel, standard_errors: Mapping[str, float]) -
         if _FIXED.search(name) or not math.isfinite(value) or (scale is None and value == 0.0) or scale == 0.0:
             continue
         given = standard_errors.get(name, math.nan)
-        relative = abs(given / (value if scale is None else scale)) if math.isfinite(given) else DEFAULT_ERROR
+        relative = abs(given / (value if scale is None else scale)) if math.isfinite(given) else th.DEFAULT_ERROR
         names.append(name)
         values.append(value)
         scales.append(math.nan if scale is None else scale)
         uppers.append(_upper(model, name))
-        errors.append(min(max(relative, _LEAST_ERROR), _MOST_ERROR))
+        errors.append(min(max(relative, th.LEAST_ERROR), th.MOST_ERROR))
     arrays = (np.array(each) for each in (values, scales, uppers, errors))
     return Coordinates(model, tuple(names), *arrays)
 

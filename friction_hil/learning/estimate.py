@@ -19,29 +19,13 @@ from friction_hil.compensator.load import gravity_torque
 from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import minimise_bounded
+from friction_hil.learning import thresholds as th
 from friction_hil.learning.coordinates import Coordinates, coordinates_of
 from friction_hil.learning.window import Window, velocity_of
 from friction_hil.numerics.jit import Array
 
 _INERTIA, STATIC, _DELAY = range(3)  # coordinates of the mechanics, after those of the friction
 MECHANICS = 3
-_INERTIA_ERROR = 0.1  # standard deviation of its relative error
-_STATIC_ERROR = 0.1  # the same of offset and gravity together, in friction levels
-_DELAY_PERIODS = 0.5  # the same of the age of the torque
-_MECHANICS_DRIFT = 0.5  # of these standard deviations: what a minute adds
-_FARTHEST = math.log(5.0)  # of a coordinate of the friction
-_EVALUATIONS = 12
-_REWEIGHTINGS, _MOST_REWEIGHTINGS, _SETTLED = 2, 6, 0.8  # more as long as the residual falls below so much of the last
-_NEAR_S = 0.02  # over which the size of the residual is judged
-_EQUAL_PART = 0.5  # of the rows, those with the smallest residuals, have equal weights
-_CORRELATED_S = 0.5  # longest correlation of the residual that is looked for
-_QUANTUM = 1e-3  # of the friction level: a residual below is taken to be of that size
-_SHOWN = 0.3  # of its first standard deviation: a parameter that is known so much better is shown by the records
-_TIMING = 1.0  # of the change of friction within a period: what is not known of when in a period it happened
-_DEVIATIONS = 3.0  # of what was known at first: farther no estimate goes
-_SURPRISE = 12.0  # a change that drift does not explain
-_CONTRADICTED, _FINE = 1.5, 0.005  # times the residual of the last record, and this part of the level: is it a change?
-_LESS = 0.7  # times that residual without what was known: it was wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +85,7 @@ class Belief:
         ``others``: (m + 3,) coordinates to keep.
         """
         deviations = np.sqrt(np.diag(self.covariance))
-        is_shown = deviations < _SHOWN * self.first
+        is_shown = deviations < th.SHOWN * self.first
         is_shown[-MECHANICS:] = True
         if is_shown.all():
             return self.x
@@ -123,7 +107,7 @@ class Belief:
         """
         drifts = np.full(len(self.x), drift)
         # an inertia does not change, but the error of a model is the same in all records of one motion
-        drifts[-MECHANICS:] = _MECHANICS_DRIFT * self.first[-MECHANICS:]
+        drifts[-MECHANICS:] = th.MECHANICS_DRIFT * self.first[-MECHANICS:]
         added = drifts**2 * seconds / 60.0
         variance = np.diag(self.covariance)
         # what was known at first limits what can be forgotten
@@ -139,7 +123,7 @@ class Belief:
 def first_belief(model: FrictionModel, mechanics: Mechanics, standard_errors: Mapping[str, float]) -> Belief:
     """Return what a model file says; ``standard_errors`` as for `coordinates_of`."""
     coordinates = coordinates_of(model, standard_errors)
-    first = np.concatenate([coordinates.errors, [_INERTIA_ERROR, _STATIC_ERROR, _DELAY_PERIODS]])
+    first = np.concatenate([coordinates.errors, [th.INERTIA_ERROR, th.STATIC_ERROR, th.DELAY_PERIODS]])
     return Belief(coordinates, mechanics, np.zeros(first.size), np.diag(first**2), first)
 
 
@@ -228,7 +212,7 @@ def uncompensated(
     left, _ = problem.residual(belief.x)
     weights, friction = problem.weights(belief.x, left) ** 2, problem.friction(belief.x)
     developed = friction[problem.rows]
-    size = max(_size(developed, weights), _QUANTUM * problem.level)
+    size = max(_size(developed, weights), th.QUANTUM * problem.level)
     found = []
     for model, gain in commands:
         torque = gain * model.simulate(problem.velocity, window.period_s, **window.inputs())
@@ -291,14 +275,14 @@ class _Problem:
         """Return the weights (k,) of the rows: 1 / standard deviation, less where residuals are large or correlated."""
         period_s = self.window.period_s
         near = _near(left, period_s)
-        size = np.maximum(near, max(float(np.quantile(near, _EQUAL_PART)), _QUANTUM * self.level))
+        size = np.maximum(near, max(float(np.quantile(near, th.EQUAL_PART)), th.QUANTUM * self.level))
         size = np.hypot(size, self.doubt(x))
         whitened = left / size
-        return np.asarray(1.0 / (size * math.sqrt(_correlation_time(whitened, round(_CORRELATED_S / period_s)))))
+        return np.asarray(1.0 / (size * math.sqrt(_correlation_time(whitened, round(th.CORRELATED_S / period_s)))))
 
     def doubt(self, x: Array) -> Array:
         """Return the torque (k,) that is uncertain because it changes within a period."""
-        return np.asarray(_TIMING * np.abs(np.gradient(self.friction(x)))[self.rows])
+        return np.asarray(th.TIMING * np.abs(np.gradient(self.friction(x)))[self.rows])
 
     def friction(self, x: Array) -> Array:
         """Return the friction torque (n,)."""
@@ -314,13 +298,13 @@ def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float
     """
     problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
     prior = linalg.cholesky(np.linalg.inv(belief.covariance))
-    mean, reach = belief.x, _DEVIATIONS * belief.first
-    reach[:-MECHANICS] = np.minimum(reach[:-MECHANICS], _FARTHEST)
+    mean, reach = belief.x, th.DEVIATIONS * belief.first
+    reach[:-MECHANICS] = np.minimum(reach[:-MECHANICS], th.FARTHEST)
     x = mean
     left, slopes = problem.residual(x)
     weights = problem.weights(x, left)
     residual = math.inf
-    for k in range(_MOST_REWEIGHTINGS):
+    for k in range(th.MOST_REWEIGHTINGS):
 
         def stacked(at: Array, weights: Array = weights) -> tuple[Array, Array]:
             left, slopes = problem.residual(at)
@@ -329,11 +313,11 @@ def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float
                 np.concatenate([weights[:, None] * slopes, prior]),
             )
 
-        x = minimise_bounded(stacked, x, -reach, reach, evaluations=_EVALUATIONS, tolerance=1e-6).at
+        x = minimise_bounded(stacked, x, -reach, reach, evaluations=th.EVALUATIONS, tolerance=1e-6).at
         left, slopes = problem.residual(x)
         weights = problem.weights(x, left)
         before, residual = residual, _size(left, weights**2)
-        if k >= _REWEIGHTINGS - 1 and residual > _SETTLED * before:
+        if k >= th.REWEIGHTINGS - 1 and residual > th.ESTIMATE_SETTLED * before:
             break
     weighted = weights[:, None] * slopes
     information = weighted.T @ weighted
@@ -366,10 +350,10 @@ def refine(
     ``usual``: residual of the last record, N m.
     """
     found = estimate(window, belief, resolution, skipped_s)
-    is_surprise = found.surprise > _SURPRISE
-    if is_surprise or found.residual > _CONTRADICTED * usual + _FINE * belief.coordinates.model.level:
+    is_surprise = found.surprise > th.SURPRISE
+    if is_surprise or found.residual > th.CONTRADICTED * usual + th.CONTRADICTED_LEVEL * belief.coordinates.model.level:
         anew = estimate(window, belief.doubted(), resolution, skipped_s)
-        if is_surprise or anew.residual < _LESS * found.residual:
+        if is_surprise or anew.residual < th.LESS_RESIDUAL * found.residual:
             return anew
     return found
 
@@ -390,7 +374,7 @@ def _size(values: Array, weights: Array) -> float:
 
 def _near(left: Array, period_s: float) -> Array:
     """Return the local root mean square of the residual."""
-    return np.asarray(np.sqrt(ndimage.uniform_filter1d(left**2, max(round(_NEAR_S / period_s), 1), mode="nearest")))
+    return np.asarray(np.sqrt(ndimage.uniform_filter1d(left**2, max(round(th.NEAR_S / period_s), 1), mode="nearest")))
 
 
 def _correlation_time(values: Array, longest: int) -> float:

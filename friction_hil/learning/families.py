@@ -20,23 +20,12 @@ from friction_hil.daemon.learning_board import FamilyFigures
 from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
+from friction_hil.learning import thresholds as th
 from friction_hil.learning.conversion import Form, alternatives, converted, form_of
 from friction_hil.learning.coordinates import Coordinates, value_of
 from friction_hil.learning.estimate import MECHANICS, STATIC, Belief, first_belief, refine, unexplained
 from friction_hil.learning.motions import Used
 from friction_hil.learning.window import Window, velocity_of
-
-WINDOWS = 8  # of the same motion, one after the other, that a family is judged by
-_SETTLED = 4  # windows of a motion in which the present family alone learns
-_BEGUN = 2  # windows that another one has learned from before it is judged
-_EXPLAINED = 0.1  # of the mean square of what the present family leaves: a family that explains less is not tried
-_WORTH = 0.004  # of the friction level: root mean square torque that it explains in addition
-_EVIDENT = 3.0  # standard errors of the windows
-_FEW, _OBVIOUS = 3, 0.5  # windows in each of which so much was explained, that are enough
-_RARELY = 100  # windows, ten minutes of motion, before another family is looked for
-_UNDECIDED = 10  # windows, after a trial without a verdict, or before another family's trial
-_DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
-_DEFLECTIONS = np.geomspace(0.1, 1e-5, 9)  # of the travel: break-away of a map that has no presliding
 
 
 @dataclass(slots=True)
@@ -45,8 +34,10 @@ class _Other:
 
     belief: Belief
     learned: int = 0  # windows
-    explained: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOWS))  # relative, of each window
-    torque: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOWS))  # mean square, in squares of the level
+    explained: deque[float] = field(default_factory=lambda: deque(maxlen=th.FAMILY_WINDOWS))  # relative, of each window
+    torque: deque[float] = field(
+        default_factory=lambda: deque(maxlen=th.FAMILY_WINDOWS)
+    )  # mean square, in squares of the level
 
 
 @dataclass(slots=True)
@@ -67,7 +58,7 @@ class Families:
         """Return what is known of the family that comes into use, and keep the belief about the former one."""
         found = self._others.pop(form_of(to.model)).belief
         assert found.coordinates is to
-        self._others[form_of(belief.coordinates.model)] = _Other(belief, _BEGUN)
+        self._others[form_of(belief.coordinates.model)] = _Other(belief, th.FAMILY_BEGUN)
         return found
 
     def add(self, content: Mapping[str, Any], present: Belief) -> Used:
@@ -90,7 +81,7 @@ class Families:
         """
         seconds = len(window) * window.period_s - skipped_s
         for other in self._others.values():
-            other.belief = other.belief.older(_DRIFT, seconds)
+            other.belief = other.belief.older(th.FAMILY_DRIFT, seconds)
         self._windows += 1
         self._quiet = max(self._quiet - 1, 0)
         self._rests = {form: left - 1 for form, left in self._rests.items() if left > 1}
@@ -106,7 +97,7 @@ class Families:
         weights = is_moving / np.hypot(size, doubt)  # of a reversal within a period nothing is known
         before = float(np.mean((weights * left) ** 2))
         for form in forms:
-            if form in self._others and (other := self._others[form]).learned >= _BEGUN:
+            if form in self._others and (other := self._others[form]).learned >= th.FAMILY_BEGUN:
                 remaining, _ = unexplained(window, other.belief, other.belief.shown(), *given)
                 after = float(np.mean((weights * remaining) ** 2))
                 if math.isfinite(after):
@@ -144,17 +135,17 @@ class Families:
     def was_kept(self, form: Form, error: float) -> None:
         """Take note that the trial of a family was a gain, with the following error after it."""
         self.figures.state, self.figures.error_after = "kept", error
-        self._quiet = 0 if form.has_directions else _RARELY  # levels of each direction are no other family
+        self._quiet = 0 if form.has_directions else th.FAMILY_RARELY  # levels of each direction are no other family
         self._forget_evidence()
 
     def was_refused(self, form: Form, why: str) -> None:
         """Take note that the trial was no gain, refused or without a verdict; ``why`` becomes the state."""
         self.figures.state = why
         is_undecided = why == "without a verdict"
-        self._rests[form] = _UNDECIDED if is_undecided else self._pauses.get(form, _RARELY)
+        self._rests[form] = th.FAMILY_UNDECIDED if is_undecided else self._pauses.get(form, th.FAMILY_RARELY)
         if not is_undecided:
             self._pauses[form] = 2 * self._rests[form]
-        self._quiet = _UNDECIDED
+        self._quiet = th.FAMILY_UNDECIDED
         self._forget_evidence()
 
     def change_motion(self) -> None:
@@ -174,7 +165,7 @@ class Families:
         forms = alternatives(model)
         forms += tuple(each for each in self._used if each in self._others and each not in forms)  # ways back
         forms = tuple(each for each in forms if each not in self._rests)
-        return [*forms] if self._windows > _SETTLED else _for_directions(forms, form_of(model))
+        return [*forms] if self._windows > th.FAMILY_SETTLED else _for_directions(forms, form_of(model))
 
     def _is_evident(self, form: Form, other: _Other, present: Form) -> bool:
         """Return True if a family explained clearly more in all of the last windows.
@@ -188,12 +179,15 @@ class Families:
             count = min(explained.size, len(plain.explained))
             explained = 1.0 - (1.0 - explained[-count:]) / (1.0 - np.array(plain.explained)[-count:])
             torque = torque[-count:] - np.array(plain.torque)[-count:]
-        if explained.size < (_FEW if adds_directions else WINDOWS) or not float(np.mean(torque)) > _WORTH**2:
+        if (
+            explained.size < (th.FEW_WINDOWS if adds_directions else th.FAMILY_WINDOWS)
+            or not float(np.mean(torque)) > th.FAMILY_WORTH**2
+        ):
             return False
         if adds_directions:
-            return bool(np.min(explained) > _OBVIOUS)
-        mean, error = float(np.mean(explained)), float(np.std(explained, ddof=1)) / math.sqrt(WINDOWS)
-        return mean > max(_EXPLAINED, _EVIDENT * error)
+            return bool(np.min(explained) > th.OBVIOUS)
+        mean, error = float(np.mean(explained)), float(np.std(explained, ddof=1)) / math.sqrt(th.FAMILY_WINDOWS)
+        return mean > max(th.FAMILY_EXPLAINED, th.FAMILY_EVIDENT * error)
 
     def _forget_evidence(self) -> None:
         self._windows = 0
@@ -210,7 +204,7 @@ class Families:
             other.belief = refine(window, other.belief, resolution, skipped_s).belief
             other.learned += 1
         except (UsageError, *NUMERICAL):  # a level of zero, for example
-            self._rests[form] = _UNDECIDED
+            self._rests[form] = th.FAMILY_UNDECIDED
 
 
 def _adds_directions(form: Form, present: Form) -> bool:
@@ -234,7 +228,7 @@ def _begun(form: Form, window: Window, present: Belief, resolution: float, skipp
     travel = float(np.ptp(window.position))
     found: list[tuple[float, Belief]] = []
     for model, known in ((present.model, present.x), (present.coordinates.model, np.zeros_like(present.x))):
-        for part in _DEFLECTIONS if model.family.is_static else _DEFLECTIONS[:1]:
+        for part in th.MAP_DEFLECTIONS if model.family.is_static else th.MAP_DEFLECTIONS[:1]:
             other = converted(model, form, speed=speed, deflection=part * travel)
             # what it adds has standard errors as large as the parameters
             errors = {name: abs(value_of(other, name)) for name in other.free if name not in model.free}

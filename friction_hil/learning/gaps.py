@@ -9,10 +9,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from friction_hil.analysis.following import recovery
+from friction_hil.learning import thresholds as th
 from friction_hil.learning.window import RECORDED
 from friction_hil.numerics.jit import Array
 
-_MOST_FILLED, _MOST_DISTURBED = 0.1, 0.75  # parts of a tick
 _MEASURED = ("position", "torque")  # not known without feedback; all else is
 
 
@@ -46,7 +46,7 @@ class Gaps:
         marked = np.ones(self._size)
         marked[is_there] = is_disturbed
         is_begun = is_measured[0] or (before is not None and before["is_fresh"][0] == 1.0)
-        if not is_begun or np.mean(~is_measured) > _MOST_FILLED or np.mean(marked) > _MOST_DISTURBED:
+        if not is_begun or np.mean(~is_measured) > th.MOST_FILLED or np.mean(marked) > th.MOST_DISTURBED:
             return None
         if is_measured.all():
             return {**{name: rows[name] for name in RECORDED}, "is_disturbed": marked}

@@ -5,14 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from friction_hil.learning import thresholds as th
 from friction_hil.numerics.jit import Array
 
-ALIKE = 0.15  # relative difference of two motions that count as the same work
-HELPS = 0.98  # errors by so much lower count as help
-_PEAK_GROWS, _MOST_PEAK_GROWS = 1.1, 1.5  # and the peak must not grow by more; more where the errors are far lower
-# Spans, s, and how many times the largest error before is harm there. Over a longer one less is left to chance.
-_SPANS_S, _HARMS = (0.5, 1.0, 2.0, 4.0), (1.5, 1.2, 1.15, 1.1)
-_EFFORT_GROWS, _CLEARLY = 1.5, 0.8  # more effort than that takes errors that are clearly lower
 CHANCE = "no more than chance"
 
 
@@ -48,7 +43,7 @@ class Work:
     def is_like(self, other: "Work") -> bool:
         """True if the motion was that of ``other``."""
         return all(
-            abs(mine - theirs) <= ALIKE * max(mine, theirs)
+            abs(mine - theirs) <= th.ALIKE * max(mine, theirs)
             for mine, theirs in (
                 (self.speed, other.speed),
                 (self.acceleration, other.acceleration),
@@ -69,7 +64,7 @@ def work_of(error: Array, position_demand: Array, velocity_demand: Array, compen
         top_speed=float(np.max(np.abs(velocity_demand))),
         rms=rms(error),
         peak=float(np.max(np.abs(error))),
-        worst=tuple(_worst(error, round(span / period_s)) for span in _SPANS_S),
+        worst=tuple(_worst(error, round(span / period_s)) for span in th.HARM_SPANS_S),
         effort=rms(compensation),
         scatter=float(np.std(squares, ddof=1) / math.sqrt(len(squares))) if len(squares) > 1 else 0.0,
     )
@@ -81,7 +76,7 @@ def no_help(error: Array, before: Work, period_s: float) -> tuple[float, float] 
     With part a of a change the mean square of the error is c - 2 b a + d a^2: if a third does not lower it, the whole
     raises it.
     """
-    now = rms(error[-round(_SPANS_S[1] / period_s) :])
+    now = rms(error[-round(th.HARM_SPANS_S[1] / period_s) :])
     return (before.worst[1], now) if now > before.worst[1] else None
 
 
@@ -91,7 +86,7 @@ def is_harmful(error: Array, before: Work, resolution: float, period_s: float) -
     ``error``: (n,) following error since a change, SI. ``before``: without the change. ``resolution``: step of the
     position, SI.
     """
-    for span_s, factor, worst in zip(_SPANS_S, _HARMS, before.worst, strict=True):
+    for span_s, factor, worst in zip(th.HARM_SPANS_S, th.HARMS, before.worst, strict=True):
         rows = round(span_s / period_s)
         if rows > error.size:
             break
@@ -104,11 +99,11 @@ def objection(after: Work, before: Work, resolution: float) -> str:
     """Return why a change did not help; empty if the errors are clearly lower, not by chance, and at no expense."""
     floor = resolution / math.sqrt(12.0)
     gained = before.rms**2 - after.rms**2
-    is_effort_higher = after.effort > _EFFORT_GROWS * before.effort
-    needed = _CLEARLY if is_effort_higher else HELPS
+    is_effort_higher = after.effort > th.EFFORT_GROWS * before.effort
+    needed = th.CLEARLY_LOWER if is_effort_higher else th.HELPS
     if max(after.rms, floor) >= needed * max(before.rms, floor):
         return "more effort for no less error" if is_effort_higher else "no gain"
-    allowed = min(_PEAK_GROWS * math.sqrt(max(before.rms, floor) / max(after.rms, floor)), _MOST_PEAK_GROWS)
+    allowed = min(th.PEAK_GROWS * math.sqrt(max(before.rms, floor) / max(after.rms, floor)), th.MOST_PEAK_GROWS)
     if after.peak > allowed * before.peak + 2.0 * resolution:
         return f"the peak rose to {after.peak / before.peak:.1f} times what it was" if before.peak else "the peak rose"
     if gained < math.hypot(before.scatter, after.scatter):

@@ -10,12 +10,12 @@ import numpy as np
 from friction_hil import friction
 from friction_hil.friction import FrictionModel
 from friction_hil.friction.modifiers import SIDES
+from friction_hil.learning import thresholds as th
 from friction_hil.numerics.jit import Array
 
 RIPPLE, REVERSAL, SPEED, LOAD = "ripple", "reversal", "speed", "load"  # groups of features: modifiers of a model
 PARTS = {RIPPLE: ("cosine", "sine"), REVERSAL: SIDES, SPEED: SIDES, LOAD: ("motoring", "driven")}
 _ABSCISSA = {REVERSAL: "distance", SPEED: "velocity"}
-_END = 2.0  # times the last distance of a layer: nothing is left of its torque
 
 
 class Feature(NamedTuple):
@@ -77,7 +77,7 @@ class Layer:
                 places = sorted(values)
                 curve = {part: [values[at][part] for at in places] for part in SIDES}
                 if group == REVERSAL:
-                    places.append(_END * places[-1])
+                    places.append(th.CURVE_END * places[-1])
                     curve = {part: [*torques, 0.0] for part, torques in curve.items()}
                 modifiers[group] = {_ABSCISSA[group]: places, **curve}
         return friction.create(model.name, modifiers=modifiers, axis=model.axis, **model.given)

@@ -17,35 +17,18 @@ from friction_hil.friction import FrictionModel
 from friction_hil.friction.model import as_dict
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning import oddity
+from friction_hil.learning import thresholds as th
 from friction_hil.learning.estimate import Belief, Mechanics, first_belief, left_over, refine
 from friction_hil.learning.families import Families
 from friction_hil.learning.judge import CHANCE, Work, is_harmful, no_help, objection, rms
-from friction_hil.learning.motions import WINDOW_TICKS, Limit, Motions, Used
-from friction_hil.learning.oddity import WARM_TICKS
+from friction_hil.learning.motions import Limit, Motions, Used
 from friction_hil.learning.proposal import Proposal, Step, Trial
-from friction_hil.learning.record import TICK_S, Record
+from friction_hil.learning.record import Record
 from friction_hil.learning.residual import Residual
 from friction_hil.learning.states import TRANSITIONS, Event, Halt, InForce, LearnerSettings, Seen, State
 from friction_hil.learning.window import COLUMNS, joined
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import POSITION_UNITS, quantity
-
-_SETTLING_TICKS = 3  # beyond the fade: the first strokes after a change are of neither side
-_UNJUDGED_TICKS = 1  # errors may be due to the change itself, in the midst of a reversal
-_MISLED_TICKS = 2
-_FIRST_PART, _FIRST_TICKS = 1.0 / 3.0, 4  # part of a change that is tried first: a wrong one does a ninth of the harm
-_DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
-_WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
-_OTHER = 0.03  # the same: change since a trial that was taken back, after which the next one does not wait
-_FALLS = 0.02  # decrease of the friction since the last change of parameters, beyond which it counts as falling
-_GAIN_WORTH = 0.01
-_LESS_GAIN = 0.05  # step of a lower gain
-_DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
-_FIRST_PAUSE, _LONGER, _LONGEST_PAUSE = 1, 3, 40  # windows without a trial after one taken back, the next one longer
-_LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
-_STOPPED_TICKS = 40
-_WORSE = 1.2  # times the error at the last trial: another one does not wait any longer
-_MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
 
 
 class Learner:
@@ -65,7 +48,7 @@ class Learner:
         self.belief: Belief = first_belief(model, mechanics, standard_errors)  # what is known now
         self._file = Used(self.belief.x, settings.gain, self.belief.coordinates)
         self._force, self._seen, self._halt = InForce(self._file, self._file, self._file), Seen(), Halt()
-        self._motions = Motions(self._file, _FIRST_PAUSE, settings.period_s)
+        self._motions = Motions(self._file, th.TRIAL_FIRST_PAUSE, settings.period_s)
         self.record = Record(settings.period_s, settings.resolution)
         self._state = State.WATCHING
         self._trial: Trial | None = None
@@ -127,7 +110,7 @@ class Learner:
             return "stopped", self._halt.why
         if self._trial is not None:
             return "trying", self._trial.text
-        rest_s = self._motions.now.rest * WINDOW_TICKS * TICK_S
+        rest_s = self._motions.now.rest * th.WINDOW_TICKS * th.TICK_S
         return self._state.value, f"no further change within {rest_s:g} s of motion" if rest_s else ""
 
     @property
@@ -161,8 +144,8 @@ class Learner:
         They are older than the last change unless ``is_in_force``. Unless ``may_estimate``, the next estimate waits.
         """
         tick = {name: np.asarray(rows[name]) for name in COLUMNS}
-        self.belief = self.belief.older(_DRIFT, TICK_S)
-        recent = [*list(self.record.ticks)[1 - oddity.FROZEN_TICKS :], tick]
+        self.belief = self.belief.older(th.DRIFT, th.TICK_S)
+        recent = [*list(self.record.ticks)[1 - th.FROZEN_TICKS :], tick]
         if (reason := oddity.broken(joined(recent), self.belief.coordinates.model.level)) is not None:
             return self._stop(reason)
         if self._motions.take(tick["position_demand"], tick["velocity_demand"]):
@@ -189,9 +172,9 @@ class Learner:
         if is_in_force and self._trial is not None and (proposal := self._judge(self._trial)) is not None:
             return proposal
         # not during a trial, which nobody would take back meanwhile
-        if self._trial is None and self._seen.unused >= WINDOW_TICKS and may_estimate:
+        if self._trial is None and self._seen.unused >= th.WINDOW_TICKS and may_estimate:
             self._refine()
-            if self._force.ticks >= WINDOW_TICKS and self._motions.now.ranges is not None:
+            if self._force.ticks >= th.WINDOW_TICKS and self._motions.now.ranges is not None:
                 before = self.record.work(self._ticks_settled)
                 both = (self._propose, self._propose_layer)[:: -1 if self._is_turn_of_layer else 1]
                 return both[0](before) or both[1](before) or self._propose_family(before)
@@ -200,11 +183,11 @@ class Learner:
     @property
     def _ticks_settled(self) -> int:
         """Ticks with what is in force whose errors count."""
-        return self._force.ticks - self._settings.fade_ticks - _SETTLING_TICKS
+        return self._force.ticks - self._settings.fade_ticks - th.SETTLING_TICKS
 
     def _is_seen(self, before: Work) -> bool:
         """Return True if a lower error would be seen."""
-        return before.is_moving and before.rms >= _LEAST_COUNTS * self.record.resolution
+        return before.is_moving and before.rms >= th.LEAST_COUNTS * self.record.resolution
 
     def _go(self, event: Event) -> None:
         """Go to the next state, with which a trial may end."""
@@ -238,7 +221,7 @@ class Learner:
             return
         self._seen.estimate, self.belief, self._seen.residual = found, found.belief, found.residual
         self._seen.usual = rms(
-            self.record.unexplained(replace(self._force.used, x=self.belief.x), self.belief)[WARM_TICKS:]
+            self.record.unexplained(replace(self._force.used, x=self.belief.x), self.belief)[th.WARM_TICKS :]
         )
         self.figures.relative_errors = self.belief.errors
         if self._settings.has_layer:
@@ -252,19 +235,21 @@ class Learner:
         level, now = self.belief.coordinates.model.level, self._motions.now
         refined = self.belief.shown(self._force.used.x)
         other = replace(self._force.used, x=refined)
-        is_waiting = bool(now.rest) and before.rms <= _WORSE * now.refused_error
+        is_waiting = bool(now.rest) and before.rms <= th.WORSE_ERROR * now.refused_error
         if is_waiting and now.refused is not None:  # what else would be tried is due to friction that has changed
-            is_waiting = not rms(np.subtract(*self.record.torques(now.refused, other))) > _OTHER * level
+            is_waiting = (
+                not rms(np.subtract(*self.record.torques(now.refused, other))) > th.OTHER_FRICTION_LEVEL * level
+            )
         now.rest = now.rest - 1 if is_waiting else 0
         self._settle()
         if is_waiting or not self._is_seen(before):
             return None
         present, next_one = self.record.torques(self._force.used, other)
         change, decline = rms(next_one - present) / level, 1.0 - rms(next_one) / rms(present)
-        falls = decline if decline > _FALLS and not self._force.used.has_model_of(self._file) else 0.0
+        falls = decline if decline > th.FALLS and not self._force.used.has_model_of(self._file) else 0.0
         gain = self._next_gain(now.highest_gain(rms(next_one)), falls)
-        is_other = change > _WORTH
-        if not is_other and abs(gain - self._force.used.gain) <= _GAIN_WORTH:
+        is_other = change > th.TRIAL_WORTH
+        if not is_other and abs(gain - self._force.used.gain) <= th.GAIN_WORTH:
             self._is_gain_doubted = False
             return None
         tried = replace(self._force.used, x=refined if is_other else self._force.used.x, gain=gain)
@@ -290,10 +275,10 @@ class Learner:
         if self._settings.is_gain_fixed:
             return self._force.used.gain
         if self._is_gain_doubted:
-            return max(self._force.used.gain - _LESS_GAIN, self._settings.gain)
+            return max(self._force.used.gain - th.LESS_GAIN, self._settings.gain)
         assert self._seen.estimate is not None
         doubt = math.hypot(self._seen.estimate.torque_error, self._seen.estimate.model_error)
-        known = max(min(1.0 - _DOUBT * doubt / self.belief.coordinates.model.level, 1.0), self._settings.gain)
+        known = max(min(1.0 - th.GAIN_DOUBT * doubt / self.belief.coordinates.model.level, 1.0), self._settings.gain)
         return max(min(known, highest) - falls, self._settings.gain)
 
     def _propose_layer(self, before: Work) -> Proposal | None:
@@ -332,7 +317,7 @@ class Learner:
         self._is_turn_of_layer = step is not Step.LAYER
         if self.figures.error_before is None:
             self.figures.error_before = before.rms
-        return self._hand_over(step, self._force.used.towards(tried, _FIRST_PART), text)
+        return self._hand_over(step, self._force.used.towards(tried, th.FIRST_PART), text)
 
     def _hand_over(self, step: Step, to: Used, text: str) -> Proposal:
         self._force.former, self._force.owed, self._force.is_back = self._force.used, None, step is Step.BACK
@@ -351,14 +336,14 @@ class Learner:
         """Look at a trial: it goes on, or it is kept, or it is taken back."""
         ticks = self._force.ticks
         # a family comes as a whole: a drive's integrator has to give way to levels that differ between the directions
-        unjudged = self._settings.fade_ticks + _UNJUDGED_TICKS if trial.step is Step.FAMILY else _UNJUDGED_TICKS
+        unjudged = self._settings.fade_ticks + th.UNJUDGED_TICKS if trial.step is Step.FAMILY else th.UNJUDGED_TICKS
         error = self.record.errors(max(ticks - unjudged, 1))
         if ticks > unjudged and is_harmful(error, trial.before, self.record.resolution, self.record.period_s):
             return self._take_back(f"the error rose from {self._size(trial.before.rms)} to {self._size(rms(error))}")
         if np.any(np.diff(self.record.rows(2)["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
         if self._state is State.THIRD:
-            if ticks < self._settings.fade_ticks + _FIRST_TICKS:
+            if ticks < self._settings.fade_ticks + th.FIRST_TICKS:
                 return None
             if (both := no_help(error, self.record.expected(self.belief, trial), self.record.period_s)) is not None:
                 shown, part = " -> ".join(map(self._size, both)), "a third of " * (trial.step is not Step.FAMILY)
@@ -367,7 +352,7 @@ class Learner:
             if trial.step is Step.FAMILY:  # there is nothing between two families: the whole has been in force
                 return None
             return self._hand_over(trial.step, trial.tried, "the whole of a change of which a third did no harm")
-        if self._ticks_settled < WINDOW_TICKS:
+        if self._ticks_settled < th.WINDOW_TICKS:
             return None
         after = self.record.work(self._ticks_settled)
         if not after.is_like(trial.before):
@@ -382,7 +367,7 @@ class Learner:
         self._go(Event.KEPT)
         self._force.kept = trial.tried
         self._motions.keep(trial.tried)
-        if self._is_gain_doubted and trial.tried.gain < trial.former.gain - _GAIN_WORTH:
+        if self._is_gain_doubted and trial.tried.gain < trial.former.gain - th.GAIN_WORTH:
             self._motions.now.limit = Limit(trial.tried.gain, rms(self.record.torques(trial.tried)[0]))
         self._is_gain_doubted = False
         if trial.step is Step.LAYER:
@@ -419,7 +404,7 @@ class Learner:
     def _wait(self, error: float, refused: Used | None = None) -> None:
         """Leave the present motion without a trial for a while, longer each time, or until error or friction change."""
         now = self._motions.now
-        now.rest, now.pause = now.pause, min(_LONGER * now.pause, _LONGEST_PAUSE)
+        now.rest, now.pause = now.pause, min(th.LONGER * now.pause, th.TRIAL_LONGEST_PAUSE)
         now.refused_error, now.refused = error, refused
         self._settle()
 
@@ -445,8 +430,8 @@ class Learner:
         """Stop learning for a while: what was recorded so far is not of the axis as it is now."""
         if self._state is not State.STOPPED:
             self.figures.stopped += 1
-            self.notes.append(f"learning stops for {_STOPPED_TICKS * TICK_S:g} s: {reason}")
-        self._halt.ticks, self._halt.why, self._seen.unused = _STOPPED_TICKS, reason, 0
+            self.notes.append(f"learning stops for {th.STOPPED_TICKS * th.TICK_S:g} s: {reason}")
+        self._halt.ticks, self._halt.why, self._seen.unused = th.STOPPED_TICKS, reason, 0
         self.record.ticks.clear()
         self._motions.interrupt()
         self._seen.estimate = None
@@ -464,14 +449,14 @@ class Learner:
         if (
             self._trial is not None
             or self._force.used.has_model_of(self._file)
-            or len(self.record.ticks) < WARM_TICKS + 1
+            or len(self.record.ticks) < th.WARM_TICKS + 1
         ):
             return None
-        ticks = list(self.record.ticks)[-WARM_TICKS - 1 :]
+        ticks = list(self.record.ticks)[-th.WARM_TICKS - 1 :]
         used, file = (self.record.unexplained(each, self.belief, ticks)[-1] for each in (self._force.used, self._file))
         level = self.belief.coordinates.model.level
-        self._seen.misled = self._seen.misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
-        if self._seen.misled < _MISLED_TICKS:
+        self._seen.misled = self._seen.misled + 1 if used > th.MISLED * file + th.MISLED_LEVEL * level else 0
+        if self._seen.misled < th.MISLED_TICKS:
             return None
         if self._force.used.layer is not None:
             self._residual.end()

@@ -15,21 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from friction_hil.friction import FrictionModel
+from friction_hil.learning import thresholds as th
 from friction_hil.learning.conversion import Form, form_of
 from friction_hil.learning.coordinates import Coordinates
 from friction_hil.learning.estimate import MECHANICS
-from friction_hil.learning.judge import ALIKE
 from friction_hil.learning.layer import Layer, between
 from friction_hil.numerics.jit import Array
-
-WINDOW_TICKS = 24  # of motion, before it counts as a kind; the longest span
-_SPANS_TICKS = (1, 2, 4, 8, 16, WINDOW_TICKS)
-_RECOGNISED_TICKS = 4  # of motion within what is known of a kind
-_PARTS = 10  # of a tick: spans begin at each, so that their ranges do not depend on where ticks begin in a period
-_MARGIN = 2  # of parts, by which a span of a motion may be longer or shorter
-_REMEMBERED_TICKS = 54  # of both sides of a comparison
-_MOST_KINDS = 8
-_LIMITED, _OTHER_FRICTION = 20, 0.1  # proposals, and relative change of the friction: so long a gain is limited
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +73,7 @@ class Limit:
 
     gain: float
     torque: float  # root mean square of the friction torque when it was found, N m
-    left: int = _LIMITED  # proposals until a higher one is tried again
+    left: int = th.GAIN_LIMITED  # proposals until a higher one is tried again
 
 
 @dataclass(slots=True)
@@ -103,7 +94,7 @@ class Kind:
     def highest_gain(self, torque: float) -> float:
         """Return the highest gain that is to be tried at a root mean square of the friction torque, N m."""
         limit = self.limit
-        if limit is not None and (limit.left == 0 or abs(torque - limit.torque) > _OTHER_FRICTION * limit.torque):
+        if limit is not None and (limit.left == 0 or abs(torque - limit.torque) > th.OTHER_FRICTION * limit.torque):
             limit = self.limit = None
         if limit is None:
             return 1.0
@@ -119,7 +110,7 @@ class Motions:
 
     def __init__(self, file: Used, pause: int, period_s: float) -> None:
         self._file, self._first_pause, self._rate_hz = file, pause, 1.0 / period_s
-        self._parts: deque[tuple[float, ...]] = deque(maxlen=_PARTS * _REMEMBERED_TICKS)
+        self._parts: deque[tuple[float, ...]] = deque(maxlen=th.MOTION_PARTS * th.REMEMBERED_TICKS)
         self._velocity = math.nan  # last demanded
         self._kinds: list[Kind] = []  # the last one is that of the latest motion
         self.now = Kind(file, pause)
@@ -130,7 +121,7 @@ class Motions:
         changes = np.diff(velocity, prepend=before) * self._rate_hz
         self._velocity = float(velocity[-1])
         is_new = False
-        for part in np.array_split(np.arange(position.size), min(_PARTS, position.size)):
+        for part in np.array_split(np.arange(position.size), min(th.MOTION_PARTS, position.size)):
             p, v = position[part], velocity[part]
             is_moving = v != 0.0
             if np.any(is_moving):
@@ -150,7 +141,7 @@ class Motions:
 
     def keep(self, used: Used) -> None:
         """Take note that something was proven for the present motion, over all of it so far."""
-        seen = _ranges(self._parts, _MARGIN)
+        seen = _ranges(self._parts, th.SPAN_MARGIN)
         known = seen if self.now.ranges is None else self.now.ranges
         self.now.ranges = np.stack([np.fmin(known[0], seen[0]), np.fmax(known[1], seen[1])])
         self.now.used, self.now.pause = used, self._first_pause
@@ -171,23 +162,23 @@ class Motions:
 
     def _meet(self) -> bool:
         """Look whether a motion that has just begun is a known one; return True if so."""
-        if len(self._parts) >= _PARTS * _RECOGNISED_TICKS:
-            seen = _ranges(list(self._parts)[-_PARTS * _RECOGNISED_TICKS :])
+        if len(self._parts) >= th.MOTION_PARTS * th.RECOGNISED_TICKS:
+            seen = _ranges(list(self._parts)[-th.MOTION_PARTS * th.RECOGNISED_TICKS :])
             for kind in reversed(self._kinds):
                 assert kind.ranges is not None
                 if kind is not self.now and _is_within(seen, kind.ranges):
                     self.now = kind
                     self._remember()
-                    for _ in range(len(self._parts) - _PARTS * _RECOGNISED_TICKS):
+                    for _ in range(len(self._parts) - th.MOTION_PARTS * th.RECOGNISED_TICKS):
                         self._parts.popleft()
                     return True
-        if len(self._parts) >= _PARTS * WINDOW_TICKS:
-            self.now.ranges = _ranges(self._parts, _MARGIN)
+        if len(self._parts) >= th.MOTION_PARTS * th.WINDOW_TICKS:
+            self.now.ranges = _ranges(self._parts, th.SPAN_MARGIN)
             self._remember()
         return False
 
     def _remember(self) -> None:
-        self._kinds = [*(kind for kind in self._kinds if kind is not self.now), self.now][-_MOST_KINDS:]
+        self._kinds = [*(kind for kind in self._kinds if kind is not self.now), self.now][-th.MOST_KINDS :]
 
 
 def _ranges(parts: Collection[tuple[float, ...]], margin: int = 0, *, is_latest: bool = False) -> Array:
@@ -197,13 +188,13 @@ def _ranges(parts: Collection[tuple[float, ...]], margin: int = 0, *, is_latest:
     parts.
     """
     rows = np.array(list(parts))
-    found = np.full((2, len(_SPANS_TICKS), 3), np.nan)
-    for k, ticks in enumerate(_SPANS_TICKS):
-        if len(rows) < ticks * _PARTS:
+    found = np.full((2, len(th.SPANS_TICKS), 3), np.nan)
+    for k, ticks in enumerate(th.SPANS_TICKS):
+        if len(rows) < ticks * th.MOTION_PARTS:
             break
-        own = rows[-ticks * _PARTS :] if is_latest else rows
+        own = rows[-ticks * th.MOTION_PARTS :] if is_latest else rows
         for change in range(margin + 1):  # all: a mean square is not always least for the shortest ones
-            shorter, longer = (_spans(own, ticks * _PARTS + sign * change) for sign in (-1, 1))
+            shorter, longer = (_spans(own, ticks * th.MOTION_PARTS + sign * change) for sign in (-1, 1))
             found[0, k] = np.fmin(found[0, k], shorter.min(axis=0))
             found[1, k] = np.fmax(found[1, k], longer.max(axis=0))
     return found
@@ -219,6 +210,6 @@ def _spans(rows: Array, length: int) -> Array:
 
 def _is_within(seen: Array, known: Array) -> bool:
     """Return True if ranges do not exceed others by more than what two motions of a kind differ by."""
-    alike = np.array([1.0 - ALIKE, 1.0 - ALIKE, (1.0 - ALIKE) ** 2])  # the last one is a square
+    alike = np.array([1.0 - th.ALIKE, 1.0 - th.ALIKE, (1.0 - th.ALIKE) ** 2])  # the last one is a square
     is_outside = (seen[0] < alike * known[0]) | (seen[1] * alike > known[1])  # False for NaN
     return not bool(np.any(is_outside))

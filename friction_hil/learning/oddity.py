@@ -5,35 +5,22 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from friction_hil.compensator.load import gravity_torque
+from friction_hil.learning import thresholds as th
 from friction_hil.learning.estimate import MECHANICS, Belief
-from friction_hil.learning.judge import ALIKE
 from friction_hil.learning.motions import Used
 from friction_hil.learning.window import COLUMNS, joined, velocity_of, window_of
 from friction_hil.numerics.jit import Array
-
-WARM_TICKS = 4  # before those that count: they bring the state of the model to where it was
-FROZEN_TICKS = 3
-_FROZEN_LEVEL = 0.2  # the compensation changed by so much meanwhile, the torque feedback not at all
-# times the largest change of the following error within a period before, as long as little of it has been seen, later
-_FIRST_GLITCH, _GLITCH, _GLITCH_COUNTS = 8.0, 4.0, 16.0
-_SPAN_TICKS, _LEAST_ALIKE = 3, 3  # of a comparison of following errors; spans of the past that it needs
-_OTHERWISE, _OTHERWISE_COUNTS = 3.0, 4.0  # times the errors of the same motion before
-_ODD_TICKS = 2  # one may be that of a reversal
-_ODD = 2.0  # times what was left unexplained before
-_ODD_LEVEL = 0.05  # and this part of the friction level at least
-_LEAST_MOVING = 0.25  # part of a tick; a shorter motion says too little
-_UNFILTERED = 20  # last rows of a record, which its filters do not reach
 
 
 def broken(rows: Mapping[str, Array], level: float) -> str | None:
     """Return why the last rows are not to be used at all; None if they are.
 
-    ``rows``: `COLUMNS` of `FROZEN_TICKS` ticks, (n,) each. ``level``: of the friction, N m.
+    ``rows``: `COLUMNS` of `th.FROZEN_TICKS` ticks, (n,) each. ``level``: of the friction, N m.
     """
     finite = [name for name in COLUMNS if name not in ("load_estimate", "temperature_estimate")]
     if not all(np.isfinite(rows[name]).all() for name in finite):
         return "the record has gaps"
-    if np.ptp(rows["torque"]) == 0.0 and np.ptp(rows["compensation"]) > _FROZEN_LEVEL * level:
+    if np.ptp(rows["torque"]) == 0.0 and np.ptp(rows["compensation"]) > th.FROZEN_LEVEL * level:
         return "the torque feedback is frozen"
     return None
 
@@ -49,8 +36,8 @@ def jump(past: Mapping[str, Array], tick: Mapping[str, Array], resolution: float
         float(np.nanmax(np.abs(changes), initial=0.0))
         for changes in (np.diff(errors[0]), np.diff(errors[1], prepend=errors[0][-1]))
     )
-    factor = _GLITCH if is_known else _FIRST_GLITCH
-    return found if found > factor * usual + _GLITCH_COUNTS * resolution else 0.0
+    factor = th.GLITCH if is_known else th.FIRST_GLITCH
+    return found if found > factor * usual + th.GLITCH_COUNTS * resolution else 0.0
 
 
 def follows_otherwise(ticks: Sequence[Mapping[str, Array]], resolution: float, period_s: float) -> float:
@@ -58,26 +45,28 @@ def follows_otherwise(ticks: Sequence[Mapping[str, Array]], resolution: float, p
 
     ``ticks``: `COLUMNS`, all with the same compensation. ``resolution``: step of the position, SI.
     """
-    if len(ticks) < _SPAN_TICKS + _LEAST_ALIKE:
+    if len(ticks) < th.SPAN_TICKS + th.LEAST_ALIKE:
         return 0.0
     velocity = np.array([tick["velocity_demand"] for tick in ticks])
     squares = np.array([np.nanmean(_error(tick) ** 2) for tick in ticks]), np.mean(velocity**2, axis=1)
     changes = np.mean((np.diff(velocity, axis=1) / period_s) ** 2, axis=1)
-    windows = [np.lib.stride_tricks.sliding_window_view(each, _SPAN_TICKS) for each in (*squares, changes)]
+    windows = [np.lib.stride_tricks.sliding_window_view(each, th.SPAN_TICKS) for each in (*squares, changes)]
     error, speed, acceleration = (np.sqrt(each.mean(axis=1)) for each in windows)
     if speed[-1] == 0.0:
         return 0.0
-    is_alike = np.ones(error[:-_SPAN_TICKS].size, dtype=bool)  # spans that share a tick with the last one are left out
+    is_alike = np.ones(
+        error[: -th.SPAN_TICKS].size, dtype=bool
+    )  # spans that share a tick with the last one are left out
     for each in (speed, acceleration):
-        is_alike &= np.abs(each[:-_SPAN_TICKS] - each[-1]) <= ALIKE * np.maximum(each[:-_SPAN_TICKS], each[-1])
-    if np.count_nonzero(is_alike) < _LEAST_ALIKE:
+        is_alike &= np.abs(each[: -th.SPAN_TICKS] - each[-1]) <= th.ALIKE * np.maximum(each[: -th.SPAN_TICKS], each[-1])
+    if np.count_nonzero(is_alike) < th.LEAST_ALIKE:
         return 0.0
-    floor = _OTHERWISE_COUNTS * resolution
-    before, now = np.maximum(error[:-_SPAN_TICKS][is_alike], floor), max(float(error[-1]), floor)
+    floor = th.OTHERWISE_COUNTS * resolution
+    before, now = np.maximum(error[: -th.SPAN_TICKS][is_alike], floor), max(float(error[-1]), floor)
     low, high = float(np.min(before)), float(np.max(before))
-    if now > _OTHERWISE * high:
+    if now > th.OTHERWISE * high:
         return now / high
-    return now / low if low > _OTHERWISE * now else 0.0
+    return now / low if low > th.OTHERWISE * now else 0.0
 
 
 def is_other_axis(left: Array, usual: float, level: float) -> bool:
@@ -86,7 +75,7 @@ def is_other_axis(left: Array, usual: float, level: float) -> bool:
     ``left``: (n,) result of `unexplained`, N m; ``usual``: its root mean square in the window of the estimate, N m.
     ``level``: of the friction, N m.
     """
-    return bool(np.min(left[-_ODD_TICKS:]) > _ODD * usual + _ODD_LEVEL * level)
+    return bool(np.min(left[-th.ODD_TICKS :]) > th.ODD * usual + th.ODD_LEVEL * level)
 
 
 def unexplained(
@@ -108,12 +97,12 @@ def unexplained(
     inertia, static, _ = belief.x[-MECHANICS:]
     left = window.torque - friction - (1.0 + inertia) * belief.mechanics.inertia * acceleration
     left -= static * belief.coordinates.model.level + gravity_torque(*belief.mechanics.static, window.position)
-    counted = slice(0, -_UNFILTERED)  # in each tick, so that an old one compares with the latest
+    counted = slice(0, -th.UNFILTERED)  # in each tick, so that an old one compares with the latest
     is_moving = (rows["velocity_demand"] != 0.0) & (rows["is_disturbed"] == 0.0)
     is_moving = is_moving.reshape(len(ticks), -1)[:, counted]
     counts = is_moving.sum(axis=1)
     squares = np.where(is_moving, left.reshape(len(ticks), -1)[:, counted] ** 2, 0.0).sum(axis=1)
-    is_shown = counts >= _LEAST_MOVING * len(window) / len(ticks)
+    is_shown = counts >= th.LEAST_MOVING * len(window) / len(ticks)
     return np.asarray(np.where(is_shown, np.sqrt(squares / np.maximum(counts, 1)), 0.0))
 
 

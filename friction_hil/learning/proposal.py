@@ -6,11 +6,10 @@ from enum import Enum
 
 from friction_hil.daemon.control.message import TEXT_BYTES
 from friction_hil.friction import FrictionModel
+from friction_hil.learning import thresholds as th
 from friction_hil.learning.estimate import Uncompensated
 from friction_hil.learning.judge import Work
 from friction_hil.learning.motions import Used
-
-_MOST_NAMED, _NAMED = 3, 0.005  # parameters in a notice, and their least relative change
 
 
 class Step(Enum):
@@ -59,7 +58,7 @@ def described(
     if proposal.step is Step.KNOWN:
         return f"learning goes on with {proposal.text}"
     words = "learning tries" if is_tried else "learning would try"
-    for most in range(_MOST_NAMED, 0, -1):
+    for most in range(th.MOST_NAMED, 0, -1):
         shown = _changes(before, after, most)
         text = f"{words} {shown}: {proposal.text}" if shown else f"{words} {proposal.text}"
         if len(f"{axis}: {text}".encode()) <= TEXT_BYTES:
@@ -83,7 +82,9 @@ def _changes(before: Mapping[str, float], after: Mapping[str, float], most: int)
     if before.keys() != after.keys():
         return ""
     relative = {name: (after[name] - value) / abs(value) for name, value in before.items() if value}
-    named = sorted((name for name in relative if abs(relative[name]) >= _NAMED), key=lambda name: -abs(relative[name]))
+    named = sorted(
+        (name for name in relative if abs(relative[name]) >= th.NAMED_CHANGE), key=lambda name: -abs(relative[name])
+    )
     words = [f"{name} {100.0 * relative[name]:+.0f} %" for name in named[:most]]
     others = len(named) - len(words)
     return ", ".join([*words, *([f"{others} more"] if others else [])])

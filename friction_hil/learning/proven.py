@@ -12,9 +12,8 @@ from typing import Any
 
 from friction_hil import friction
 from friction_hil.errors import UsageError
+from friction_hil.learning import thresholds as th
 
-LONGEST_S = 7.0 * 86400.0  # older ones are stale
-WARMEST_K = 10.0  # and those of another temperature
 _VERSION = 2
 
 
@@ -72,10 +71,10 @@ def recall(path: Path, model: str, temperature: float | None, now_s: float | Non
     if found.model != model:
         return None, "the model file has changed"
     age_s = (time.time() if now_s is None else now_s) - found.unix_s
-    if not 0.0 <= age_s <= LONGEST_S:
+    if not 0.0 <= age_s <= th.PROVEN_LONGEST_S:
         return None, f"they are {age_s / 86400.0:.0f} days old"
     if temperature is not None and found.temperature is not None:
         warmer = abs(temperature - found.temperature)
-        if warmer > WARMEST_K:
+        if warmer > th.PROVEN_WARMEST_K:
             return None, f"the temperature differs by {warmer:.0f} K"
     return found, ""

@@ -7,20 +7,15 @@ from dataclasses import replace
 
 from friction_hil.friction import FrictionModel
 from friction_hil.learning import oddity
+from friction_hil.learning import thresholds as th
 from friction_hil.learning.estimate import Belief, Uncompensated, uncompensated
-from friction_hil.learning.judge import HELPS, Work, rms, work_of
+from friction_hil.learning.judge import Work, rms, work_of
 from friction_hil.learning.layer import Layer
-from friction_hil.learning.motions import WINDOW_TICKS, Used
-from friction_hil.learning.oddity import WARM_TICKS
+from friction_hil.learning.motions import Used
 from friction_hil.learning.proposal import Trial
 from friction_hil.learning.window import Window, errors_of, joined, velocity_of, window_of
 from friction_hil.numerics.jit import Array
 from friction_hil.numerics.readable import POSITION_UNITS, quantity
-
-TICK_S = 0.25
-_MORE_LEFT = 2.0  # times what is left of the friction now: the most that a truer model may leave with its gain
-_EXPLAINS = 0.8  # times the unexplained torque of former parameters
-_STEADY, _MOST_DRIFTED = 0.02, 1.25  # change of what the former compensation leaves within a trial: none, and most
 
 
 class Record:
@@ -29,17 +24,17 @@ class Record:
     def __init__(self, period_s: float, resolution: float) -> None:
         self.period_s, self.resolution = period_s, resolution  # step of the position, rad or m
         # rows of each, `friction_hil.learning.window.COLUMNS`
-        self.ticks: deque[dict[str, Array]] = deque(maxlen=WARM_TICKS + WINDOW_TICKS)
+        self.ticks: deque[dict[str, Array]] = deque(maxlen=th.WARM_TICKS + th.WINDOW_TICKS)
 
     @property
     def rows_per_tick(self) -> int:
         """Number of rows of a tick."""
-        return round(TICK_S / self.period_s)
+        return round(th.TICK_S / self.period_s)
 
     @property
     def warm_s(self) -> float:
         """Beginning of the record that only brings the model's state to where it was, s."""
-        return TICK_S * (len(self.ticks) - WINDOW_TICKS if len(self.ticks) > WINDOW_TICKS else 2)
+        return th.TICK_S * (len(self.ticks) - th.WINDOW_TICKS if len(self.ticks) > th.WINDOW_TICKS else 2)
 
     def rows(self, ticks: int) -> dict[str, Array]:
         """Return the rows of the last ticks, one after the other."""
@@ -56,8 +51,8 @@ class Record:
 
     def work(self, settled: int) -> Work:
         """Return what the last window shows; of its errors, those of the last ``settled`` ticks, one at least."""
-        rows = self.rows(WINDOW_TICKS)
-        error = self.errors(min(max(settled, 1), WINDOW_TICKS))
+        rows = self.rows(th.WINDOW_TICKS)
+        error = self.errors(min(max(settled, 1), th.WINDOW_TICKS))
         return work_of(error, rows["position_demand"], rows["velocity_demand"], rows["compensation"], self.period_s)
 
     def errors(self, ticks: int) -> Array:
@@ -83,7 +78,7 @@ class Record:
         """
         whole = replace(tried, gain=1.0), replace(in_use, gain=1.0)
         after, before, true_after, true_before = (each.lasting for each in self.left(belief, tried, in_use, *whole))
-        return after < HELPS * before or (true_after < HELPS * true_before and after < _MORE_LEFT * before)
+        return after < th.HELPS * before or (true_after < th.HELPS * true_before and after < th.MORE_LEFT * before)
 
     def expected(self, belief: Belief, trial: Trial) -> Work:
         """Return what the axis would have done meanwhile without a trial, where friction has drifted.
@@ -94,9 +89,9 @@ class Record:
         size, _, lack = trial.left  # with its noise: the less of it is friction, the less is a difference
         lack_now = self.left(belief, trial.former)[0].lack
         drifted = math.sqrt(max(size**2 - lack**2, 0.0) + lack_now**2) / size
-        if abs(drifted - 1.0) <= _STEADY:
+        if abs(drifted - 1.0) <= th.STEADY_DRIFT:
             return trial.before
-        return trial.before.scaled(min(max(drifted, 1.0 / _MOST_DRIFTED), _MOST_DRIFTED))
+        return trial.before.scaled(min(max(drifted, 1.0 / th.MOST_DRIFTED), th.MOST_DRIFTED))
 
     def explains_more(self, belief: Belief, tried: Used, former: Used) -> bool:
         """Return True if a trial explains the torque since then, which it was not estimated from, clearly better.
@@ -104,8 +99,8 @@ class Record:
         Where friction drifts, the error with the former parameters would have risen meanwhile: no gain over before may
         be one over what would be now.
         """
-        left = [rms(self.unexplained(each, belief)[WARM_TICKS:]) for each in (tried, former)]
-        return left[0] < _EXPLAINS * left[1]
+        left = [rms(self.unexplained(each, belief)[th.WARM_TICKS :]) for each in (tried, former)]
+        return left[0] < th.EXPLAINS * left[1]
 
     def unexplained(self, used: Used, belief: Belief, ticks: Sequence[Mapping[str, Array]] | None = None) -> Array:
         """Return the root mean square of each tick's torque (n,) that a model leaves unexplained, N m.
@@ -121,10 +116,10 @@ class Record:
         ``tick``: the next one. ``settled``: ticks of the record with the present compensation. ``own``: what explains
         the torque best; None before the first estimate. ``usual``: torque that it left unexplained, N m.
         """
-        if len(self.ticks) < WARM_TICKS:
+        if len(self.ticks) < th.WARM_TICKS:
             return ""
         past = list(self.ticks)
-        is_known = len(past) >= WINDOW_TICKS
+        is_known = len(past) >= th.WINDOW_TICKS
         if jump := oddity.jump(joined(past), tick, self.resolution, is_known=is_known):
             return f"the position jumps by {quantity(jump, POSITION_UNITS[belief.coordinates.model.axis])}"
         same = [*past[-settled:], tick] if settled > 0 else []
@@ -133,7 +128,7 @@ class Record:
                 f"the following error is {times:.2g} times what it was, in the same motion with the same compensation"
             )
         if own is not None:
-            left = self.unexplained(own, belief, [*past[-WARM_TICKS:], tick])
+            left = self.unexplained(own, belief, [*past[-th.WARM_TICKS :], tick])
             if oddity.is_other_axis(left, usual, belief.coordinates.model.level):
                 return "the torque is not that of the model any more"
         return ""

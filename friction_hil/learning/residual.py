@@ -25,33 +25,10 @@ from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
 from friction_hil.friction.modifiers import MAX_HARMONICS
 from friction_hil.identification.ripple import RippleSearch
+from friction_hil.learning import thresholds as th
 from friction_hil.learning.estimate import MECHANICS, LeftOver
 from friction_hil.learning.layer import LOAD, REVERSAL, RIPPLE, SPEED, Feature, Layer, columns, pairs
 from friction_hil.numerics.jit import Array
-
-SHARE = 0.2  # of the friction level: the torque of a layer is at most so much
-_MOST = 4  # harmonics
-_HELD = 1.0  # of what rows show of a coordinate: by so much it is held where it is
-_CLEAR = 0.4  # of the mean square of what the model leaves: groups beside ripple that explain less are not tried
-_WORTH = 0.004  # of the friction level: root mean square torque, or change of it, that is worth a trial
-_PARTS = 2  # of a window, each explained by what the others and the past show
-_SPENT = 2  # windows in which a layer explained nothing, one after the other: it is switched off
-_FIRST_PAUSE, _LONGEST_PAUSE = 2, 40  # windows without a trial, after one that was no gain
-_SEARCHED_ROWS = 2000  # of a window; the search takes most of the time
-_VARIED = 0.05  # of the friction level: scatter of the load torque from which on its effect is looked for
-_DISTANCES = tuple(2.0**k for k in range(-3, 6))  # in distances over which the torque builds up after a reversal
-_SPEEDS = tuple(2.0**k for k in range(-6, 1))  # in top speeds
-_OF_TRAVEL = 1e-3  # such a distance where the model has none
-_MOVING = 0.01  # of the top speed: slower rows are at rest, where friction is whatever holds the axis
-SAME_ROWS = 20.0  # rows that show no more than one, because what a model leaves is correlated
-EXPLAINED = 0.1  # of the mean square of what the model leaves: a layer that explains less is not worth a trial
-STRETCHES = 12  # of a window, that count as repeated records
-_REMEMBERED_S = 60.0  # time constant of forgetting
-_EVIDENT = 3.0  # standard errors by which the explained part exceeds chance
-AT_TIMES = 1.5  # the same of what a slow motion shows at a few reversals only
-_EXPECTED = 0.1  # of the friction level: standard deviation of an amplitude before anything was learned
-_SMOOTH = 0.05  # of the friction level: the same of the change from one place of a curve to the next
-_DIFFERENT = 0.015  # and of that of half the difference between both directions
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +40,7 @@ class Memory:
 
     def older(self, seconds: float) -> "Memory":
         """Return what is left of it after some time."""
-        kept = math.exp(-seconds / _REMEMBERED_S)
+        kept = math.exp(-seconds / th.LAYER_REMEMBERED_S)
         return Memory(kept * self.information, kept * self.shown)
 
     def with_rows(self, columns: Array, target: Array) -> "Memory":
@@ -124,7 +101,7 @@ class Residual:
     _is_beside: bool = False  # the last trial was of more than ripple
     _is_waves_turn: bool = False  # where that was no gain, ripple alone is tried next
     _spent: int = 0  # windows in which the layer in use explained nothing
-    _pause: int = _FIRST_PAUSE
+    _pause: int = th.LAYER_FIRST_PAUSE
     _rest: int = 0  # windows until the next trial
     _patience: int = 1
     _blind: int = 0  # windows until orders are looked for again
@@ -134,15 +111,15 @@ class Residual:
         friction = left.friction(left.belief.model)
         added = np.zeros_like(friction) if used is None else left.friction(used.on(left.belief.model)) - friction
         speed = np.abs(left.velocity)
-        is_moving = speed > _MOVING * float(np.max(speed, initial=0.0))
-        if np.count_nonzero(is_moving) < STRETCHES * _PARTS or not np.isfinite(left.torque).all():
+        is_moving = speed > th.LAYER_MOVING * float(np.max(speed, initial=0.0))
+        if np.count_nonzero(is_moving) < th.STRETCHES * th.LAYER_PARTS or not np.isfinite(left.torque).all():
             return Finding(None)
         typical = max(float(np.median(np.abs(left.torque[is_moving]))), 1e-12)
         weights = is_moving / np.hypot(typical, left.doubt)
         if used is not None:
             gained = np.sum(weights**2 * (left.torque**2 - (left.torque - added) ** 2))
             self._spent = self._spent + 1 if gained <= 0.0 else 0
-            if self._spent >= _SPENT:
+            if self._spent >= th.LAYER_SPENT:
                 return Finding(None, is_spent=True)
         if not self._waves:
             if self._blind:
@@ -167,7 +144,7 @@ class Residual:
         self._grouped = ()
         kept = set() if used is None else set(used.groups)
         is_turn = not (self._is_waves_turn and waves)
-        if index and is_turn and explained > _CLEAR and is_evident(rows.target, after, AT_TIMES):
+        if index and is_turn and explained > th.LAYER_CLEAR and is_evident(rows.target, after, th.AT_TIMES):
             known = self._joint.at(index)
             solved = known.solved(*self._expected(index, rows, known))
             wanted = Finding(self._layer(index, solved), explained, x=solved[-rows.x.size :])
@@ -206,13 +183,13 @@ class Residual:
     def was_kept(self, tried: Layer | None, error: float) -> None:
         """Take note that a trial was a gain."""
         self.figures.state, self.figures.text, self.figures.error_after = "on", str(tried), error
-        self._pause, self._is_waves_turn = _FIRST_PAUSE, False
+        self._pause, self._is_waves_turn = th.LAYER_FIRST_PAUSE, False
 
     def was_refused(self, used: Layer | None, why: str) -> None:
         """Take note that a trial was no gain, refused or without a verdict; ``used`` is the layer that stays."""
         self.figures.state = why if used is None else "on"
         self._is_waves_turn = self._is_beside
-        self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
+        self._rest, self._pause = self._pause, min(2 * self._pause, th.LAYER_LONGEST_PAUSE)
 
     def changed_motion(self, used: Layer | None) -> None:
         """Take note of another motion and of what is proven for it; what was learned goes on."""
@@ -240,7 +217,7 @@ class Residual:
     def _spread(self, left: LeftOver, weights: Array) -> None:
         """Choose the places of the other groups, anew where the motion leaves their ranges."""
         load = np.abs(np.nan_to_num(left.window.load_torque[left.rows][weights > 0.0]))
-        is_loaded = float(np.std(load)) > _VARIED * self.model.level
+        is_loaded = float(np.std(load)) > th.LOAD_VARIED * self.model.level
         seen = (power_of_two(np.max(np.abs(left.velocity))), power_of_two(np.max(load)) if is_loaded else 0.0)
         size = len(self._waves) + len(self._grid) + left.belief.x.size
         known = self._ranges or (0.0, 0.0, 0.0)
@@ -248,11 +225,11 @@ class Residual:
             return
         top, most = max(seen[0], known[0]), max(seen[1], known[1])
         # a static map has no distance of its own
-        distance = known[2] or presliding(self.model) or float(np.ptp(left.position)) * _OF_TRAVEL
+        distance = known[2] or presliding(self.model) or float(np.ptp(left.position)) * th.DISTANCE_OF_TRAVEL
         self._ranges = (top, most, distance)
         places = {
-            REVERSAL: [distance * each for each in _DISTANCES] if distance > 0.0 else [],
-            SPEED: [top * each for each in _SPEEDS],
+            REVERSAL: [distance * each for each in th.LAYER_DISTANCES] if distance > 0.0 else [],
+            SPEED: [top * each for each in th.LAYER_SPEEDS],
             LOAD: [most] if most > 0.0 else [],
         }
         own = self.model.modifiers
@@ -262,7 +239,7 @@ class Residual:
     def _search(self, left: LeftOver, weights: Array) -> list[float]:
         """Return the orders that stand out."""
         present = self.model.modifiers.get(RIPPLE, ())
-        most = min(_MOST, MAX_HARMONICS - len(present))
+        most = min(th.MOST_HARMONICS, MAX_HARMONICS - len(present))
         if most <= 0:
             return []
         thinned = (_thinned(each) for each in (left.position, left.torque, left.slopes, weights))
@@ -271,7 +248,7 @@ class Residual:
         is_linear = self.model.axis == "linear"
         orders = RippleSearch(position, torque, slopes, weights, parts, is_linear=is_linear).orders(most)
         if not orders:
-            self._blind, self._patience = self._patience, min(2 * self._patience, _LONGEST_PAUSE)
+            self._blind, self._patience = self._patience, min(2 * self._patience, th.LAYER_LONGEST_PAUSE)
         return orders
 
     def _groups(self, rows: Rows, waves: list[int], after: Array, used: Layer | None) -> tuple[list[int], Array]:
@@ -301,7 +278,7 @@ class Residual:
         while left := [group for group in left if group not in chosen]:
             found = {group: tried([*chosen, group]) for group in left}
             best = min(left, key=lambda group: float(np.sum(found[group][1] ** 2)))
-            if not is_evident(now, found[best][1], AT_TIMES):
+            if not is_evident(now, found[best][1], th.AT_TIMES):
                 break
             chosen.append(best)
             index, now = found[best]
@@ -317,7 +294,7 @@ class Residual:
         information = expected([(*self._waves, *self._grid)[i] for i in own]) / self.model.level**2
         mean = np.zeros(len(own))
         if rows is not None and known is not None:
-            held = SAME_ROWS * rows.first**-2.0 + _HELD * np.diag(known.information)[len(own) :]
+            held = th.SAME_ROWS * rows.first**-2.0 + th.LAYER_HELD * np.diag(known.information)[len(own) :]
             information = linalg.block_diag(information, np.diag(held))
             mean = np.concatenate([mean, rows.x])
         return mean, information
@@ -327,7 +304,7 @@ class Residual:
     ) -> Array:
         """Return the target of each part of the rows as the other parts and the past predict it."""
         predicted = np.empty_like(target)
-        bounds = np.linspace(0, target.size, _PARTS + 1).astype(int)
+        bounds = np.linspace(0, target.size, th.LAYER_PARTS + 1).astype(int)
         for begin, end in itertools.pairwise(bounds):
             is_other = np.ones(target.size, dtype=bool)
             is_other[begin:end] = False
@@ -343,7 +320,7 @@ class Residual:
         own = [features[i] for i in index if i < len(features)]
         # the friction of a model rises with its load
         amplitudes = [float(max(a, 0.0) if each.group == LOAD else a) for each, a in zip(own, solved, strict=False)]
-        return Layer(tuple(own), tuple(amplitudes)).limited(SHARE * self.model.level)
+        return Layer(tuple(own), tuple(amplitudes)).limited(th.LAYER_SHARE * self.model.level)
 
     def _checked(
         self, left: LeftOver, rows: Rows, friction: Array, added: Array, used: Layer | None, found: Finding
@@ -362,15 +339,15 @@ class Residual:
             moved = left.slopes[:, -MECHANICS:] @ (found.x - left.belief.x)[-MECHANICS:]
             after = rows.weights * (left.torque - (torque - friction) + moved)
             # coordinates act in straight lines only nearby
-            if not np.sum(after**2) < (1.0 - EXPLAINED) * np.sum(rows.target**2):
+            if not np.sum(after**2) < (1.0 - th.LAYER_EXPLAINED) * np.sum(rows.target**2):
                 return Finding(None, found.explained)
         change = float(np.sqrt(np.mean((torque - own - added) ** 2)))
-        return replace(found, layer=found.layer if change > _WORTH * self.model.level else used, change=change)
+        return replace(found, layer=found.layer if change > th.LAYER_WORTH * self.model.level else used, change=change)
 
 
 def _thinned(values: Array) -> Array:
-    """Return means of successive rows (k, ...), about `_SEARCHED_ROWS` of them."""
-    length = max(len(values) // _SEARCHED_ROWS, 1)
+    """Return means of successive rows (k, ...), about `th.SEARCHED_ROWS` of them."""
+    length = max(len(values) // th.SEARCHED_ROWS, 1)
     rows = len(values) // length
     return np.asarray(values[: rows * length].reshape(rows, length, *values.shape[1:]).mean(axis=1))
 
@@ -394,13 +371,13 @@ def rows_of(left: LeftOver, weights: Array, features: Sequence[Feature]) -> Rows
     )
 
 
-def is_evident(before: Array, after: Array, errors: float = _EVIDENT) -> bool:
+def is_evident(before: Array, after: Array, errors: float = th.LAYER_EVIDENT) -> bool:
     """Return True if weighted residuals (k,) became smaller, by so many errors of what their stretches scatter by."""
-    starts = np.linspace(0, before.size, STRETCHES, endpoint=False).astype(int)
+    starts = np.linspace(0, before.size, th.STRETCHES, endpoint=False).astype(int)
     gains = np.add.reduceat(before**2 - after**2, starts)
     error = float(np.std(gains, ddof=1)) / math.sqrt(gains.size)
     share = float(np.sum(gains)) / max(float(np.sum(before**2)), 1e-300)
-    return share > EXPLAINED and float(np.mean(gains)) > errors * error
+    return share > th.LAYER_EXPLAINED and float(np.mean(gains)) > errors * error
 
 
 def expected(features: Sequence[Feature]) -> Array:
@@ -409,14 +386,14 @@ def expected(features: Sequence[Feature]) -> Array:
     Curves are smooth and both directions are alike: the mean of both and half their difference are random walks along
     the places of a curve.
     """
-    found = np.eye(len(features)) * _EXPECTED**-2.0
+    found = np.eye(len(features)) * th.AMPLITUDE_EXPECTED**-2.0
     for group in (REVERSAL, SPEED, LOAD):
         own = [i for i, each in enumerate(features) if each.group == group]
         count = len(own) // 2
         steps = np.eye(count) - np.eye(count, k=-1)
-        walk = np.kron(steps.T @ steps, np.diag([_SMOOTH**-2.0, _DIFFERENT**-2.0]))
+        walk = np.kron(steps.T @ steps, np.diag([th.CURVE_SMOOTH**-2.0, th.DIRECTIONS_DIFFERENT**-2.0]))
         both = np.kron(np.eye(count), np.array([[0.5, 0.5], [0.5, -0.5]]))
-        found[np.ix_(own, own)] = SAME_ROWS * both.T @ walk @ both
+        found[np.ix_(own, own)] = th.SAME_ROWS * both.T @ walk @ both
     return np.asarray(found)
 
 

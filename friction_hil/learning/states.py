@@ -9,8 +9,8 @@ from enum import Enum
 
 from friction_hil.learning.estimate import Estimate
 from friction_hil.learning.motions import Used
-from friction_hil.learning.record import TICK_S
 from friction_hil.learning.residual import Finding
+from friction_hil.learning.thresholds import TICK_S
 
 
 class State(Enum):

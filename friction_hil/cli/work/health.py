@@ -19,7 +19,7 @@ from friction_hil.cli.work.tables import new_table, number, print_files, print_t
 from friction_hil.daemon.companion import state_folder
 from friction_hil.daemon.control.names import is_name
 from friction_hil.errors import FrictionHilError, RecordingError, UsageError
-from friction_hil.health import Health, Verdict, judge, observe
+from friction_hil.health import Health, Verdict, judge, observe, thresholds
 from friction_hil.health.history import History, append, load, state_of
 from friction_hil.health.metrics import metrics_text
 from friction_hil.health.observe import COLUMNS
@@ -244,6 +244,7 @@ def _as_dict(found: Sequence[Health], notes: Sequence[str], false_alarms: float,
         "false_alarms_per_axis_year": false_alarms,
         "notes": list(notes),
         "axes": {each.axis: _axis_as_dict(each) for each in found},
+        "thresholds": {name.lower(): value for name, value in vars(thresholds).items() if name.isupper()},
     }
 
 

@@ -10,11 +10,12 @@ import pytest
 from friction_hil.learning import states
 from friction_hil.learning.coordinates import value_of, with_values
 from friction_hil.learning.estimate import Mechanics, first_belief
-from friction_hil.learning.motions import WINDOW_TICKS, Used
+from friction_hil.learning.motions import Used
 from friction_hil.learning.proposal import Step, Trial
 from friction_hil.learning.proven import Proven, recall, store
-from friction_hil.learning.record import TICK_S, Record
+from friction_hil.learning.record import Record
 from friction_hil.learning.states import TRANSITIONS, Event, State
+from friction_hil.learning.thresholds import TICK_S, WINDOW_TICKS
 from tests.compensators import INERTIA, LUGRE, PERIOD_S, quantised
 from tests.learning_records import COUNT, WRONG, Driven, levels, record
 

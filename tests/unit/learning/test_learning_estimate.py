@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import friction_hil as fh
-from friction_hil.learning.coordinates import DEFAULT_ERROR, coordinates_of, value_of, with_values
+from friction_hil.learning.coordinates import coordinates_of, value_of, with_values
 from friction_hil.learning.estimate import MECHANICS, Mechanics, estimate, first_belief, lasting
+from friction_hil.learning.thresholds import DEFAULT_ERROR
 from tests.compensators import INERTIA, LUGRE, MODELS
 from tests.learning_records import COUNT, DIRECTED, WRONG, record, window
 

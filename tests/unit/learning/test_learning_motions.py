@@ -8,7 +8,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from friction_hil.learning.coordinates import coordinates_of
-from friction_hil.learning.motions import WINDOW_TICKS, Kind, Limit, Motions, Used
+from friction_hil.learning.motions import Kind, Limit, Motions, Used
+from friction_hil.learning.thresholds import WINDOW_TICKS
 from tests.compensators import LUGRE
 
 PERIOD_S = 2e-3

@@ -12,9 +12,10 @@ import friction_hil as fh
 from friction_hil.learning import estimate
 from friction_hil.learning.estimate import Mechanics
 from friction_hil.learning.layer import Layer, between, columns, pairs
-from friction_hil.learning.motions import WINDOW_TICKS
 from friction_hil.learning.proposal import Step
-from friction_hil.learning.residual import SHARE, Residual
+from friction_hil.learning.residual import Residual
+from friction_hil.learning.thresholds import LAYER_SHARE as SHARE
+from friction_hil.learning.thresholds import WINDOW_TICKS
 from friction_hil.learning.window import Window
 from tests.compensators import INERTIA, LUGRE, PERIOD_S
 from tests.learning_records import COUNT, Driven, motion

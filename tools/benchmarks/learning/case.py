@@ -13,8 +13,8 @@ from friction_hil.learning.estimate import Mechanics
 from friction_hil.learning.gaps import Gaps
 from friction_hil.learning.learner import Learner
 from friction_hil.learning.proposal import Proposal
-from friction_hil.learning.record import TICK_S
 from friction_hil.learning.states import LearnerSettings
+from friction_hil.learning.thresholds import TICK_S
 from friction_hil.learning.window import RECORDED
 from friction_hil.numerics.jit import Array
 from tools.benchmarks.compensation.grid import DriveLoops, Grid, Plant

@@ -13,7 +13,7 @@ from friction_hil.compensator import Compensator
 from friction_hil.friction import FrictionModel
 from friction_hil.learning.coordinates import value_of, with_values
 from friction_hil.learning.layer import REVERSAL, SPEED, Layer, pairs
-from friction_hil.learning.residual import SHARE
+from friction_hil.learning.thresholds import LAYER_SHARE as SHARE
 from tools.benchmarks.compensation.grid import DriveLoops, Grid, Plant
 from tools.benchmarks.compensation.motions import GridMotion
 from tools.benchmarks.compensation.numbers import geometric_mean
