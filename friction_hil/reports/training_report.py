@@ -33,7 +33,7 @@ def write_report(path: Path, candidate: TrainedModel, seconds: float) -> None:
 <p>{_result(candidate)} Trained in {seconds:.1f} s, {trained.iterations} iterations, seed {trained.seed}.</p>
 <h2>Errors</h2>
 {_errors(candidate)}
-{unordered_list([*task.notes, *trained.flags])}
+{unordered_list([*(f"not for motion {each}" for each in candidate.not_for), *task.notes, *trained.flags])}
 <h2>Free run on signals that were not used for training</h2>
 {
         "".join(

@@ -21,22 +21,22 @@ _KINDS = ("multisine", "ramps", "multisine", "pulses")
 Draw = Callable[[float, float], float]
 
 
-def excitation(top_speed: float, dt: float, samples: int, *, slowest: float | None = None, seed: int = 0) -> Array:
+def excitation(top_speed: float, dt: float, samples: int, *, seed: int = 0) -> Array:
     """Design a training signal: multi-sines, ramps with reversals, and pulses with rests, in many short segments.
 
     Amplitudes, rates and frequencies are spread over decades, so that presliding, creep and fast motion occur with slow
     and with sudden changes. Every segment begins and ends at rest.
 
-    Returns (samples,), rad/s, held over each sample. ``top_speed``: rad/s. ``dt``: s. ``slowest``: smallest amplitude,
-    rad/s; None: a thousandth of ``top_speed``. The same seed gives the same bits. Raises `UsageError`: a number is not
-    finite or not above zero, or ``slowest`` is not below ``top_speed``.
+    Returns (samples,), rad/s, held over each sample. ``top_speed``: rad/s; the smallest amplitude is a thousandth
+    of it. ``dt``: s. The same seed gives the same bits. Raises `UsageError`: a number is not finite or not
+    above zero.
     """
-    slowest = top_speed / 10.0**_DECADES if slowest is None else slowest
-    if not (0.0 < slowest < top_speed < math.inf and 0.0 < dt < math.inf and samples > 0):
+    if not (0.0 < top_speed < math.inf and 0.0 < dt < math.inf and samples > 0):
         raise UsageError(
-            "an excitation needs 0 < slowest < top_speed, a period and a number of samples above zero, all finite, "
-            f"not {slowest}, {top_speed}, {dt}, {samples}"
+            "an excitation needs a top speed, a period and a number of samples above zero, all finite, "
+            f"not {top_speed}, {dt}, {samples}"
         )
+    slowest = top_speed / 10.0**_DECADES
     random = np.random.default_rng(seed)
     mean_length = max(2, round(sum(_SEGMENT_S) / 2.0 / dt))
     count = -(-samples // mean_length)

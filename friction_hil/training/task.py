@@ -13,7 +13,6 @@ from friction_hil.identification.export import model_file
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
-from friction_hil.recordings.quality import resolution
 from friction_hil.training import data
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples
@@ -101,17 +100,14 @@ def task_of_recordings(
     if lowpass_hz is None and is_static:
         lowpass_hz = _STATIC_LOWPASS * prepare(recordings[0])[0].rate_hz
     name = "the model of --base"
+    if lowpass_hz is None:
+        recordings, validation = map(data.without_counted_velocity, (recordings, validation))
     if known is None:
         known, name = _identify(recordings, is_linear, lowpass_hz)
         notes.append(f"inertia, offset and gravity as identified with {name}")
     records = [record for each in recordings for record in prepare(each, lowpass_hz=lowpass_hz)]
     others = [record for each in validation for record in prepare(each, lowpass_hz=lowpass_hz)]
     slowest = least_speed(records)
-    if slowest > 0.0 and not is_residual:
-        notes.append(
-            f"slower than {slowest:.3g} the recordings show no friction that a network could learn: what it does there "
-            "is not known. Beside a model (without --structure, or with residual) that model remains there"
-        )
     notes += dict.fromkeys(problem for record in (*records, *others) for problem in record.problems)
     if lowpass_hz is None and all(map(_is_counted, (*records, *others))):
         records, others = [list(map(fine.at_full_rate, each)) for each in (records, others)]
@@ -161,10 +157,7 @@ def _in_torque(
 
 def _is_counted(record: RegressionSegment) -> bool:
     """Return True if no better velocity is known than the one from the encoder's counts."""
-    if record.resolution is None or not fine.is_fine(record):
-        return False
-    step = resolution(record.velocity) if record.lowpass_hz is None else None
-    return record.lowpass_hz is not None or (step is not None and step > 0.5 * record.resolution * record.rate_hz)
+    return record.lowpass_hz is not None and fine.is_fine(record)
 
 
 def _identify(recordings: Sequence[Recording], is_linear: bool, lowpass_hz: float | None) -> tuple[ModelFile, str]:

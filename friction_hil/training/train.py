@@ -17,7 +17,8 @@ from friction_hil.training.first_weights import first_weights
 from friction_hil.training.layout import Samples, empty
 from friction_hil.training.objective import NetworkRun, Objective
 
-DECAYS = (1e-9, 1e-8, 1e-6)  # of the squared weights; a network whose output is 0 has a mean squared error of 1
+# of the squared weights; the starts use them in turn. A network whose output is 0 has a mean squared error of 1
+_DECAYS = (1e-9, 1e-8, 1e-6)
 _SPEED_FACTORS = (0.3, 1.0, 0.1)
 _PATIENCE = 40  # iterations without a better free run on validation before a search ends
 _BAD = 0.1  # NRMSE in free run above which a network has not learned
@@ -57,17 +58,10 @@ class Options:
     survivors: int = 2  # starts that are continued
     trial_iterations: int = 25  # of each start
     iterations: int = 150  # further ones of each survivor
-    decays: tuple[float, ...] = DECAYS  # of the weights; the starts use them in turn
-    # bound on the sum of slopes over the fed-back values, see `constraints`; None: that of the structure
-    contraction: float | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.survivors <= self.starts or min(self.trial_iterations, self.iterations) < 1:
             raise UsageError("a training needs one start or more, as many survivors at most, and one iteration of each")
-        if not self.decays or not all(0.0 <= decay < math.inf for decay in self.decays):
-            raise UsageError(f"decays are one or more finite numbers of 0 or more, not {self.decays}")
-        if self.contraction is not None and not self.contraction > 0.0:
-            raise UsageError(f"contraction is above zero, not {self.contraction}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,14 +88,14 @@ class _Start:
     """One start: its scales and first weights, and the best network found from them."""
 
     def __init__(self, number: int, training: "_Training") -> None:
-        structure, samples, options = training.structure, training.samples, training.options
+        structure, samples = training.structure, training.samples
         random = np.random.default_rng((training.seed, number))
         self.number = number
-        self.decay = options.decays[number % len(options.decays)]
-        self.p = empty(structure, samples, _SPEED_FACTORS[number // len(options.decays) % len(_SPEED_FACTORS)])
+        self.decay = _DECAYS[number % len(_DECAYS)]
+        self.p = empty(structure, samples, _SPEED_FACTORS[number // len(_DECAYS) % len(_SPEED_FACTORS)])
         if structure.kind == "gated":
             self.p[network.STROKE] *= random.uniform(1.2, 2.5)  # the stop explains the middle of several strokes
-        self.constraint = Constraint(structure, options.contraction or constraints.CONTRACTIONS[structure.kind])
+        self.constraint = Constraint(structure, constraints.CONTRACTIONS[structure.kind])
         self.at = first_weights(self.p, structure, samples, random)
         self.damping = 1e-2
         self.error = math.inf

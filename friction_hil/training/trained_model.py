@@ -13,6 +13,7 @@ from friction_hil.errors import UsageError, choices
 from friction_hil.friction import FrictionModel, Network, NetworkStructure
 from friction_hil.friction.network_model import INPUTS
 from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.training import export, physical
 from friction_hil.training.held_out import Gain, gain
 from friction_hil.training.layout import Samples
@@ -25,6 +26,7 @@ _STATES = (1, 5)  # of a gated network; several suit friction like that of Maxwe
 _SEVERAL_STATES = Options(starts=5, survivors=2, trial_iterations=15, iterations=50)
 _GOOD_ENOUGH = 0.02  # NRMSE on validation below which a gated network needs no more states
 _BLOCKS = 6  # in which validation samples are compared, or more
+_BANDS = 4  # of the speed, with the same number of samples each
 _ORDERS = (1, 2, 3)  # of a narx: numbers of past torques and past velocities
 
 
@@ -131,6 +133,42 @@ class TrainedModel:
         )
         return {name: gain(network[1], errors) for name, errors in others}
 
+    @property
+    def not_for(self) -> tuple[str, ...]:
+        """Motion for which the network is not to be used, by its speed, each as words after "motion".
+
+        That is what the recordings do not show, and bands of speed in which a physical model predicts held-out blocks
+        clearly better. A network beside a model fades out where the recordings show nothing: the model remains there.
+        """
+        task, unit = self.task, f"{POSITION_UNITS[self.task.known.axis]}/s"
+        if task.is_residual:
+            return ()
+        found = [f"faster than {self.network.speed_limit:.3g} {unit}: there is none in the training"]
+        if task.least_speed > 0.0:
+            found.append(f"slower than {task.least_speed:.3g} {unit}: the recordings do not show its friction")
+        return (*found, *self._worse_bands(unit))
+
+    def _worse_bands(self, unit: str) -> list[str]:
+        """Return the bands of speed in which the best physical model is better than the network."""
+        if not self.compared:
+            return []
+        samples = self.task.validation
+        speed, weight = np.abs(samples.velocity), samples.weight
+        network, *others = self._left(samples).items()
+        name, best = min(others, key=lambda each: float(weight @ each[1] ** 2))
+        edges = np.quantile(speed[weight > 0.0], np.linspace(0.0, 1.0, _BANDS + 1))
+        found = []
+        for low, high in itertools.pairwise(edges.tolist()):
+            rows = (weight > 0.0) & (speed >= low) & (speed <= high)
+            parts = [block for block in _blocks(samples) if rows[block].any()]
+            errors, before = (
+                [float(np.mean(left[block][rows[block]] ** 2)) for block in parts] for left in (best, network[1])
+            )
+            better = gain(errors, before)
+            if better.is_clear:
+                found.append(f"from {low:.3g} to {high:.3g} {unit}: the mean square error of {name} is {better.words}")
+        return found
+
     def _left(self, samples: Samples) -> dict[str, Array]:
         """Return the error of the torque on samples of the validation, (n,), of the network and the physical models."""
         left = {str(self.network): samples.torque - self.free_run(samples)}
@@ -144,13 +182,18 @@ class TrainedModel:
         """Return the content of the model file as plain values."""
         task = self.task
         return export.as_model_file(
-            self.trained, self.network, task.known, is_residual=task.is_residual, sources=task.sources
+            self.trained,
+            self.network,
+            task.known,
+            is_residual=task.is_residual,
+            sources={**task.sources, "not_for": list(self.not_for)},
         )
 
     def as_json(self, seconds: float) -> dict[str, Any]:
         """Return the object that ``train --json`` prints."""
         return {
             **export.as_json(self.trained, seconds),
+            "not_for": self.not_for,
             "relative_errors": self.relative_errors,
             "gain": {name: [value.mean, value.error] for name, value in self.gains.items()},
             "unseen": {name: self.error(samples) for name, samples in self.task.unseen.items()},

@@ -249,6 +249,8 @@ def _print(candidate: TrainedModel, seconds: float, *, verbose: bool) -> None:
         for name, error in candidate.relative_errors.items():
             compared.add_row(name, f"{100.0 * error:.3f} %", str(gains.get(name, "")))
         print_table(compared)
+    for words in candidate.not_for:
+        click.echo(f"- not for motion {words}")
     for note in (*trained.flags, *(candidate.task.notes if verbose else ())):
         click.echo(f"- {note}")
 

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import friction_hil as fh
 from friction_hil.errors import UsageError
 from friction_hil.models import NetworkStructure
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
-from friction_hil.training import physical, task_of_recordings
+from friction_hil.training import NetworkSpec, physical, task_of_recordings, train_task
 from friction_hil.training.checks import simulate
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples, join
@@ -230,13 +231,30 @@ def test_reversals_are_not_low_passed_away(seed):
     assert np.std(found.velocity - velocity) < 0.5 * np.std(raw - velocity)
 
 
-def test_a_velocity_that_is_differences_of_counts_is_replaced_and_a_finer_one_is_not():
-    velocity, _, recording = recorded()
-    for better, is_kept in ((velocity + 1e-4 * np.sin(np.arange(ROWS)), True), (None, False)):
-        given = np.diff(recording["position"], prepend=0.0) / DT if better is None else better
+@pytest.mark.parametrize("bits", [14, 20])
+def test_a_velocity_that_the_drive_has_from_the_counts_is_replaced_and_a_finer_one_is_not(bits):
+    velocity, _, recording = recorded(count=2.0 * np.pi / 2**bits)
+    counted = np.diff(recording["position"], prepend=0.0) / DT
+    filtered = lfilter([0.6], [1.0, -0.4], counted)  # as drives do
+    finer = velocity + 1e-4 * np.sin(np.arange(ROWS))
+    for given, is_kept in ((counted, False), (filtered, False), (finer, True)):
         recording.columns["velocity"] = given
-        used = task_of(recording).samples.velocity
-        assert np.array_equal(used, given) == is_kept
+        task = task_of(recording)
+        assert np.array_equal(task.samples.velocity, given) == is_kept
+        assert any("counts" in note for note in task.notes) != is_kept
+
+
+def test_a_network_names_the_speeds_it_is_not_for():
+    _, _, recording = recorded()
+    found = train_task(task_of(recording), NetworkSpec("static", (3,)))
+    faster, slower, *bands = found.not_for
+    assert faster.startswith(f"faster than {found.network.speed_limit:.3g} rad/s")
+    assert slower.startswith(f"slower than {found.task.least_speed:.3g} rad/s")
+    # presliding is friction with a state, which the network does not have; a fitted LuGre model does
+    assert bands
+    assert all("lugre" in band for band in bands)
+    assert found.model_file()["fit"]["not_for"] == list(found.not_for)
+    assert found.as_json(0.0)["not_for"] == found.not_for
 
 
 @pytest.mark.parametrize("options", [{"lowpass_hz": 80.0}, {"is_static": True}])

@@ -351,7 +351,6 @@ def test_the_search_is_not_changed_by_the_units_of_its_numbers():
         (lambda: Samples(DT, np.zeros(3), np.array([0.0, math.nan, 0.0])), "sample 1 is nan"),
         (lambda: Samples(DT, np.zeros(3), np.zeros(2)), "shape"),
         (lambda: join([samples(10), samples(10, dt=2 * DT)]), "sampling period"),
-        (lambda: excitation(1.0, DT, 100, slowest=2.0), "slowest < top_speed"),
         (lambda: excitation(math.inf, DT, 100), "finite"),
         (lambda: NetworkStructure("gatd"), "did you mean 'gated'"),
         (lambda: NetworkStructure(hidden=(3, 3, 3)), "layers"),
