@@ -13,7 +13,7 @@ from friction_hil.friction.modifiers import SIDES
 from friction_hil.identification import humps, modifiers, structures, unknown_gain
 from friction_hil.identification.choice import is_better, is_significant
 from friction_hil.identification.data import LEAST_ROWS, Data, RegressionSegment, prepare
-from friction_hil.identification.fine import COARSE_STEPS_HZ, STEPS_HZ, fine_data, is_fine
+from friction_hil.identification.fine import fine_data, is_fine
 from friction_hil.identification.fits import MECHANICS, Fit, ended, fit, refined
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.identification.regression import BACK_EMF, INVERSE_GAIN, Estimate, Regression
@@ -22,6 +22,7 @@ from friction_hil.identification.screening import Search, screened
 from friction_hil.identification.settings import FitStep, IdentificationSettings, chosen_families
 from friction_hil.identification.sliding import LOW_HZ, WIDE_HZ, sliding_mechanics
 from friction_hil.identification.structures import EQUAL_IN_FEEDFORWARD, ModelStructure
+from friction_hil.identification.thresholds import COARSE_STEPS_HZ, STEPS_HZ
 from friction_hil.identification.workers import in_parallel
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording

@@ -11,17 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from friction_hil.errors import RecordingError
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.inference import is_doubtful
 from friction_hil.identification.prediction_errors import PredictionError
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.numerics.jit import Array
-
-_EXACT = 1e-3  # of the measured torque: smaller errors do not matter
-_NEGLIGIBLE = 0.014  # of the friction: beside the tenth that a gain of 0.9 leaves, it makes a difference of 1 %
-_ABSENT = 1e-3  # of its upper bound: a Coulomb level below is at the lower one
-_SERIES = 20  # values: fewer do not show how they are correlated, as those of groups of recordings
-_FAR = 2.0  # standard errors: a fit that is worse by more is not plausible
 
 
 def log_likelihood_gain(error: PredictionError, base: PredictionError) -> tuple[float, float]:
@@ -45,7 +40,7 @@ def _floor(error: PredictionError) -> float:
     """Return the mean square error below which a difference does not matter."""
     if not error.relative_error > 0.0:
         return 1e-300
-    return max((_EXACT * error.rmse / error.relative_error) ** 2, 1e-300)
+    return max((th.CHOICE_EXACT * error.rmse / error.relative_error) ** 2, 1e-300)
 
 
 def _error_of_mean(values: Array) -> float:
@@ -55,7 +50,7 @@ def _error_of_mean(values: Array) -> float:
         return 0.0
     left = values - np.mean(values)
     lags = int(4.0 * (count / 100.0) ** (2.0 / 9.0))  # Newey and West, Review of Economic Studies, 1994
-    lags = lags if count >= _SERIES else 0
+    lags = lags if count >= th.SERIES else 0
     power = float(left @ left)
     for lag in range(1, lags + 1):
         power += 2.0 * (1.0 - lag / (lags + 1.0)) * float(left[lag:] @ left[:-lag])
@@ -72,7 +67,7 @@ def is_better(fit: Fit, base: Fit) -> bool:
 def is_significant(fit: Fit, base: Fit) -> bool:
     """Return True if held-out data are more likely with a fit than with ``base`` by two standard errors."""
     gain, doubt = log_likelihood_gain(fit.held_out, base.held_out)
-    return gain > _FAR * doubt
+    return gain > th.CHOICE_FAR * doubt
 
 
 def is_determined(fit: Fit) -> bool:
@@ -89,7 +84,7 @@ def at_bound(fit: Fit) -> tuple[str, ...]:
         each.name
         for each in fit.structure.coordinates
         if each.name in fit.estimate.at_bound
-        and (each.name.rpartition(".")[2] != "coulomb" or fit.values[each.name] > _ABSENT * each.upper)
+        and (each.name.rpartition(".")[2] != "coulomb" or fit.values[each.name] > th.ABSENT * each.upper)
     )
 
 
@@ -139,7 +134,7 @@ def _quantile(normal: float, freedom: int) -> float:
 def _is_negligible(fit: Fit, best: Fit) -> bool:
     """Return True if the additional error of a fit is far below what friction there is to be compensated."""
     additional = fit.held_out.rmse**2 - best.held_out.rmse**2
-    return additional <= _NEGLIGIBLE**2 * float(np.mean(best.curves.friction**2))
+    return additional <= th.NEGLIGIBLE**2 * float(np.mean(best.curves.friction**2))
 
 
 def choose(fits: Sequence[Fit], blocks: str = "blocks", kind: str = "") -> tuple[Fit, str]:
@@ -159,7 +154,9 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks", kind: str = "") -> tuple
         raise RecordingError("no candidate could be fitted to the recording")
     best = ordered[0]
     close = near(fits, 1.0)
-    sound = [each for each in close if is_sound(each)] or [each for each in near(fits, _FAR) if is_sound(each)][:1]
+    sound = [each for each in close if is_sound(each)] or [
+        each for each in near(fits, th.CHOICE_FAR) if is_sound(each)
+    ][:1]
     chosen = min(sound or close, key=lambda each: (_searched(each), ordered.index(each)))
     if best.validation is not None:
         where = "the validation recordings"
@@ -204,7 +201,7 @@ def plausible(fits: Sequence[Fit], chosen: Fit) -> list[Fit]:
     first, then the best of each family that is left. Each once.
     """
     ordered = by_likelihood(fits)
-    close = sorted(near(fits, _FAR), key=lambda each: not is_sound(each))  # keeps the order within both parts
+    close = sorted(near(fits, th.CHOICE_FAR), key=lambda each: not is_sound(each))  # keeps the order within both parts
     found = [each for each in (chosen,) if each in ordered]
     found += [each for each in close if each not in found]
     seen = {each.structure.family for each in found}

@@ -21,27 +21,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.least_squares import scaled_solution
 from friction_hil.identification.motor_motion import MotorMotion
 from friction_hil.numerics.jit import Array, compiled
 
 LOAD = ("load_inertia", "stiffness", "damping", "load_level", "backlash")
-_GRID = 12  # stiffnesses to start from
-_FINER = 3  # of them
-_SEARCHES = 2
-_PROMISING = 0.9  # of the residual of one mass, after a short search
-_SHARES = (0.04, 0.09, 0.18, 0.35, 0.6)  # of the load in the inertia
-_FIRST_EVALUATIONS, _EVALUATIONS = 6, 25
-_LEAST_RATIO, _MOST_RATIO = 1e-3, 1.5  # damping ratio at the anti-resonance
-_LEAST_HZ = 2.0
 _DIFFERENCE = 1e-3  # step of the derivatives, of each coordinate
-_STROKES = (1e-5, 1e-4, 1e-3, 1e-2)  # of the bristle, of the travel
-_SHORT_STROKES = (math.log(1e-5), math.log(3e-4))  # a long one would take the place of the coupling
-_LEAST_STROKE, _MOST_STROKE = 1e-7, 0.1
 _KEPT = 8
 _UNSEEN = 1e200  # variance of a parameter on which nothing depends: finite, so that others are not lost by it
 _MARGIN = 1e-6  # of a start to its bounds
-_STEP = 0.25  # of a step times the natural frequency: the frequency is right to 0.3 %
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,20 +73,20 @@ class ComplianceFitter:
 
     def rigid(self) -> TorqueFit:
         """Fit a single mass with a bristle."""
-        return self._searched([np.array([math.log(each)]) for each in _STROKES])
+        return self._searched([np.array([math.log(each)]) for each in th.STROKES])
 
     def compliant(self, rigid: TorqueFit) -> TorqueFit | None:
         """Fit two masses without backlash, from a coarse grid; None if that is hardly better than one mass."""
         lower, upper = self._bounds(5)
         rough = [
             np.array([stroke, math.log(share), omega, math.log(0.05), level])
-            for stroke in _SHORT_STROKES
-            for omega in np.linspace(lower[2] + 0.5, upper[2] - 0.2, _GRID)
+            for stroke in th.SHORT_STROKES
+            for omega in np.linspace(lower[2] + 0.5, upper[2] - 0.2, th.TWO_MASSES_GRID)
             for level in (0.02, 0.5, 0.95)
             for share in (0.15, 0.5)
         ]
-        short = self._for_each_share(self._best(rough, _FINER))
-        if min(self._cost(at) for at in short) > _PROMISING**2 * float(rigid.residual @ rigid.residual):
+        short = self._for_each_share(self._best(rough, th.FINER))
+        if min(self._cost(at) for at in short) > th.PROMISING**2 * float(rigid.residual @ rigid.residual):
             return None
         return self._searched(short)
 
@@ -108,7 +97,7 @@ class ComplianceFitter:
             for gap in np.geomspace(0.05, 50.0, 12)
             for stiffer in (0.0, 0.25, 0.75)
         ]
-        return self._searched(self._for_each_share(self._best(gaps, _FINER)))
+        return self._searched(self._for_each_share(self._best(gaps, th.FINER)))
 
     def near(self, begin: TorqueFit) -> TorqueFit:
         """Fit the same form as another fit, from where it ended."""
@@ -141,9 +130,16 @@ class ComplianceFitter:
 
     def _bounds(self, count: int) -> tuple[Array, Array]:
         top = 1.5 * max(each.cutoff_hz for each in self._motions)
-        omegas = math.log(math.tau * _LEAST_HZ), math.log(math.tau * top)
-        lower = [math.log(_LEAST_STROKE), math.log(1e-4), omegas[0], math.log(_LEAST_RATIO), 0.0, 0.0]
-        upper = [math.log(_MOST_STROKE), math.log(2.0), omegas[1], math.log(_MOST_RATIO), 2.0, 200.0]
+        omegas = math.log(math.tau * th.LEAST_HZ), math.log(math.tau * top)
+        lower = [
+            math.log(th.TWO_MASSES_LEAST_STROKE),
+            math.log(1e-4),
+            omegas[0],
+            math.log(th.TWO_MASSES_LEAST_RATIO),
+            0.0,
+            0.0,
+        ]
+        upper = [math.log(th.MOST_STROKE), math.log(2.0), omegas[1], math.log(th.MOST_RATIO), 2.0, 200.0]
         return np.array(lower[:count]), np.array(upper[:count])
 
     def _for_each_share(self, starts: Sequence[Array]) -> list[Array]:
@@ -152,13 +148,13 @@ class ComplianceFitter:
         The load swings on after each reversal; one that swings a period more or less is a minimum of its own.
         """
         found = []
-        for share in _SHARES:
+        for share in th.TWO_MASSES_SHARES:
             near = [
                 np.array([at[0], math.log(share), at[2], math.log(ratio), *at[4:]])
                 for at in starts
                 for ratio in (0.02, 0.1)
             ]
-            found.append(self._descended(self._best(near, 1)[0], _FIRST_EVALUATIONS)[0])
+            found.append(self._descended(self._best(near, 1)[0], th.TWO_MASSES_FIRST_EVALUATIONS)[0])
         return found
 
     def _descended(self, at: Array, evaluations: int) -> tuple[Array, float]:
@@ -187,7 +183,7 @@ class ComplianceFitter:
         return [within[int(index)] for index in np.argsort(costs)[:count]]
 
     def _searched(self, starts: Sequence[Array]) -> TorqueFit:
-        ends = [self._descended(at, _EVALUATIONS) for at in self._best(starts, _SEARCHES)]
+        ends = [self._descended(at, th.TWO_MASSES_EVALUATIONS) for at in self._best(starts, th.SEARCHES)]
         return self._result(min(ends, key=lambda each: each[1])[0])
 
     def _coupling(self, at: Array) -> tuple[Array, float]:
@@ -293,7 +289,7 @@ def coupling_torque(
     Returns the torque at the samples, N m or N, and the part of the period before each sample in which the gap was
     open.
     """
-    parts = max(1, math.ceil(math.sqrt(stiffness / load_inertia) * dt / _STEP))
+    parts = max(1, math.ceil(math.sqrt(stiffness / load_inertia) * dt / th.TWO_MASSES_STEP))
     torque, is_free = np.empty(len(position)), np.empty(len(position))
     _simulate(position, dt, parts, load_inertia, stiffness, damping, 0.5 * backlash, level, load, torque, is_free)
     return torque, is_free

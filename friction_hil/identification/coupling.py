@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import RegressionSegment
 from friction_hil.identification.identify import Identification
 from friction_hil.identification.plain_axis import PlainAxis
@@ -16,12 +17,6 @@ from friction_hil.recordings.columns import NAMES, TIME
 from friction_hil.recordings.mapping import parse_source
 from friction_hil.recordings.segments import DEFAULT_LOWPASS_RATIO
 
-_BLOCKS = 6
-_TOLD = 0.3  # of the residual's variance on blocks held out, from which on other joints are named
-_NAMED = 0.1  # of the same, for a joint by itself
-_SAME = 0.99  # correlation of two positions of the same axis, such as the measured one and its demand
-_BETTER = 0.5  # ratio of errors below which another torque column fits the motion clearly better
-_MOST = 32  # other joints that are looked at
 _RIDGE = 1e-6
 _QUALIFIERS = frozenset(
     (
@@ -50,7 +45,7 @@ def siblings(name: str, there: Collection[str]) -> list[str]:
         )
         if (first.isdigit() and second.isdigit()) or is_word:
             found.append(other)
-    return found[:_MOST]
+    return found[: th.MOST]
 
 
 def _tokens(name: str) -> list[str]:
@@ -79,9 +74,9 @@ def other_joints(result: Identification, recordings: Sequence[Recording]) -> lis
         return []
     share = explained(np.hstack(list(found.values())), residual)
     alone = {name: explained(each, residual) for name, each in found.items()}
-    named = sorted((name for name in alone if alone[name] > _NAMED), key=lambda name: -alone[name])
+    named = sorted((name for name in alone if alone[name] > th.NAMED), key=lambda name: -alone[name])
     share = max(share, *alone.values())
-    if share < _TOLD:
+    if share < th.JOINTS_TOLD:
         return []
     return [
         f"this recording is not one of a single axis: the motion of {listed(named or list(found))} explains "
@@ -107,7 +102,7 @@ def other_torques(plain: PlainAxis, result: Identification, recordings: Sequence
         return []
     best = min(errors, key=lambda name: errors[name])
     own = min(plain.error(), result.best.held_out.relative_error)
-    if not errors[best] < _BETTER * own:
+    if not errors[best] < th.JOINTS_BETTER * own:
         return []
     return [
         f"the column {best} fits the motion of this axis better than {source}, with an error of "
@@ -133,7 +128,7 @@ def terms(record: RegressionSegment, recording: Recording, name: str, factor: fl
     raw = factor * _on_grid(record, recording, name)
     other = filtering.lowpass(raw, cutoff, record.rate_hz)
     own = record.position
-    if np.ptp(raw) == 0.0 or abs(np.corrcoef(raw, record.encoder)[0, 1]) > _SAME:
+    if np.ptp(raw) == 0.0 or abs(np.corrcoef(raw, record.encoder)[0, 1]) > th.JOINTS_SAME:
         return None
     velocity = np.gradient(other, record.dt)
     columns = [np.gradient(velocity, record.dt), velocity]
@@ -160,7 +155,7 @@ def explained(columns: Array, residual: Array) -> float:
 
 
 def _blocks(rows: int) -> Iterator[slice]:
-    edges = np.linspace(0, rows, _BLOCKS + 1).round().astype(int).tolist()
+    edges = np.linspace(0, rows, th.JOINTS_BLOCKS + 1).round().astype(int).tolist()
     return (slice(begin, end) for begin, end in itertools.pairwise(edges))
 
 

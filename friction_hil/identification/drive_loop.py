@@ -21,16 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from friction_hil.errors import RecordingError
+from friction_hil.identification import thresholds as th
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
-
-LEAST_EXPLAINED = 0.9  # part of the torque's energy that the law has to explain
-_LOWEST_HZ = 0.5  # of the band-pass: below, the integral drifts
-_BANDS = (0.1, 0.05, 0.025)  # upper edge of the band-pass over the sampling rate
-_LAGS_S = (0.0, *np.geomspace(1e-4, 5e-3, 24).tolist())
-_LEAST_S = 5.0
-_EDGE_S = 1.0  # the filters settle
-_FEEDFORWARD_ERROR = 0.05  # of a full feed-forward of the velocity: less cannot be told from it
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,20 +61,20 @@ def identify_loops(recording: Recording, mode: str, resolution: float, own_posit
     names = ("position", "position_demand", "velocity_demand", "torque")
     position, demand, velocity, torque = (np.asarray(recording[name], dtype=np.float64) for name in names)
     is_finite = all(bool(np.all(np.isfinite(each))) for each in (position, demand, velocity, torque))
-    if len(torque) * recording.period_s < _LEAST_S or not is_finite:
-        raise _unknown(recording, f"needs {_LEAST_S:g} s without a gap")
+    if len(torque) * recording.period_s < th.LOOPS_LEAST_S or not is_finite:
+        raise _unknown(recording, f"needs {th.LOOPS_LEAST_S:g} s without a gap")
     if mode == "csv":
         law = _fit_law(recording, resolution, _velocity_columns(own_position_gain))
         gain, integral, inertia = law.factors
         loops = DriveLoops(0.0, gain, integral / gain / math.tau, 1.0, inertia, law.lag_s, law.explained)
     else:
         loops = _cascade(_fit_law(recording, resolution, _position_columns(has_full_feedforward=False)))
-        if abs(loops.velocity_feedforward - 1.0) < _FEEDFORWARD_ERROR:
+        if abs(loops.velocity_feedforward - 1.0) < th.FEEDFORWARD_ERROR:
             loops = _cascade(_fit_law(recording, resolution, _position_columns(has_full_feedforward=True)))
-    if not (loops.explained >= LEAST_EXPLAINED and loops.velocity_gain > 0.0 and loops.position_gain >= 0.0):
+    if not (loops.explained >= th.LEAST_EXPLAINED and loops.velocity_gain > 0.0 and loops.position_gain >= 0.0):
         raise _unknown(
             recording,
-            f"the usual cascade of gains explains {loops.explained:.0%} of the torque, and {LEAST_EXPLAINED:.0%} "
+            f"the usual cascade of gains explains {loops.explained:.0%} of the torque, and {th.LEAST_EXPLAINED:.0%} "
             "would be the least",
         )
     return loops
@@ -140,9 +133,9 @@ def _fit_law(recording: Recording, resolution: float, columns: _Columns) -> _Law
     impulse = still.copy()
     impulse[len(impulse) // 2] = 1.0
     rounding = columns(impulse, still, still, period_s) * resolution * math.sqrt(len(torque) / 12.0)
-    edge = round(_EDGE_S / period_s)
+    edge = round(th.LOOPS_EDGE_S / period_s)
     found = []
-    for band in _BANDS:
+    for band in th.LOOPS_BANDS:
         left, filtered, noise = (
             _filtered(each, band / period_s, period_s) for each in (torque[:, None], right, rounding)
         )
@@ -153,7 +146,7 @@ def _fit_law(recording: Recording, resolution: float, columns: _Columns) -> _Law
                 _lagged(noise, lag_s, period_s)[edge:],
                 lag_s,
             )
-            for lag_s in _LAGS_S
+            for lag_s in th.LAGS_S
         ]
         found.append(max(fits, key=lambda fit: fit.explained))
     return min(found, key=lambda fit: float(fit.errors[0] / abs(fit.factors[0])))
@@ -162,7 +155,7 @@ def _fit_law(recording: Recording, resolution: float, columns: _Columns) -> _Law
 def _filtered(values: Array, highest_hz: float, period_s: float) -> Array:
     from scipy import signal  # imported here: it is slow to load
 
-    sections = signal.butter(2, [_LOWEST_HZ, highest_hz], "bandpass", fs=1.0 / period_s, output="sos")
+    sections = signal.butter(2, [th.LOWEST_HZ, highest_hz], "bandpass", fs=1.0 / period_s, output="sos")
     found: Array = signal.sosfilt(sections, values, axis=0)
     return found
 

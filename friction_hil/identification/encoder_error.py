@@ -16,19 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.compliance import sandwich
 from friction_hil.identification.motor_motion import MotorMotion, derivatives
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
-
-_MOST_LOOKED_AT = 6  # orders, of torque or encoder
-MOST_ORDERS = 2000  # that are looked at
-_EVIDENT = 12.0  # least Wald statistic beyond that of the largest of N orders of noise, 2 ln N
-_LEAST_SHARE = 0.3  # of what both ripples of an order explain: friction that varies over the travel looks like less
-_CLEAR = 8.0  # standard errors, because the speed of a stroke depends on the position, too
-_BAND = 0.8  # of the low-pass: faster rows of an order are not looked at
-_LEAST_ROWS = 200
-_LEAST_PERIODS = 1.0  # over the travel
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,17 +46,19 @@ def find_encoder_error(
     if travel <= 0.0:
         return ()
     step = 0.5 / travel if is_linear else 1.0
-    least = max(_LEAST_PERIODS / travel, step)
-    orders: Array = np.arange(math.ceil(least / step), math.ceil(least / step) + MOST_ORDERS, dtype=np.float64) * step
+    least = max(th.LEAST_PERIODS / travel, step)
+    orders: Array = (
+        np.arange(math.ceil(least / step), math.ceil(least / step) + th.MOST_ORDERS, dtype=np.float64) * step
+    )
     orders = orders[[search.is_resolved(each) for each in orders]]
     found: list[EncoderError] = []
-    bar = 2.0 * math.log(max(len(orders), 1)) + _EVIDENT
-    for _ in range(_MOST_LOOKED_AT if len(orders) else 0):
+    bar = 2.0 * math.log(max(len(orders), 1)) + th.ENCODER_EVIDENT
+    for _ in range(th.MOST_LOOKED_AT if len(orders) else 0):
         order = float(orders[np.argmax(search.gains(orders))])
         both, share, amplitude, error = search.fit(order)
         if both < bar:
             break
-        if share > _LEAST_SHARE and amplitude > _CLEAR * error:
+        if share > th.ENCODER_LEAST_SHARE and amplitude > th.ENCODER_CLEAR * error:
             found.append(EncoderError(order, amplitude, error))
     return tuple(found)
 
@@ -77,7 +71,7 @@ class _Search:
         self._q = np.concatenate([position[each.rows] for position, each in zip(low, motions, strict=True)])
         self._v = np.concatenate([rate[0][each.rows] for rate, each in zip(rates, motions, strict=True)])
         self._a = np.concatenate([rate[1][each.rows] for rate, each in zip(rates, motions, strict=True)])
-        self._fastest = np.concatenate([np.full(len(each.rows), _BAND * each.cutoff_hz) for each in motions])
+        self._fastest = np.concatenate([np.full(len(each.rows), th.ENCODER_BAND * each.cutoff_hz) for each in motions])
         begins = np.cumsum([0, *(len(each.rows) for each in motions)])
         self._starts: NDArray[np.intp] = np.concatenate(
             [b + each.starts for b, each in zip(begins[:-1], motions, strict=True)]
@@ -86,7 +80,7 @@ class _Search:
 
     def is_resolved(self, order: float) -> bool:
         """True if enough rows pass a period of the order slowly enough for the low-pass."""
-        return bool(np.count_nonzero(self._is_slow(order)) >= _LEAST_ROWS)
+        return bool(np.count_nonzero(self._is_slow(order)) >= th.ENCODER_LEAST_ROWS)
 
     def _is_slow(self, order: float) -> NDArray[np.bool_]:
         return np.asarray(np.abs(self._v) * order / self._turn < self._fastest)

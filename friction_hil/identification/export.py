@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from friction_hil import __version__
+from friction_hil.identification import thresholds
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.identify import Identification
 from friction_hil.identification.mechanics import Mechanics
@@ -170,6 +171,7 @@ def as_json(identification: Identification) -> dict[str, Any]:
         "problems": list(dict.fromkeys(problem for record in identification.records for problem in record.problems)),
         "notes": list(identification.notes),
         "fits": [_fit(each, identification) for each in identification.fits],
+        "thresholds": {name.lower(): value for name, value in vars(thresholds).items() if name.isupper()},
     }
 
 

@@ -19,24 +19,12 @@ from typing import Any
 import numpy as np
 
 from friction_hil.errors import RecordingError
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import Data, RegressionSegment
 from friction_hil.motion.experiment import LEAST_RATE_HZ, is_fast
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings.quality import is_last_digit
 
-LEAST_S = 5.0  # of a segment; filters and states settle in its first and last second
-SLOWEST_SWING_HZ = 8.0
-_FASTEST_SWING_HZ = 80.0
-_LEAST_FRACTION = 0.05  # of the time
-_CLEAR = 100.0  # times the noise power of the encoder
-_FIRST_BAND_HZ = 40.0  # frequencies below are kept entirely
-LAST_BAND_RATIO = 0.42  # of the sampling rate: highest frequency that is kept
-_NOISE_FACTOR = 2.0  # the noise power of few samples is often twice its mean
-STEPS_HZ = 12000.0  # of the model
-COARSE_STEPS_HZ = 4000.0  # of a search that is not the last one
-ROWS_HZ = 200.0  # of the regression
-RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ = 80.0, 60.0
-_EDGE_S = 1.0
 _ATTENUATION_DB = 80.0
 _LONG = 400  # taps; longer kernels are faster by Fourier transforms
 
@@ -87,14 +75,14 @@ class FineSegment(RegressionSegment):
 
     @property
     def _edge(self) -> int:
-        kernel = _fir(RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ, self.sample_hz)
-        return max(round(_EDGE_S * self.sample_hz), kernel.size + self.decimation)
+        kernel = _fir(th.RESIDUAL_HZ, th.RESIDUAL_WIDTH_HZ, self.sample_hz)
+        return max(round(th.FINE_EDGE_S * self.sample_hz), kernel.size + self.decimation)
 
     def _low(self, values: Array) -> Array:
         """Apply the low-pass of the residual without the ends of the segment; compute only the rows that are kept."""
         from scipy import signal  # imported here: it takes longer than the identification of a model
 
-        kernel = _fir(RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ, self.sample_hz)
+        kernel = _fir(th.RESIDUAL_HZ, th.RESIDUAL_WIDTH_HZ, self.sample_hz)
         half, edge, every = kernel.size // 2, self._edge, self.decimation
         ahead = -2 * half % every
         kept: Any = signal.upfirdn(kernel, values[edge - half - ahead :], down=every, axis=0)
@@ -117,7 +105,7 @@ def is_fine(record: RegressionSegment) -> bool:
     if record.is_moving is not None:
         return False
     rate = record.rate_hz
-    return record.resolution is not None and is_fast(rate) and len(record.encoder) >= LEAST_S * rate
+    return record.resolution is not None and is_fast(rate) and len(record.encoder) >= th.LEAST_S * rate
 
 
 def is_presliding_excited(record: RegressionSegment) -> bool:
@@ -130,12 +118,12 @@ def is_presliding_excited(record: RegressionSegment) -> bool:
         return False
     rate = record.rate_hz
     moves = np.diff(record.encoder) * rate
-    slow_kernel, fast_kernel = (_fir(f, 0.7 * f, rate) for f in (SLOWEST_SWING_HZ, _FASTEST_SWING_HZ))
+    slow_kernel, fast_kernel = (_fir(f, 0.7 * f, rate) for f in (th.SLOWEST_SWING_HZ, th.FASTEST_SWING_HZ))
     slow, fast = _centred(moves, slow_kernel), _centred(moves, fast_kernel)
-    swing = _local_power(fast - slow, rate / SLOWEST_SWING_HZ)
-    travel = _local_power(slow, rate / SLOWEST_SWING_HZ)
+    swing = _local_power(fast - slow, rate / th.SLOWEST_SWING_HZ)
+    travel = _local_power(slow, rate / th.SLOWEST_SWING_HZ)
     noise = _noise(slow_kernel, fast_kernel, record.resolution, rate)
-    return float(np.mean((swing > travel) & (swing > _CLEAR * noise))) >= _LEAST_FRACTION
+    return float(np.mean((swing > travel) & (swing > th.FINE_CLEAR * noise))) >= th.LEAST_FRACTION
 
 
 def shows_presliding(records: Sequence[RegressionSegment], is_wanted: bool | None) -> bool:
@@ -149,7 +137,7 @@ def shows_presliding(records: Sequence[RegressionSegment], is_wanted: bool | Non
         if not is_fine(each):
             raise RecordingError(
                 f"{each.path}: to refine a fit takes a position in steps of the encoder, not smoothed or "
-                f"interpolated, at {LEAST_RATE_HZ:g} Hz or more, for {LEAST_S:g} s or more without a gap"
+                f"interpolated, at {LEAST_RATE_HZ:g} Hz or more, for {th.LEAST_S:g} s or more without a gap"
             )
     return is_wanted
 
@@ -158,7 +146,7 @@ def why_not_refined(records: Sequence[RegressionSegment]) -> list[str]:
     """Return why recordings that are fast enough for presliding are not refined, one sentence for each file."""
     found = []
     for each in records:
-        is_long = is_fast(each.rate_hz) and each.is_moving is None and len(each.encoder) >= LEAST_S * each.rate_hz
+        is_long = is_fast(each.rate_hz) and each.is_moving is None and len(each.encoder) >= th.LEAST_S * each.rate_hz
         if each.has_position and is_long and each.resolution is None:
             found.append(
                 f"{each.path}: the model is not refined at the encoder's resolution, because the position comes in "
@@ -180,7 +168,7 @@ def rounding_notes(records: Sequence[RegressionSegment]) -> list[str]:
 
 
 def fine_data(
-    records: Sequence[RegressionSegment], *, is_mean: bool, delay_s: float = 0.0, steps_hz: float = STEPS_HZ
+    records: Sequence[RegressionSegment], *, is_mean: bool, delay_s: float = 0.0, steps_hz: float = th.STEPS_HZ
 ) -> Data:
     """Refine segments whose position is quantised; the model runs in ``steps_hz`` steps per second.
 
@@ -214,7 +202,7 @@ def _fine_record(
     torque: Array,
     is_mean: bool,
     delay_s: float,
-    steps_hz: float = STEPS_HZ,
+    steps_hz: float = th.STEPS_HZ,
 ) -> FineSegment:
     rate = record.rate_hz
     assert record.resolution is not None
@@ -239,8 +227,8 @@ def _fine_record(
         temperature=slow(record.temperature),
         demand=None,
         rate_hz=rate * fine,
-        lowpass_hz=RESIDUAL_HZ,
-        decimation=max(1, round(rate / ROWS_HZ)),
+        lowpass_hz=th.RESIDUAL_HZ,
+        decimation=max(1, round(rate / th.ROWS_HZ)),
         begin=0,
         end=len(velocity),
         problems=record.problems,
@@ -265,7 +253,7 @@ def velocity_by_bands(position: Array, rate_hz: float, resolution: float, fine: 
 
     kept = moves_by_bands(position, rate_hz, resolution)
     # a difference belongs to the middle of its period, which is between two fine steps: hence the even length
-    kernel = fine * _fir(LAST_BAND_RATIO * rate_hz, 0.16 * rate_hz, fine * rate_hz, is_even=True)
+    kernel = fine * _fir(th.LAST_BAND_RATIO * rate_hz, 0.16 * rate_hz, fine * rate_hz, is_even=True)
     spread: Any = signal.upfirdn(kernel, kept, up=fine)[kernel.size // 2 - fine // 2 :]
     return np.concatenate([spread, np.zeros(fine)])[: len(kept) * fine]
 
@@ -284,7 +272,7 @@ def moves_by_bands(position: Array, rate_hz: float, resolution: float) -> Array:
     for i, cut in enumerate(cuts[1:], start=1):
         high = _centred(moves, kernels[i])
         band = high - low
-        noise = _NOISE_FACTOR * _noise(kernels[i - 1], kernels[i], resolution, rate_hz)
+        noise = th.NOISE_FACTOR * _noise(kernels[i - 1], kernels[i], resolution, rate_hz)
         power = _local_power(band, rate_hz / cut)
         kept = kept + np.maximum(1.0 - noise / np.maximum(power, 1e-300), 0.0) * band
         low = high
@@ -300,7 +288,7 @@ def at_full_rate(record: RegressionSegment) -> RegressionSegment:
     assert record.resolution is not None
     rate = record.rate_hz
     velocity = np.concatenate([[0.0], moves_by_bands(record.encoder, rate, record.resolution)])
-    edge = _fir(_FIRST_BAND_HZ, 0.7 * _FIRST_BAND_HZ, rate).size // 2
+    edge = _fir(th.FIRST_BAND_HZ, 0.7 * th.FIRST_BAND_HZ, rate).size // 2
     return replace(
         record,
         position=record.encoder,
@@ -314,10 +302,10 @@ def at_full_rate(record: RegressionSegment) -> RegressionSegment:
 
 def _band_edges(rate_hz: float) -> list[float]:
     """Return octaves from 40 Hz, the last of them up to 0.42 of the sampling rate, Hz."""
-    edges = [_FIRST_BAND_HZ]
+    edges = [th.FIRST_BAND_HZ]
     while 2.0 * edges[-1] < 0.3 * rate_hz:
         edges.append(2.0 * edges[-1])
-    return [*edges, LAST_BAND_RATIO * rate_hz]
+    return [*edges, th.LAST_BAND_RATIO * rate_hz]
 
 
 def _local_power(values: Array, samples: float) -> Array:
@@ -368,4 +356,4 @@ def _convolved(values: Array, kernel: Array) -> Array:
 
 def local_rms(values: Array, seconds: float) -> Array:
     """Compute the local root mean square of rows of the regression (k,)."""
-    return np.sqrt(np.maximum(_local_power(values, 0.5 * seconds * ROWS_HZ), 0.0))
+    return np.sqrt(np.maximum(_local_power(values, 0.5 * seconds * th.ROWS_HZ), 0.0))

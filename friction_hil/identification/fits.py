@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from friction_hil.identification import structures
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import Data
 from friction_hil.identification.inference import Inference, flags, infer
 from friction_hil.identification.prediction_errors import (
@@ -22,8 +23,6 @@ from friction_hil.identification.regression import BACK_EMF, INVERSE_GAIN, Estim
 from friction_hil.identification.structures import InitialScales, ModelStructure
 from friction_hil.numerics.jit import Array
 
-_FIRST_EVALUATIONS = 5  # from each start; the search continues from the best one
-_EVALUATIONS = 60
 ENDED_EARLY = "its search ended early, because other candidates fit far better; its parameters are rough"
 MECHANICS = ("inertia", "offset", "gravity.constant", "gravity.sine", "gravity.cosine")
 
@@ -118,9 +117,9 @@ def fit(
         structure.values(at[0])
     )  # raises on an invalid held value, which a search would only step back from
     if len(at) > 1:
-        first = [regression.search(each, evaluations=_FIRST_EVALUATIONS, tolerance=1e-5) for each in at]
+        first = [regression.search(each, evaluations=th.FIT_FIRST_EVALUATIONS, tolerance=1e-5) for each in at]
         at = [min(first, key=lambda solution: solution.cost).at]
-    estimate = regression.estimate(at[0], is_robust=is_robust, evaluations=_EVALUATIONS)
+    estimate = regression.estimate(at[0], is_robust=is_robust, evaluations=th.FIT_EVALUATIONS)
     inference = infer(estimate, regression.data.parts)
     return _fit(regression, estimate, inference, validation, notes)
 

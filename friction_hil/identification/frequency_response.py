@@ -29,18 +29,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from friction_hil.identification import thresholds as th
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings.segments import Segment
 
 Complex = NDArray[np.complex128]
 
-LEAST_COHERENCE = 0.8
-LEAST_WINDOWS = 8  # of fewer, a jackknife does not know the scatter
-_WINDOWS_S = (4.0, 2.0, 1.0, 0.5, 0.25)
-_LEAST_SPEED_RATIO = 0.02  # of the top speed: what is slower does not slide
-_TOP_RATIO = 0.4  # of the sampling rate: highest line
-_REACH, _DEGREE = 3, 2  # lines to either side of a line, and degree of numerators and leakage over them
-_LEAST_LINES = 8
 _RIDGE = 1e-12  # of the power of the reference
 
 
@@ -80,18 +74,18 @@ def frequency_response(segments: Sequence[Segment], beside: Sequence[Array] | No
     """Estimate the frequency response of the motor from segments of one axis and one sampling rate.
 
     ``encoder`` and ``torque`` are used as they were recorded, ``velocity`` only to find where the axis slides. Lines
-    with less than `LEAST_COHERENCE` are not used. ``beside``: positions (n, k) of ``k`` other axes at the rows of
+    with less than `th.LEAST_COHERENCE` are not used. ``beside``: positions (n, k) of ``k`` other axes at the rows of
     each segment; an axis whose motion is not coherent with that of this one is left out. None: too few windows slide,
     or hardly any line is coherent, as the motion does not excite the axis.
     """
     has_instrument = all(each.demand is not None for each in segments)
     others = beside or [np.empty((len(each.encoder), 0)) for each in segments]
-    for window_s in _WINDOWS_S:
+    for window_s in th.WINDOWS_S:
         spectra, lengths = _windows(segments, others, window_s, has_instrument=has_instrument)
-        if len(spectra) >= LEAST_WINDOWS:
+        if len(spectra) >= th.LEAST_WINDOWS:
             own, rate_hz = spectra[:, :3], segments[0].rate_hz
             found = _estimate(own, lengths, rate_hz, has_instrument)
-            if np.count_nonzero(found.is_used) < _LEAST_LINES:
+            if np.count_nonzero(found.is_used) < th.LEAST_LINES:
                 return None
             ratios = [
                 _estimate(spectra[:, [0, k, 2]], lengths, rate_hz, has_instrument) for k in range(3, spectra.shape[1])
@@ -99,7 +93,7 @@ def frequency_response(segments: Sequence[Segment], beside: Sequence[Array] | No
             moving = [
                 each.response / found.response
                 for each in ratios
-                if np.median(each.coherence[found.is_used]) >= LEAST_COHERENCE
+                if np.median(each.coherence[found.is_used]) >= th.LEAST_COHERENCE
             ]
             return replace(found, beside=np.array(moving, dtype=complex).reshape(len(moving), len(found.response)))
     return None
@@ -107,7 +101,7 @@ def frequency_response(segments: Sequence[Segment], beside: Sequence[Array] | No
 
 def sliding_windows(segment: Segment, count: int) -> list[slice]:
     """Return windows of ``count`` rows, one after another, in which the axis slides in one direction."""
-    least = _LEAST_SPEED_RATIO * float(np.max(np.abs(segment.velocity), initial=0.0))
+    least = th.LEAST_SPEED_RATIO * float(np.max(np.abs(segment.velocity), initial=0.0))
     found = []
     for sign in (1.0, -1.0):
         edges = np.diff(np.concatenate([[0], (sign * segment.velocity > least).astype(int), [0]]))
@@ -127,7 +121,7 @@ def _windows(
     """
     count = 2 * round(0.5 * window_s * segments[0].rate_hz)
     nothing = np.empty((0, 3 + beside[0].shape[1], 0), dtype=complex)
-    if count < 2 * (2 * _REACH + 1 + _LEAST_LINES):
+    if count < 2 * (2 * th.REACH + 1 + th.LEAST_LINES):
         return nothing, count
     time = np.arange(count) - 0.5 * (count - 1)
     found = []
@@ -148,13 +142,13 @@ def _windows(
 
 
 def _estimate(spectra: Complex, count: int, rate_hz: float, has_instrument: bool) -> FrequencyResponse:
-    lines = np.arange(1 + _REACH, min(count // 2 - _REACH, math.floor(_TOP_RATIO * count) + 1))
+    lines = np.arange(1 + th.REACH, min(count // 2 - th.REACH, math.floor(th.RESPONSE_TOP_RATIO * count) + 1))
     frequency = lines * rate_hz / count
     turn = np.exp(-2j * math.pi * frequency / rate_hz)
     of_difference = (2j * math.pi * frequency / rate_hz) / (1.0 - turn)  # derivative over backward difference
     # (w, 3, m, 2 reach + 1): each line with its neighbours
-    near = np.lib.stride_tricks.sliding_window_view(spectra, 2 * _REACH + 1, axis=2)[:, :, lines - _REACH]
-    powers = (np.arange(-_REACH, _REACH + 1)[:, None] / _REACH) ** np.arange(_DEGREE + 1)
+    near = np.lib.stride_tricks.sliding_window_view(spectra, 2 * th.REACH + 1, axis=2)[:, :, lines - th.REACH]
+    powers = (np.arange(-th.REACH, th.REACH + 1)[:, None] / th.REACH) ** np.arange(th.DEGREE + 1)
     leakage = np.linalg.qr(powers)[0]
 
     def without_leakage(values: Complex) -> Complex:
@@ -167,29 +161,29 @@ def _estimate(spectra: Complex, count: int, rate_hz: float, has_instrument: bool
     outputs = without_leakage(scaled)
     inputs = without_leakage(near[:, 2, :, None, :] * powers.T)  # (w, m, degree + 1, 2 reach + 1)
     shape = inputs.shape
-    rows = np.zeros((shape[0], shape[1], 2 * _DEGREE + 3, 2, shape[3]), dtype=complex)
-    rows[:, :, : _DEGREE + 1, 0] = rows[:, :, _DEGREE + 1 : -1, 1] = inputs
+    rows = np.zeros((shape[0], shape[1], 2 * th.DEGREE + 3, 2, shape[3]), dtype=complex)
+    rows[:, :, : th.DEGREE + 1, 0] = rows[:, :, th.DEGREE + 1 : -1, 1] = inputs
     rows[:, :, -1] = -np.moveaxis(without_leakage(scaled * powers[:, 1]), 1, 2)
-    rows = rows.reshape(*shape[:2], 2 * _DEGREE + 3, -1)
+    rows = rows.reshape(*shape[:2], 2 * th.DEGREE + 3, -1)
     target = np.moveaxis(outputs, 1, 2).reshape(*shape[:2], -1)
     gram = np.einsum("wmpj,wmqj->wmpq", np.conj(rows), rows)
     right = np.einsum("wmpj,wmj->wmp", np.conj(rows), target)
     scale = np.trace(gram.sum(axis=0), axis1=-2, axis2=-1).real[:, None, None]
-    ridge = (_RIDGE * np.where(scale > 0.0, scale, 1.0)) * np.eye(2 * _DEGREE + 3)
+    ridge = (_RIDGE * np.where(scale > 0.0, scale, 1.0)) * np.eye(2 * th.DEGREE + 3)
     sizes = sizes[0, :, :, 0]
 
     def ratio(gram: Complex, right: Complex) -> tuple[Complex, Complex]:
         """Return velocity over torque (m,), and all coefficients (m, p)."""
         found = np.asarray(np.linalg.solve(gram + ridge, right[..., None])[..., 0], dtype=np.complex128)
-        torque, velocity = found[:, 0] * sizes[0], found[:, _DEGREE + 1] * sizes[1]
+        torque, velocity = found[:, 0] * sizes[0], found[:, th.DEGREE + 1] * sizes[1]
         return np.asarray(velocity / np.where(torque == 0.0, 1e-300, torque)), found
 
     all_gram, all_right = gram.sum(axis=0), right.sum(axis=0)
     response, found = ratio(all_gram, all_right)
     left = (target - np.einsum("mp,wmpj->wmj", found, rows)).reshape(*shape[:2], 2, -1)
     number = len(spectra)
-    freedom = number * (2 * _REACH - _DEGREE)
-    noise = np.sum(np.abs(left) ** 2, axis=(0, 3)) / (freedom - _DEGREE - 1.5)
+    freedom = number * (2 * th.REACH - th.DEGREE)
+    noise = np.sum(np.abs(left) ** 2, axis=(0, 3)) / (freedom - th.DEGREE - 1.5)
     power = np.sum(np.abs(outputs) ** 2, axis=(0, 3)).T / freedom
     coherences = np.clip(1.0 - noise / np.where(power > 0.0, power, 1.0), 0.0, 1.0)
     coherence = np.min(coherences, axis=1) if has_instrument else coherences[:, 1]
@@ -197,7 +191,7 @@ def _estimate(spectra: Complex, count: int, rate_hz: float, has_instrument: bool
     with np.errstate(all="ignore"):  # a line without any power has no response
         logs = np.log(left_out / response)
     deviations = (logs - logs.mean(axis=0)) * math.sqrt((number - 1) / number)
-    is_used = (coherence >= LEAST_COHERENCE) & np.all(np.isfinite(deviations), axis=0)
+    is_used = (coherence >= th.LEAST_COHERENCE) & np.all(np.isfinite(deviations), axis=0)
     return FrequencyResponse(
         frequency,
         response * of_difference,

@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.fits import ENDED_EARLY, Fit
 from friction_hil.identification.inference import NOT_EXCITED, experiment
 from friction_hil.identification.structures import InitialScales, ModelStructure
 
 _LEVELS = ("static", "static_released", "static_rested")
 _SHAPES = ("lag_s", "rise_s")  # of a hump, in time
-_LEAST_DIP = 0.02  # of the top speed: a narrower dip below the Coulomb level is an error of presliding
-_HUMP_HEIGHT, _HUMP_WIDTH = 1.3, 0.05  # of a search for one, in Coulomb levels and top speeds
 _HUMP = (*_LEVELS, "stribeck_velocity")
 
 
@@ -68,7 +67,7 @@ def _is_shown(fit: Fit, name: str, scales: InitialScales) -> bool:
     value, error = fit.values[name], fit.inference.standard_errors.get(name)
     if name.rpartition(".")[2] in _LEVELS and value < fit.values.get(_coulomb_beside(name), 0.0):
         width = fit.values.get("stribeck_velocity", 0.0)
-        least = max(scales.least_sliding_speed, _LEAST_DIP * scales.speed)
+        least = max(scales.least_sliding_speed, th.LEAST_DIP * scales.speed)
         return width >= least and (error is None or math.isfinite(error))
     return error is not None and error <= abs(value)
 
@@ -94,10 +93,10 @@ def upright(fit: Fit, flat_values: Mapping[str, float], scales: InitialScales) -
         last, value = each.name.rpartition(".")[2], flat_values.get(each.name, fit.values[each.name])
         if last in _LEVELS:
             level = flat_values[_coulomb_beside(each.name)]
-            each, value = replace(each, lower=min(level, each.upper)), _HUMP_HEIGHT * level
+            each, value = replace(each, lower=min(level, each.upper)), th.FREE_HUMP_HEIGHT * level
         elif last == "stribeck_velocity":
-            narrowest = min(max(each.lower, _LEAST_DIP * scales.speed), each.upper)
-            each, value = replace(each, lower=narrowest), _HUMP_WIDTH * scales.speed
+            narrowest = min(max(each.lower, th.LEAST_DIP * scales.speed), each.upper)
+            each, value = replace(each, lower=narrowest), th.FREE_HUMP_WIDTH * scales.speed
         coordinates.append(each)
         at.append(each.inner(value))
     structure = replace(fit.structure, coordinates=tuple(coordinates))

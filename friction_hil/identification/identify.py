@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from friction_hil.errors import RecordingError, UsageError
+from friction_hil.identification import thresholds as th
 from friction_hil.identification import unknown_gain
 from friction_hil.identification.candidates import CandidateFitter
 from friction_hil.identification.choice import choose, is_better, plausible, to_refine
 from friction_hil.identification.data import RegressionSegment
 from friction_hil.identification.fine import rounding_notes, shows_presliding, why_not_refined
 from friction_hil.identification.fits import ENDED_EARLY, Fit
-from friction_hil.identification.inference import VAGUE
 from friction_hil.identification.prediction_errors import is_grouped, speeds_alike
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.identification.refined_modifiers import refine_modifiers
@@ -22,10 +22,6 @@ from friction_hil.identification.torque_timing import TorqueTiming, torque_timin
 from friction_hil.recordings import Recording
 from friction_hil.recordings.segments import is_position_integrated, with_position
 
-_FAR = 3.0  # times the error of the best family: with parameters for each direction a family is no candidate either
-_EXACT = 1e-3  # of the measured torque: errors below do not tell families apart
-_EXTENDED = 2  # families that are tried with further modifiers
-_ROUNDS = 3  # of adding one more modifier
 _DISPENSABLE = ("sigma1", "viscous.quadratic")  # parameters that may as well be zero
 _REFINED = "Fitted once more at the resolution of the encoder; the chosen one is among these"
 _NOT_REFINED = "Fitted to the low-passed recordings only; these errors do not compare with those above"
@@ -207,12 +203,16 @@ def _fit_families_as(
 def _not_far(fitter: CandidateFitter, fits: Mapping[str, Fit]) -> list[str]:
     """Return the families whose errors are not many times that of the best one, and note the others."""
     lowest = min((each.train.rmse for each in fits.values()), default=0.0)
-    kept = [family for family, each in fits.items() if each.train.rmse <= max(_FAR * lowest, _EXACT * _scale(each))]
+    kept = [
+        family
+        for family, each in fits.items()
+        if each.train.rmse <= max(th.FAMILIES_FAR * lowest, th.FAMILIES_EXACT * _scale(each))
+    ]
     left = [family for family in fits if family not in kept]
     if left:
         fitter.notes.append(
-            f"{', '.join(left)}: not fitted for each direction, because the error is more than {_FAR:g} times that of "
-            "the best family"
+            f"{', '.join(left)}: not fitted for each direction, because the error is more than {th.FAMILIES_FAR:g} "
+            "times that of the best family"
         )
     return kept
 
@@ -242,7 +242,7 @@ def _fit_modified(fitter: CandidateFitter, fits: list[Fit]) -> list[Fit]:
 def _fit_rounds(fitter: CandidateFitter, base: Fit) -> list[Fit]:
     """Fit one family with further modifiers, adding one at a time while held-out errors fall."""
     found, now = [], base
-    for _ in range(_ROUNDS):
+    for _ in range(th.FAMILIES_ROUNDS):
         fitted = [
             fitter.fit_with_load(each, now) if "load" in each.modifiers else fitter.fit(each, now.values)
             for each in list(fitter.with_modifier(now))
@@ -262,7 +262,7 @@ def _best_of_families(fitter: CandidateFitter, fits: list[Fit]) -> list[Fit]:
     for each in sorted(fits, key=lambda each: each.held_out.rmse):
         if EXTENDS.get(each.structure.family) not in fitter.families:
             best.setdefault(each.structure.family, each)
-    return list(best.values())[:_EXTENDED]
+    return list(best.values())[: th.EXTENDED]
 
 
 def _fit_plain_with_load(fitter: CandidateFitter, plain: Fit) -> list[Fit]:
@@ -278,7 +278,9 @@ def _fit_pruned(fitter: CandidateFitter, fits: list[Fit]) -> list[Fit]:
     found: list[Fit] = []
     for each in sorted(fits, key=lambda each: each.held_out.rmse):
         errors = each.inference.standard_errors
-        vague = [name for name in _DISPENSABLE if not errors.get(name, 0.0) <= VAGUE * abs(each.values.get(name, 0.0))]
+        vague = [
+            name for name in _DISPENSABLE if not errors.get(name, 0.0) <= th.VAGUE * abs(each.values.get(name, 0.0))
+        ]
         if not vague or EXTENDS.get(each.structure.family) in fitter.families:
             continue
         structure = each.structure.drop(vague)
@@ -287,7 +289,7 @@ def _fit_pruned(fitter: CandidateFitter, fits: list[Fit]) -> list[Fit]:
         fitter.set_load(each.mechanics)
         if (fitted := fitter.fit(structure, {**each.values, **each.mechanics})) is not None:
             found.append(fitted)
-        if len(found) == _EXTENDED:
+        if len(found) == th.EXTENDED:
             break
     return found
 

@@ -11,15 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.least_squares import FitError, column_norms
 from friction_hil.identification.regression import Estimate
 from friction_hil.numerics.jit import Array
 
-COLLINEAR = 0.98  # correlation above which two parameters are reported as collinear
-VAGUE = 0.5  # standard error over value above which a parameter is reported as not excited
-REPORTED_CORRELATION = 0.9
 AT_BOUND, COLLINEAR_FLAG, NOT_EXCITED = "at bound: ", "collinear: ", "not excited: "  # beginnings of flags
-_LEAST_COMPONENT = 0.1  # of a parameter in an undetermined direction, for it to belong to the collinear group
 _RANK = 1e-7  # of the largest singular value: directions below are undetermined
 
 
@@ -33,7 +30,7 @@ class Inference:
     lags: int  # rows over which residuals are taken to be correlated
     same: tuple[tuple[str, ...], ...] = ()  # parameters whose effects cannot be told apart in these data
 
-    def pairs(self, least: float = REPORTED_CORRELATION) -> list[tuple[str, str, float]]:
+    def pairs(self, least: float = th.REPORTED_CORRELATION) -> list[tuple[str, str, float]]:
         """Return pairs of parameters whose absolute correlation is ``least`` or more, largest first."""
         found = [
             (self.names[i], self.names[j], float(self.correlations[i, j]))
@@ -85,7 +82,7 @@ def infer(estimate: Estimate, parts: Sequence[slice], *, lags: int | None = None
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlations = np.clip(inverse / np.outer(spread, spread), -1.0, 1.0)
     same = tuple(
-        tuple(name for name, part in zip(names, vector, strict=True) if abs(part) > _LEAST_COMPONENT)
+        tuple(name for name, part in zip(names, vector, strict=True) if abs(part) > th.LEAST_COMPONENT)
         for vector in vectors[~is_kept]
     )
     return Inference(names, dict(zip(names, map(float, errors), strict=True)), correlations, lags, same)
@@ -183,7 +180,7 @@ def flags(estimate: Estimate, inference: Inference) -> list[str]:
         for group in inference.same
         if len(group) > 1
     ]
-    for first, second, correlation in inference.pairs(COLLINEAR):
+    for first, second, correlation in inference.pairs(th.COLLINEAR):
         if any(first in group and second in group for group in inference.same):
             continue
         found.append(f"{COLLINEAR_FLAG}{first} and {second} (correlation {correlation:.3f}): {advice((first, second))}")
@@ -191,7 +188,7 @@ def flags(estimate: Estimate, inference: Inference) -> list[str]:
         error, value = inference.standard_errors[name], _size(name, estimate.values)
         if name in ("offset", "gravity.constant") and math.isfinite(error):
             continue  # these may well be zero
-        if not error <= VAGUE * value:
+        if not error <= th.VAGUE * value:
             relative = (
                 f"{100.0 * error / value:.0f} % of it" if value > 0.0 and math.isfinite(error) else "without bound"
             )

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.compensator.load import transmitted_torque
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import RegressionSegment
 from friction_hil.identification.sliding import SlidingRows, compared, fitted, sliding_rows, top_speed
 from friction_hil.numerics.jit import Array, StructuredArray, compiled
@@ -28,14 +29,6 @@ from friction_hil.numerics.jit import Array, StructuredArray, compiled
 LOAD = np.dtype(
     [(name, "f8") for name in ("gravity_constant", "gravity_sine", "gravity_cosine", "load_inertia", "lead_s")]
 )
-_CLEAR = 4.0  # standard errors
-_FELT = 0.03  # of the friction: a smaller part is no dependence
-_SHOWN = 0.05  # a factor that is below this for sure is none
-_SURE = 2.0  # standard errors
-_FORM = 0.1  # of the factor: no gear loses one part of all torques, in both directions, to better than that
-_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the load in inertia and friction
-_WORSE = 3.0  # standard errors by which a pair has to explain less to be excluded
-_INDEPENDENT = 0.02  # of the energy of the load's column, outside all others
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +43,12 @@ class LoadDependence:
     @property
     def is_clear(self) -> bool:
         """True if friction depends on the load."""
-        return self.is_shown and self.factor > _CLEAR * self.error and self.part > _FELT
+        return self.is_shown and self.factor > th.LOAD_CLEAR * self.error and self.part > th.FELT
 
     @property
     def is_excluded(self) -> bool:
         """True if the load changes enough to show that friction does not grow with it."""
-        return self.is_shown and not self.is_clear and self.factor + _SURE * self.error < _SHOWN
+        return self.is_shown and not self.is_clear and self.factor + th.SURE * self.error < th.SHOWN
 
 
 def load_torque(mechanics: Mapping[str, float], load_inertia: float, position: Array, acceleration: Array) -> Array:
@@ -98,8 +91,8 @@ def find_load_dependence(
     ends = 1 + int(swings) * 2 + 2 * len(orders)
     # the lowest friction over the speeds, about: no load has more than that
     level = float(np.quantile(np.abs(fixed[:, ends:] @ plain[ends:]), 0.1))
-    inertias = [share * plain[0] for share in _SHARES] if load_inertia is None else [load_inertia]
-    frictions = [share * level for share in _SHARES] if load_friction is None else [load_friction]
+    inertias = [share * plain[0] for share in th.LOAD_SHARES] if load_inertia is None else [load_inertia]
+    frictions = [share * level for share in th.LOAD_SHARES] if load_friction is None else [load_friction]
     tried = [
         _with_load(parts, fixed, ends, mechanics, inertia, friction) for inertia in inertias for friction in frictions
     ]
@@ -109,7 +102,7 @@ def find_load_dependence(
     best = min(known, key=lambda each: float(each.residual @ each.residual))
     alike = [each for each in known if best.is_hardly_better(each)]
     spread = max(abs(each.factor - best.factor) for each in alike)
-    error = math.hypot(max(each.error for each in alike), spread, _FORM * best.factor)
+    error = math.hypot(max(each.error for each in alike), spread, th.LOAD_FORM * best.factor)
     return LoadDependence(best.factor, error, best.part, all(each.is_independent for each in alike))
 
 
@@ -125,7 +118,7 @@ class _Tried:
     def is_hardly_better(self, other: "_Tried") -> bool:
         """True if it explains no more than another one, stretch of time by stretch, or not clearly."""
         gains = np.add.reduceat(other.residual**2 - self.residual**2, self.starts)
-        return float(np.sum(gains)) <= _WORSE * float(np.std(gains, ddof=1)) * math.sqrt(len(gains))
+        return float(np.sum(gains)) <= th.WORSE * float(np.std(gains, ddof=1)) * math.sqrt(len(gains))
 
 
 def _with_load(
@@ -157,7 +150,7 @@ def _with_load(
         float(factors[0]),
         math.sqrt(max(float(covariance[0, 0]), 0.0)),
         float(np.std(np.abs(extra)) / np.sqrt(np.mean(total**2))),
-        float(left @ left) > _INDEPENDENT * float(varies @ varies),
+        float(left @ left) > th.INDEPENDENT * float(varies @ varies),
         residual,
         starts,
     )

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.compliance import sandwich
 from friction_hil.identification.data import RegressionSegment
 from friction_hil.identification.least_squares import scaled_solution
@@ -29,18 +30,7 @@ from friction_hil.recordings import Recording
 from friction_hil.recordings.quality import resolution
 
 COLUMN = "load_position"
-_BAND = 0.08  # of the sampling rate
-_STRETCH_S = 0.25
-_CLEAR = 4.0  # standard errors
-_LEAST_COUNTS = 2.0
-_LEAST_WIDTH = 0.02  # of the range of the twist: less is not told from a spring that is not quite linear
-_LEAST_ROWS = 200
-_LEAST_KNOWN = 0.9  # of the rows
-_LEAST_SPEED = 0.05  # of the RMS of a velocity: slower, a side may stand still
-_FALL = 0.8  # of the residual without a gap
-_WIDEST = 0.95  # of the range of the twist
 _SMALLEST = 1e-10  # relative singular value that counts
-_WIDTHS = (0.02, 0.1, 0.3, 0.6)  # of the range of the twist, to start from
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +66,7 @@ class _Part:
 
     def starts(self, rows: Any) -> Any:
         """Return the first of the rows in each stretch of time."""
-        return np.flatnonzero(np.diff(rows // max(1, round(_STRETCH_S * self.rate)), prepend=-1))
+        return np.flatnonzero(np.diff(rows // max(1, round(th.LOAD_SIDE_STRETCH_S * self.rate)), prepend=-1))
 
 
 def find_load_side(recordings: Sequence[Recording], records: Sequence[RegressionSegment]) -> LoadSide | None:
@@ -90,11 +80,11 @@ def find_load_side(recordings: Sequence[Recording], records: Sequence[Regression
             return None
         known = np.isfinite(recording[COLUMN])
         for each in records:
-            if each.path == recording.path and float(np.mean(known)) >= _LEAST_KNOWN:
+            if each.path == recording.path and float(np.mean(known)) >= th.LEAST_KNOWN:
                 load = np.interp(each.time_s, recording["time_s"][known], recording[COLUMN][known])
                 part = _part(each, load)
                 parts += [] if part is None else [part]
-    if sum(min(len(each.motor_rows), len(each.load_rows)) for each in parts) < _LEAST_ROWS:
+    if sum(min(len(each.motor_rows), len(each.load_rows)) for each in parts) < th.LOAD_SIDE_LEAST_ROWS:
         return None
     return _found(parts, max((resolution(recording[COLUMN]) or 0.0) for recording in recordings))
 
@@ -102,7 +92,7 @@ def find_load_side(recordings: Sequence[Recording], records: Sequence[Regression
 def _part(record: RegressionSegment, load: Array) -> _Part | None:
     from scipy.ndimage import maximum_filter1d  # imported here: commands start faster without it
 
-    rate, cut = record.rate_hz, _BAND * record.rate_hz
+    rate, cut = record.rate_hz, th.LOAD_SIDE_BAND * record.rate_hz
     edge, every = filtering.settling_samples(cut, rate), max(1, int(rate / (2.5 * cut)))
     if len(load) < 3 * edge:
         return None
@@ -112,7 +102,7 @@ def _part(record: RegressionSegment, load: Array) -> _Part | None:
         speed, acceleration = derivatives(position, record.dt)
         smooth = filtering.lowpass(speed, 2.0 * cut, rate)
         # at rest friction is whatever holds that side, and the low-pass mixes it with the rows beside
-        slow = np.abs(smooth) < _LEAST_SPEED * float(np.sqrt(np.mean(smooth**2)))
+        slow = np.abs(smooth) < th.LEAST_SPEED * float(np.sqrt(np.mean(smooth**2)))
         rows.append(inner[~maximum_filter1d(slow, 2 * round(0.5 * rate / cut) + 1)[inner]])
         sides.append(np.column_stack([acceleration, np.sign(smooth), speed, np.ones_like(speed)]))
     motor, other = sides
@@ -137,14 +127,14 @@ def _found(parts: Sequence[_Part], count: float) -> LoadSide | None:
     def residual(at: Array) -> Array:
         return torque - columns(at) @ scaled_solution(columns(at), torque, _SMALLEST)
 
-    bounds = [0.0, -0.5], [_WIDEST, 0.5]
+    bounds = [0.0, -0.5], [th.WIDEST, 0.5]
     ends = [
         least_squares(residual, [each, 0.0], bounds=bounds, diff_step=1e-3, x_scale=0.1, max_nfev=30)
-        for each in _WIDTHS
+        for each in th.WIDTHS
     ]
     at = min(ends, key=lambda each: float(each.cost)).x
     closed = np.array([0.0, 0.0])
-    has_gap = np.linalg.norm(residual(at)) < _FALL * np.linalg.norm(residual(closed))
+    has_gap = np.linalg.norm(residual(at)) < th.LOAD_SIDE_FALL * np.linalg.norm(residual(closed))
     if not has_gap:
         at = closed
     factors = scaled_solution(columns(at), torque, _SMALLEST)
@@ -156,7 +146,9 @@ def _found(parts: Sequence[_Part], count: float) -> LoadSide | None:
     values = {"motor_inertia": factors[0], "motor_friction": factors[1], "stiffness": factors[4], "damping": factors[5]}
     errors = {"motor_inertia": own[0], "motor_friction": own[1], "stiffness": own[4], "damping": own[5]}
     width, its_error = abs(float(at[0])) * spread, float(own[6]) * spread
-    if has_gap and width > max(_CLEAR * its_error, _LEAST_COUNTS * count, _LEAST_WIDTH * spread):
+    if has_gap and width > max(
+        th.LOAD_SIDE_CLEAR * its_error, th.LOAD_SIDE_LEAST_COUNTS * count, th.LEAST_WIDTH * spread
+    ):
         values["backlash"], errors["backlash"] = width, its_error
     centre = middle + float(at[1]) * spread
     coupling = np.concatenate([each.low(each.coupling(width, centre), each.load_rows) for each in parts]) @ factors[4:6]
@@ -168,7 +160,7 @@ def _found(parts: Sequence[_Part], count: float) -> LoadSide | None:
     share = own[4] / abs(factors[4]) if factors[4] else math.inf
     for name, k in (("load_inertia", 0), ("load_friction", 1)):
         values[name], errors[name] = found[k], math.hypot(again[k], share * found[k])
-    clear = [name for name in values if values[name] > _CLEAR * errors[name]]
+    clear = [name for name in values if values[name] > th.LOAD_SIDE_CLEAR * errors[name]]
     return LoadSide({name: float(values[name]) for name in clear}, {name: float(errors[name]) for name in clear})
 
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from friction_hil.errors import FrictionHilError, internal_error
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import RegressionSegment, prepare
-from friction_hil.identification.encoder_error import MOST_ORDERS, EncoderError, find_encoder_error
+from friction_hil.identification.encoder_error import EncoderError, find_encoder_error
 from friction_hil.identification.frequency_response import FrequencyResponse, frequency_response
 from friction_hil.identification.identify import Identification
 from friction_hil.identification.load_dependence import find_load_dependence
@@ -26,11 +27,6 @@ from friction_hil.identification.sliding import LOW_HZ, sliding_mechanics
 from friction_hil.identification.torque_fits import TorqueFits, model_of, swings, torque_fits
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
-
-_LIKE = 3.0  # a stiffness within this factor of another is like it
-_FORM = 0.02  # of each value: no axis is two masses with Coulomb friction to better than a few per cent
-_VAGUE = 0.5  # standard error over value
-_PULL = 0.2  # of the torque: a constant one from which on it may hold a load against one side of a gap
 
 _UNEXCITED = "the recording excites no band of frequencies while the axis slides"
 _SHAKEN = (
@@ -217,7 +213,9 @@ def _methods(resonance: Resonance | None, torques: TorqueFits | None, side: Load
             del values["backlash"]
         _add_frequencies(values, errors)
         errors = {
-            name: math.hypot(error, _FORM * abs(values[name])) for name, error in errors.items() if name in values
+            name: math.hypot(error, th.MECHANICS_FORM * abs(values[name]))
+            for name, error in errors.items()
+            if name in values
         }
         found.append((values, errors, "torque over time"))
     if side is not None:
@@ -248,10 +246,10 @@ def _rigid_inertia(quantity: Quantity, result: Identification, records: Sequence
     if not math.isfinite(error) and "inertia" not in result.settings.held:  # held at that of slow motion
         swings = any(best.mechanics[each] for each in ("gravity.sine", "gravity.cosine"))
         slow = sliding_mechanics(records, can_swing=swings)
-        if slow is not None and 0.0 < slow.inertia_error < _VAGUE * slow.inertia:
+        if slow is not None and 0.0 < slow.inertia_error < th.MECHANICS_VAGUE * slow.inertia:
             source = f"motion below {LOW_HZ:g} Hz"
             return replace(quantity, value=slow.inertia, error=slow.inertia_error, source=source)
-    if not math.isfinite(error) or not error < _VAGUE * abs(value):
+    if not math.isfinite(error) or not error < th.MECHANICS_VAGUE * abs(value):
         return replace(quantity, missing="record motions with larger accelerations")
     return replace(quantity, value=value, error=error, source="friction model")
 
@@ -304,7 +302,7 @@ def _held_against(result: Identification, units: Units, records: Sequence[Regres
     mechanics = result.best.mechanics
     swing = math.hypot(mechanics.get("gravity.sine", 0.0), mechanics.get("gravity.cosine", 0.0))
     pull = abs(mechanics.get("offset", 0.0) + mechanics.get("gravity.constant", 0.0)) - swing
-    if pull < _PULL * math.sqrt(float(np.mean(np.concatenate([each.torque for each in records]) ** 2))):
+    if pull < th.PULL * math.sqrt(float(np.mean(np.concatenate([each.torque for each in records]) ** 2))):
         return ""
     return (
         f"a constant pull of {pull:.3g} {units.torque}, such as a weight, holds the load against one side of a gap; "
@@ -335,7 +333,7 @@ def _missing(why: str, torques: TorqueFits | None, held: str) -> dict[str, str]:
     if held:
         found["backlash"] = f"{held}; take it off, or {_STROKES}"
     found["encoder_error"] = (
-        f"none stands out among the {MOST_ORDERS} orders from the lowest on that a stroke covers: it shows at high "
+        f"none stands out among the {th.MOST_ORDERS} orders from the lowest on that a stroke covers: it shows at high "
         "constant speed and half of it, over several periods of the error"
     )
     return found
@@ -352,7 +350,7 @@ def _flags(
     said = f"the stiffness of presliding, {bristle:.3g} {units.stiffness}, "
     if not bristle > 0.0:
         return ()
-    if stiffness is not None and 1.0 / _LIKE < bristle / stiffness < _LIKE:
+    if stiffness is not None and 1.0 / th.LIKE < bristle / stiffness < th.LIKE:
         return (
             f"{said}may be the coupling's: the load swings on {stiffness:.3g} {units.stiffness} at "
             f"{known['antiresonance_hz'].value:.3g} Hz; mechanics.load has the coupling, and the friction model is "
@@ -361,7 +359,7 @@ def _flags(
     tried = None if torques is None else torques.tried
     if tried is None or torques is None or torques.two is not None:
         return ()
-    alike = 1.0 / _LIKE < bristle / tried.values["stiffness"] < _LIKE
+    alike = 1.0 / th.LIKE < bristle / tried.values["stiffness"] < th.LIKE
     if alike and swings(tried, torques.rigid):
         return (
             f"{said}may be the bristles' or a coupling's: a load behind a spring explains the torque as well; "

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from friction_hil.identification import thresholds as th
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array, compiled
 from friction_hil.recordings.quality import acceleration_noise, resolution
@@ -20,18 +21,6 @@ from friction_hil.recordings.segments import Segment, between_counts
 Force = Callable[[Array, float], Array]
 
 POINTS = 4  # a sample, of the velocity that gives the direction of friction
-_TOP_RATIO = 0.15  # of the sampling rate: highest frequency that is compared
-_LEAST_RATIO = 0.02
-_DIRECTION_RATIO = 0.45  # of the sampling rate: low-pass of the velocity that gives the direction
-_ANTIALIAS = 0.4  # of the sampling rate
-_NOISE = 0.1  # of the torque: most of what the counts of the encoder make of an acceleration
-_NOISY_SPEED = 0.02  # of the velocity's RMS
-_STEP = 0.85
-_STUCK_COUNTS, _STUCK_ROWS = 3.5, 5  # an axis that moves by less in so many rows stands still
-_STUCK_RATIO = 1e-3  # the same of the usual motion, if the position is not quantised
-_SETTLED_S = 0.3  # after the start, where the twist of the coupling is not known
-_STRETCH_S = 0.25  # over which residuals are taken to be correlated
-_ROWS_PER_PERIOD = 2.5  # of the cut-off frequency
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +49,7 @@ class MotorMotion:
     @property
     def starts(self) -> NDArray[np.intp]:
         """First compared row of each stretch of time, among the compared ones."""
-        numbers = self.rows // max(1, round(_STRETCH_S / self.dt))
+        numbers = self.rows // max(1, round(th.MOTION_STRETCH_S / self.dt))
         return np.flatnonzero(np.diff(numbers, prepend=-1))
 
 
@@ -82,7 +71,7 @@ def motor_motion(
     position = between_counts(segment.encoder)
     if cutoff_hz is None:
         cutoff_hz = _cutoff(segment.torque, inertia, count, rate)
-    edge = max(math.ceil(_SETTLED_S * rate), filtering.settling_samples(cutoff_hz, rate)) if cutoff_hz else 0
+    edge = max(math.ceil(th.SETTLED_S * rate), filtering.settling_samples(cutoff_hz, rate)) if cutoff_hz else 0
     if cutoff_hz is None or len(position) < 4 * edge:
         return None
     velocity = derivatives(filtering.lowpass(position, _direction_hz(position, count, rate), rate), dt)[0]
@@ -99,7 +88,7 @@ def motor_motion(
             *known,
         ]
     )
-    every = max(1, int(rate / (_ROWS_PER_PERIOD * cutoff_hz)))
+    every = max(1, int(rate / (th.MOTION_ROWS_PER_PERIOD * cutoff_hz)))
     rows = np.arange(edge, len(position) - edge, every)
     rows = rows[~_stuck(segment.encoder, count, round(0.5 * rate / cutoff_hz))[rows]]
     if len(rows) < 100:
@@ -109,22 +98,22 @@ def motor_motion(
 
 def _cutoff(torque: Array, inertia: float, count: float, rate: float) -> float | None:
     """Return the highest frequency at which counts of the encoder make little torque; None if there is none."""
-    cutoff, least = _TOP_RATIO * rate, _LEAST_RATIO * rate
+    cutoff, least = th.MOTION_TOP_RATIO * rate, th.MOTION_LEAST_RATIO * rate
     while cutoff > least:
-        if inertia * acceleration_noise(count, cutoff, rate) <= _NOISE * float(np.std(torque)):
+        if inertia * acceleration_noise(count, cutoff, rate) <= th.MOTION_NOISE * float(np.std(torque)):
             return cutoff
-        cutoff *= _STEP
+        cutoff *= th.MOTION_STEP
     return None
 
 
 def _direction_hz(position: Array, count: float, rate: float) -> float:
-    cutoff = _DIRECTION_RATIO * rate
+    cutoff = th.DIRECTION_RATIO * rate
     speed = float(np.sqrt(np.mean(np.diff(position) ** 2))) * rate
-    while cutoff > _LEAST_RATIO * rate:
+    while cutoff > th.MOTION_LEAST_RATIO * rate:
         noise = count / math.sqrt(12.0) * math.sqrt(2.0 * cutoff / (3.0 * rate)) * math.tau * cutoff
-        if noise <= _NOISY_SPEED * speed:
+        if noise <= th.NOISY_SPEED * speed:
             break
-        cutoff *= _STEP
+        cutoff *= th.MOTION_STEP
     return cutoff
 
 
@@ -132,8 +121,8 @@ def _stuck(encoder: Array, count: float, reach: int) -> NDArray[np.bool_]:
     """Return the rows (n,) within ``reach`` rows of standstill: there friction is whatever holds the motor."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # imported here: commands start faster without it
 
-    moved = maximum_filter1d(encoder, _STUCK_ROWS) - minimum_filter1d(encoder, _STUCK_ROWS)
-    least = max(_STUCK_COUNTS * count, _STUCK_RATIO * float(np.median(moved)))
+    moved = maximum_filter1d(encoder, th.STUCK_ROWS) - minimum_filter1d(encoder, th.STUCK_ROWS)
+    least = max(th.STUCK_COUNTS * count, th.STUCK_RATIO * float(np.median(moved)))
     return np.asarray(maximum_filter1d((moved < least).astype(np.uint8), 2 * reach + 1) > 0)
 
 
@@ -156,7 +145,7 @@ def _between_samples(values: Array) -> Array:
 
 
 def _at_samples(fine: Array, dt: float) -> Array:
-    low = filtering.lowpass(fine, _ANTIALIAS / dt, POINTS / dt)
+    low = filtering.lowpass(fine, th.ANTIALIAS / dt, POINTS / dt)
     return np.ascontiguousarray(low[::POINTS])
 
 

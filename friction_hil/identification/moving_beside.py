@@ -9,11 +9,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from friction_hil.identification import coupling
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.identify import Identification
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
-
-_TOLD = 0.1  # of the residual's variance on blocks held out, beyond what the axis's own motion explains
 
 
 def moving_beside(result: Identification, beside: Mapping[str, Mapping[str, Recording]]) -> str:
@@ -42,9 +41,9 @@ def moving_beside(result: Identification, beside: Mapping[str, Mapping[str, Reco
     shares = {name: coupling.explained(np.hstack([alone, each]), residual) - known for name, each in terms.items()}
     together = coupling.explained(np.hstack([alone, *terms.values()]), residual) - known
     share = max(together, *shares.values())
-    if share < _TOLD:
+    if share < th.BESIDE_TOLD:
         return ""
-    named = sorted((name for name in shares if shares[name] >= _TOLD), key=lambda name: -shares[name])
+    named = sorted((name for name in shares if shares[name] >= th.BESIDE_TOLD), key=lambda name: -shares[name])
     moving = coupling.listed(named or list(terms))
     return (
         f"the motion of {moving} explains {100.0 * share:.0f} % of what the model leaves, on blocks held out, and may "

@@ -7,15 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import nnls
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import Data, Mask
 from friction_hil.numerics.jit import Array
-
-_BLOCKS = 6
-_FRACTIONS = (0.01, 0.02, 0.05, 0.1, 0.2)  # of the top speed: least speeds to try
-_TOP = 0.98  # quantile of the speed that is taken for the top speed
-_SPOILT = 1.1  # times the error with the best least speed, above which slow rows spoil the fit
-_SAME = 1.02  # times the same, below which a lower least speed is as good
-_LEAST_SHARE = 0.1  # of the rows must count
 
 
 class PlainAxis:
@@ -47,23 +41,25 @@ class PlainAxis:
         The axis is fitted to the rows above several least speeds. Each fit is judged by the same fast rows, in blocks
         that were held out of it.
         """
-        top = float(np.quantile(speed, _TOP))
-        fast = speed >= _FRACTIONS[-1] * top
+        top = float(np.quantile(speed, th.TOP))
+        fast = speed >= th.FRACTIONS[-1] * top
         tried = [
-            value for value in (fraction * top for fraction in _FRACTIONS) if np.mean(speed >= value) > _LEAST_SHARE
+            value
+            for value in (fraction * top for fraction in th.FRACTIONS)
+            if np.mean(speed >= value) > th.PLAIN_LEAST_SHARE
         ]
         if not tried or top == 0.0:
             return None
         errors = [self._held_out(speed >= value, fast) for value in (0.0, *tried)]
         best = min(errors)
-        if errors[0] <= _SPOILT * best:
+        if errors[0] <= th.SPOILT * best:
             return None
-        return next(value for value, error in zip(tried, errors[1:], strict=True) if error <= _SAME * best)
+        return next(value for value, error in zip(tried, errors[1:], strict=True) if error <= th.PLAIN_SAME * best)
 
     def _held_out(self, rows: Mask, judged: Mask) -> float:
         """Return the RMS error in the rows ``judged``, each block predicted by a fit to ``rows`` of the others."""
         torque, square, count = self._data.torque, 0.0, 0
-        edges = np.linspace(0, len(torque), _BLOCKS + 1).round().astype(int)
+        edges = np.linspace(0, len(torque), th.PLAIN_BLOCKS + 1).round().astype(int)
         for begin, end in itertools.pairwise(edges):
             kept, own = rows.copy(), np.zeros(len(torque), dtype=bool)
             kept[begin:end] = False

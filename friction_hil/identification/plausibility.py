@@ -13,6 +13,7 @@ import numpy as np
 
 from friction_hil import friction as models
 from friction_hil.identification import coupling
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import Data
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.identify import Identification
@@ -21,15 +22,6 @@ from friction_hil.motion.experiment import is_fast
 from friction_hil.recordings import Recording
 from friction_hil.recordings.contradictions import contradictions, unsigned_register
 from friction_hil.recordings.mapping import parse_source
-
-_NOTHING = 0.95  # of the error of a constant torque: a model with a larger error explains nothing
-_POOR = 0.5  # of the same: a model with a larger error explains less than three quarters of the variance
-_GOOD = 0.1  # relative error below which no cause is looked for
-_CLEARLY = 0.8  # ratio of two errors below which the smaller one is no coincidence
-_NO_FRICTION = 1e-3  # of the measured torque
-_MOVING = 0.05  # of the highest speed
-_ONE_WAY = 0.02  # of the moving rows: fewer in the other direction determine nothing there
-_SPEEDS = 50  # at which a model is looked at for friction
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +49,14 @@ def check_result(result: Identification, recordings: Sequence[Recording]) -> lis
     found += [] if is_turned else _without_friction(result.best)
     error, constant = result.best.held_out.relative_error, _error_of_constant(result)
     causes = []
-    if error > _GOOD and not is_turned:
+    if error > th.GOOD and not is_turned:
         causes = [*coupling.other_joints(result, recordings), *_slow_rows(result, data, plain)]
         # gravity may show in another torque and not in this one
         causes += coupling.other_torques(PlainAxis(data, swinging), result, recordings)
-    if not error < _NOTHING * min(constant, 1.0):  # also if all torques are zero, where the error is NaN
+    if not error < th.NOTHING * min(constant, 1.0):  # also if all torques are zero, where the error is NaN
         advice = "" if found or causes else f": {_advice(result)}"
         found.insert(0, Finding(f"{_compared(error, constant)}, so that it explains nothing{advice}", is_fatal=True))
-    elif error > _POOR * constant and not is_turned:
+    elif error > th.POOR * constant and not is_turned:
         advice = "" if causes else f": {_advice(result)}"
         found.append(Finding(f"{_compared(error, constant)}, so that it explains little{advice}"))
     found += [Finding(each) for each in causes]
@@ -112,9 +104,9 @@ def _register(recordings: Sequence[Recording]) -> list[Finding]:
 def _one_way(result: Identification, data: Data) -> list[Finding]:
     """Report a motion in one direction, in which friction cannot be told from a constant torque."""
     velocity = data.motion("velocity")
-    fast = np.abs(velocity) > _MOVING * float(np.max(np.abs(velocity)))
+    fast = np.abs(velocity) > th.PLAUSIBILITY_MOVING * float(np.max(np.abs(velocity)))
     shares = [float(np.mean(velocity[fast] * sign > 0.0)) for sign in (1.0, -1.0)]
-    if min(shares) >= _ONE_WAY or "offset" in result.settings.held:
+    if min(shares) >= th.ONE_WAY or "offset" in result.settings.held:
         return []
     return [
         Finding(
@@ -139,7 +131,7 @@ def _sign(result: Identification, plain: PlainAxis, recordings: Sequence[Recordi
     What depends on the position (gravity, a spring) has no sign that is known, and is fitted with either.
     """
     error, turned = plain.error(), plain.error(sign=-1.0)
-    if not turned < _CLEARLY * min(error, result.best.held_out.relative_error):
+    if not turned < th.CLEARLY * min(error, result.best.held_out.relative_error):
         return []
     return [
         Finding(
@@ -173,9 +165,9 @@ def _without_friction(best: Fit) -> list[Finding]:
     own = {name: content for name, content in modifiers.items() if name in ("direction", "viscous")}
     model = models.create(best.structure.family, modifiers=own or None, **parameters)
     top = float(np.max(np.abs(best.curves.velocity)))
-    speeds = np.linspace(0.0, top, _SPEEDS + 1)[1:]
+    speeds = np.linspace(0.0, top, th.SPEEDS + 1)[1:]
     level = max(float(np.max(np.abs(model.steady_state(sign * speeds)))) for sign in (1.0, -1.0))
-    if level > _NO_FRICTION * float(np.sqrt(np.mean(best.curves.measured**2))):
+    if level > th.NO_FRICTION * float(np.sqrt(np.mean(best.curves.measured**2))):
         return []
     return [
         Finding(

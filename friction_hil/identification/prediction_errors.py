@@ -8,19 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import Data, Mask
 from friction_hil.identification.least_squares import FitError
 from friction_hil.identification.regression import Estimate, Regression
 from friction_hil.numerics.jit import Array
-
-BLOCKS = 6
-SPEED_GROUPS = 4
-_LEAST_STROKE = 10  # rows
-_RECORDINGS_AS_BLOCKS = 4  # with this many recordings or more, each is a block
-_STRETCHES = 60  # of time, over which the errors of two fits are compared
-_LEAST_STRETCH = 8  # rows
-_ALIKE = 1.5  # ratio of the top speeds of strokes, below which they are one kind of motion
-_MARGIN = 5  # rows on either side of a block, which share samples with it through the filters
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +36,7 @@ def prediction_error(
     """
     square = (measured - predicted) ** 2
     norm = float(np.linalg.norm(measured))
-    count = max(min(_STRETCHES, len(square) // _LEAST_STRETCH), 1)
+    count = max(min(th.STRETCHES, len(square) // th.LEAST_STRETCH), 1)
     each_block = tuple(float(np.mean(square[block])) for block in blocks)
     each_stretch = tuple(float(np.mean(each)) for each in np.array_split(square, count))
     return PredictionError(
@@ -59,14 +51,14 @@ def blocks(data: Data) -> list[Mask]:
     """Return masks of the rows of each block: a stretch of time, a recording, or a group of recordings."""
     owners = [record.group or record.path for record in data.records]
     masks = []
-    if is_grouped(data) or len(set(owners)) >= _RECORDINGS_AS_BLOCKS:
+    if is_grouped(data) or len(set(owners)) >= th.RECORDINGS_AS_BLOCKS:
         for owner in dict.fromkeys(owners):
             mask = np.zeros(len(data), dtype=bool)
             for each, part in zip(owners, data.parts, strict=True):
                 mask[part] |= each == owner
             masks.append(mask)
         return masks
-    edges = np.linspace(0, len(data), BLOCKS + 1).round().astype(int)
+    edges = np.linspace(0, len(data), th.BLOCKS + 1).round().astype(int)
     for begin, end in itertools.pairwise(edges):
         mask = np.zeros(len(data), dtype=bool)
         mask[begin:end] = True
@@ -89,14 +81,14 @@ def speed_groups(data: Data) -> list[Mask]:
     if is_grouped(data):
         return []
     stroke, lengths, tops = _strokes(data)
-    if np.count_nonzero(lengths >= _LEAST_STROKE) < 2 * SPEED_GROUPS:
+    if np.count_nonzero(lengths >= th.HELD_OUT_LEAST_STROKE) < 2 * th.SPEED_GROUPS:
         return []
     order = np.argsort(tops, kind="stable")
     middles = np.cumsum(lengths[order]) - 0.5 * lengths[order]
     group = np.empty(len(lengths), dtype=int)
-    group[order] = np.minimum(middles * SPEED_GROUPS / len(data), SPEED_GROUPS - 1).astype(int)
-    masks = [group[stroke] == i for i in range(SPEED_GROUPS)]
-    return masks if all(np.count_nonzero(mask) > _LEAST_STROKE for mask in masks) else []
+    group[order] = np.minimum(middles * th.SPEED_GROUPS / len(data), th.SPEED_GROUPS - 1).astype(int)
+    masks = [group[stroke] == i for i in range(th.SPEED_GROUPS)]
+    return masks if all(np.count_nonzero(mask) > th.HELD_OUT_LEAST_STROKE for mask in masks) else []
 
 
 def _strokes(data: Data) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
@@ -116,11 +108,11 @@ def speeds_alike(data: Data) -> tuple[float, float] | None:
     What was held out is then like what was fitted, however it was divided.
     """
     _, lengths, tops = _strokes(data)
-    reached = tops[lengths >= _LEAST_STROKE]
+    reached = tops[lengths >= th.HELD_OUT_LEAST_STROKE]
     if not len(reached):
         return None
     low, high = float(np.min(reached)), float(np.max(reached))
-    return (low, high) if high < _ALIKE * low else None
+    return (low, high) if high < th.ALIKE * low else None
 
 
 def cross_validate(
@@ -136,7 +128,7 @@ def cross_validate(
     pinned = [name for name in estimate.at_bound if name in regression.keys]
     robust = None if np.all(estimate.weights == 1.0) else estimate.weights
     for mask in masks:
-        near = np.convolve(mask, np.ones(2 * _MARGIN + 1), mode="same") > 0.0
+        near = np.convolve(mask, np.ones(2 * th.MARGIN + 1), mode="same") > 0.0
         rows = ~near
         at, torque = regression.refit(
             estimate.coordinates, rows=rows, weights=robust, pinned=pinned, is_linear=is_linear

@@ -16,22 +16,16 @@ import numpy as np
 from friction_hil import friction as models
 from friction_hil.errors import UsageError
 from friction_hil.identification import structures
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import Data, linear_column
-from friction_hil.identification.fine import ROWS_HZ, FineSegment, local_rms, recounted
+from friction_hil.identification.fine import FineSegment, local_rms, recounted
 from friction_hil.identification.inference import Inference, infer
 from friction_hil.identification.least_squares import column_norms, least_norm_solution
 from friction_hil.identification.regression import Estimate, Regression
 from friction_hil.identification.structures import InitialScales, ModelStructure
 from friction_hil.numerics.jit import Array
 
-REPLICAS = 8
-_REWEIGHTINGS = 2
-_EVALUATIONS = 20  # the search has begun already, on fewer steps of the model
-_FURTHER_EVALUATIONS = 10  # after each reweighting
-_WEIGHT_S = 0.25  # window of the local residual
-_EQUAL_FRACTION = 0.25  # of the rows, those with the smallest residuals, have equal weights
-LAG_ROWS = round(0.5 * ROWS_HZ)  # over which residuals are taken to be correlated
-_SHIFT_DOUBT = 1.0 / 8.0  # variance of a subtracted shift, relative to its square: it depends on the fitted model
+LAG_ROWS = round(0.5 * th.ROWS_HZ)  # over which residuals are taken to be correlated
 
 
 def is_dynamic(structure: ModelStructure) -> bool:
@@ -46,16 +40,16 @@ def refine(
     at: Array,  # (m,), coordinates to start from
     scales: InitialScales,
     *,
-    replicas: int = REPLICAS,  # simulated experiments, at least 2
+    replicas: int = th.REPLICAS,  # simulated experiments, at least 2
     seed: int = 0,  # of the simulated experiments
 ) -> tuple[Estimate, Inference, list[str]]:
     """Estimate a structure on fine records: the estimate, with the bias subtracted, its uncertainty, and notes."""
-    estimate = coarse.estimate(inside(coarse, at, scales), evaluations=_EVALUATIONS)
+    estimate = coarse.estimate(inside(coarse, at, scales), evaluations=th.REFINED_EVALUATIONS)
     weights = _weights(coarse.data, estimate.residual)
-    for _ in range(_REWEIGHTINGS - 1):
-        estimate = coarse.estimate(estimate.coordinates, weights=weights, evaluations=_FURTHER_EVALUATIONS)
+    for _ in range(th.REWEIGHTINGS - 1):
+        estimate = coarse.estimate(estimate.coordinates, weights=weights, evaluations=th.FURTHER_EVALUATIONS)
         weights = _weights(coarse.data, estimate.residual)
-    estimate = regression.estimate(estimate.coordinates, weights=weights, evaluations=_FURTHER_EVALUATIONS)
+    estimate = regression.estimate(estimate.coordinates, weights=weights, evaluations=th.FURTHER_EVALUATIONS)
     inference = infer(estimate, regression.data.parts, lags=LAG_ROWS)
     shifts = _shifts(regression, originals, estimate, replicas, seed)
     corrected, inference, notes = _corrected(regression, estimate, inference, shifts)
@@ -65,7 +59,7 @@ def refine(
 def weighted_estimate(regression: Regression, at: Array, scales: InitialScales, *, evaluations: int = 60) -> Estimate:
     """Estimate a structure on fine records from ``at``, with small weights where the state of the model is wrong."""
     estimate = regression.estimate(inside(regression, at, scales), evaluations=evaluations)
-    for _ in range(_REWEIGHTINGS):
+    for _ in range(th.REWEIGHTINGS):
         weights = _weights(regression.data, estimate.residual)
         estimate = regression.estimate(estimate.coordinates, weights=weights, evaluations=evaluations)
     return estimate
@@ -80,12 +74,12 @@ def inside(regression: Regression, at: Array, scales: InitialScales) -> Array:
 
 def _near(data: Data, residual: Array) -> Array:
     """Return the local root mean square of the residual, (k,)."""
-    return np.concatenate([local_rms(residual[part], _WEIGHT_S) for part in data.parts])
+    return np.concatenate([local_rms(residual[part], th.WEIGHT_S) for part in data.parts])
 
 
 def _weights(data: Data, residual: Array) -> Array:
     near = _near(data, residual)
-    return np.asarray(1.0 / np.maximum(near, max(float(np.quantile(near, _EQUAL_FRACTION)), 1e-300)))
+    return np.asarray(1.0 / np.maximum(near, max(float(np.quantile(near, th.EQUAL_FRACTION)), 1e-300)))
 
 
 def _shifts(regression: Regression, originals: Data, estimate: Estimate, replicas: int, seed: int) -> Array:
@@ -160,7 +154,7 @@ def _corrected(
         estimate = replace(estimate, values=values, coordinates=coordinates, residual=residual, at_bound=at_bound)
     else:
         notes.append("the bias by the encoder's counts exceeds the bounds: it is part of the errors, not subtracted")
-    doubt = _SHIFT_DOUBT if is_inside else 1.0
+    doubt = th.REFINED_SHIFT_DOUBT if is_inside else 1.0
     variance = (1.0 + 1.0 / len(shifts)) * spread + doubt * shift**2
     errors = {
         name: float(np.hypot(inference.standard_errors[name], np.sqrt(more)))

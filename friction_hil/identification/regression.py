@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from friction_hil.errors import UsageError
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import Data, Mask
 from friction_hil.identification.least_squares import (
     BoundedSolution,
@@ -29,21 +30,13 @@ from friction_hil.numerics.jit import Array
 
 # Linear parameters that stay at or above zero: friction must not drive the axis.
 _POSITIVE = ("inertia", "viscous", "sigma2", "back_emf")
-# Viscous friction that bends down must not change its sign up to so many times the top speed of the data.
-_BENDING_SPEEDS = 3.0
 # Parameters of a drive with an unknown gain: see `friction_hil.identification.unknown_gain`.
 GAIN, INVERSE_GAIN, BACK_EMF = "drive.gain", "drive.inverse_gain", "drive.back_emf"
-_LONGEST_STEP = 2.0  # of a logarithm: the parameter changes by a factor of 7 at most
 _REMEMBERED = 6  # evaluations kept
 _LONG = 20_000  # steps of the longest record: below, a thread takes longer to start than it saves
 _RANK = 1e-9  # of a column's norm: a smaller remainder outside the span of the columns before it is rounding
 _COLLINEAR = 1e-7  # the same for a derivative
-_SHORT_STEP = 0.03  # relative change of a parameter for which the torque follows its gradient
-_REFIT_DAMPING = 0.1  # of columns of length 1
-_REFIT_EVALUATIONS = 4
-_ROUNDS = 4  # of reweighting
 _NORMAL_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
-ROBUST_DEVIATIONS = 3.0  # beyond which a residual counts less
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +78,7 @@ class Regression:
             np.array([each.bounds[i] for each in structure.coordinates], dtype=float) for i in (0, 1)
         )
         self.longest = np.array(
-            [_LONGEST_STEP if each.is_log else math.inf for each in structure.coordinates], dtype=float
+            [th.LONGEST_STEP if each.is_log else math.inf for each in structure.coordinates], dtype=float
         )
         self._known: dict[bytes, tuple[Array, Array]] = {}
         self._buffers: list[tuple[Array, Array]] | None = None  # for torque and gradient at the full rate
@@ -206,7 +199,7 @@ class Regression:
         is_free = (norms > _COLLINEAR * column_norms(gradient)) & (at > self.lower) & (at < self.upper)
         columns = both[:, 1:][:, is_free] / norms[is_free]
         normal, slope = columns.T @ columns, columns.T @ both[:, 0]
-        for damping in (0.0, _REFIT_DAMPING):
+        for damping in (0.0, th.REFIT_DAMPING):
             step = np.zeros(len(at))
             damped = normal + damping * np.eye(len(slope))
             step[is_free] = least_norm_solution(damped, -slope, 1e-10) / norms[is_free]
@@ -225,14 +218,14 @@ class Regression:
             if cost - float(np.sum(after**2)) >= 0.5 * promised >= 0.0:  # below zero where a bound has bent the step
                 return trial, torque
         at = self.search(
-            at, evaluations=_REFIT_EVALUATIONS, rows=rows, weights=weights, pinned=pinned, tolerance=1e-4
+            at, evaluations=th.REFIT_EVALUATIONS, rows=rows, weights=weights, pinned=pinned, tolerance=1e-4
         ).at
         return at, self.friction(at)[0]
 
     def _is_short(self, at: Array, trial: Array) -> bool:
         """Return True if every parameter changes by a few percent at most."""
         sizes = np.where(np.isfinite(self.longest), 1.0, np.abs(at))  # a logarithm changes by the relative change
-        return bool(np.all(np.abs(trial - at) <= _SHORT_STEP * sizes))
+        return bool(np.all(np.abs(trial - at) <= th.SHORT_STEP * sizes))
 
     def _basis(self, rows: Mask | None, weights: Array | None, pinned: Sequence[str]) -> tuple[list[str], Array]:
         """Return the names of linear parameters with independent columns, and an orthonormal basis of their span."""
@@ -278,7 +271,7 @@ class Regression:
         if bend < 0.0:
             slopes = [value for name, value in linear.items() if name.rpartition(".")[2] in ("viscous", "sigma2")]
             top = float(np.max(np.abs(self.data.motion("velocity"))))
-            if min(slopes, default=0.0) + _BENDING_SPEEDS * top * bend < 0.0:
+            if min(slopes, default=0.0) + th.BENDING_SPEEDS * top * bend < 0.0:
                 wrong.append("viscous.quadratic")
         return wrong
 
@@ -333,7 +326,7 @@ class Regression:
         """
         pinned: list[str] = []
         at = start
-        for _ in range(_ROUNDS if is_robust else 1):
+        for _ in range(th.REGRESSION_ROUNDS if is_robust else 1):
             while True:
                 solution = self.search(at, evaluations=evaluations, weights=weights, pinned=pinned)
                 at = solution.at
@@ -388,7 +381,7 @@ def robust_weights(residual: Array) -> Array:
     Source: P. J. Huber, Annals of Mathematical Statistics 35(1), 1964; scale from the median absolute deviation.
     """
     centred = np.abs(residual - np.median(residual))
-    scale = ROBUST_DEVIATIONS * _NORMAL_MAD * float(np.median(centred))
+    scale = th.ROBUST_DEVIATIONS * _NORMAL_MAD * float(np.median(centred))
     if scale == 0.0:
         return np.ones(len(residual))
     return np.sqrt(np.minimum(1.0, scale / np.maximum(centred, scale)))

@@ -19,24 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.compliance import sandwich
 from friction_hil.identification.frequency_response import Complex, FrequencyResponse
 from friction_hil.numerics.jit import Array
 
 _NAMES = ("motor_inertia", "load_inertia", "stiffness", "damping", "viscous", "delay_s")
-_STARTS = 10  # of the anti-resonance, over the band
-_EVIDENT = 30.0  # times the variance of the residual: fall of the weighted sum of squares by three parameters
-_LEAST_LOAD = 0.02  # of the sum of the inertias
-_EDGE = 1.15  # the resonance lies so far below the end of the band, or it is a guess
-_LEAST_DAMPING, _MOST_DAMPING = 1e-4, 0.7  # damping ratio: outside, nothing swings, or no axis swings so
-_FALL = 0.5  # of the misfit of one mass: bristles and losses of a gear bend the response of a rigid axis, too
 _LARGEST_ERRORS = {"antiresonance_hz": 0.1, "resonance_hz": 0.1, "load_inertia": 0.3, "motor_inertia": 0.3}
-_MOST_MISFIT = 0.3
-_LEAST_USED = 0.5  # of the lines between the first and the last used one: else harmonics of something, no response
-_NEAR_MEAN = 0.15  # of a period between the delay of a torque and that of a mean
-_BANDS = 16  # over which a mismatch is alike, evenly spaced on a logarithmic scale
-_BETWEEN_LINES = 0.01  # of the distance of two lines: error of a frequency by what the polynomials leave out
-_LEAST_ERROR = 1e-3  # of a line: an interpolated, short or noiseless window is no better
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +42,10 @@ def fit_resonance(response: FrequencyResponse) -> tuple[Resonance | None, str]:
     """Fit two masses to a frequency response; None, and why, if it does not show a resonance."""
     low, high = response.band_hz
     inside = (response.frequency_hz >= low) & (response.frequency_hz <= high)
-    if np.mean(response.is_used[inside]) < _LEAST_USED:
+    if np.mean(response.is_used[inside]) < th.LEAST_USED:
         return None, f"the recording excites only some frequencies between {low:.3g} and {high:.3g} Hz"
     found, why = _fit(response, response.response)
-    if found is None or abs(found.values["delay_s"] / response.period_s - 0.5) > _NEAR_MEAN:
+    if found is None or abs(found.values["delay_s"] / response.period_s - 0.5) > th.NEAR_MEAN:
         return found, why
     # half a period old, the torque is a mean over the period, which is smaller than the torque at high frequencies
     mean = np.sinc(response.frequency_hz * response.period_s)
@@ -70,7 +59,7 @@ def _fit(response: FrequencyResponse, corrected: Complex) -> tuple[Resonance | N
     measured = corrected[response.is_used]
     beside = response.beside[:, response.is_used]
     others = len(beside)
-    sigma = np.maximum(response.errors[response.is_used], _LEAST_ERROR)
+    sigma = np.maximum(response.errors[response.is_used], th.LEAST_ERROR)
 
     def residual_of(predict: Callable[[Array], Complex]) -> Callable[[Array], Array]:
         def residual(at: Array) -> Array:
@@ -89,7 +78,7 @@ def _fit(response: FrequencyResponse, corrected: Complex) -> tuple[Resonance | N
     best = None
     fit = residual_of(lambda at: _two_masses(at, omega, beside))
     scale = [1.0, 1.0, 0.1, 1.0, inertia, 1e-3, *[inertia] * others]
-    for antiresonance in np.geomspace(omega[0], omega[-1] / _EDGE, _STARTS):
+    for antiresonance in np.geomspace(omega[0], omega[-1] / th.EDGE, th.RESONANCE_STARTS):
         for share in (0.2, 0.6):
             start = np.array(
                 [
@@ -110,19 +99,19 @@ def _fit(response: FrequencyResponse, corrected: Complex) -> tuple[Resonance | N
     freedom = max(2 * len(omega) - len(best.x), 1)
     variance = 2.0 * best.cost / freedom
     low, high = response.band_hz
-    if 2.0 * (rigid.cost - best.cost) < _EVIDENT * max(variance, 1.0):
+    if 2.0 * (rigid.cost - best.cost) < th.RESONANCE_EVIDENT * max(variance, 1.0):
         return None, f"no resonance from {low:.3g} to {high:.3g} Hz, where the recording excites the axis"
     values, errors = _derived(
-        best.x, _covariances(best.jac, fit(best.x), response, sigma), _BETWEEN_LINES / response.window_s
+        best.x, _covariances(best.jac, fit(best.x), response, sigma), th.BETWEEN_LINES / response.window_s
     )
     load, total = values["load_inertia"], values["inertia"]
     weights = np.concatenate([sigma, sigma])
     misfit, of_one_mass = (float(np.sqrt(np.mean((each * weights) ** 2))) for each in (fit(best.x), rigid_fit(rigid.x)))
-    is_inside = low < values["antiresonance_hz"] and values["resonance_hz"] * _EDGE < high
-    is_damped = _LEAST_DAMPING < values["damping_ratio"] < _MOST_DAMPING
+    is_inside = low < values["antiresonance_hz"] and values["resonance_hz"] * th.EDGE < high
+    is_damped = th.LEAST_DAMPING < values["damping_ratio"] < th.MOST_DAMPING
     is_clear = all(errors[name] < most * values[name] for name, most in _LARGEST_ERRORS.items())
-    explains = misfit < min(_MOST_MISFIT, _FALL * of_one_mass)
-    if not (is_inside and is_damped and is_clear and load > _LEAST_LOAD * total and explains):
+    explains = misfit < min(th.MOST_MISFIT, th.RESONANCE_FALL * of_one_mass)
+    if not (is_inside and is_damped and is_clear and load > th.LEAST_LOAD * total and explains):
         return None, (
             f"the response from {low:.3g} to {high:.3g} Hz is neither that of one mass nor clearly that of two: a "
             "resonance beyond this band, backlash, losses of a gear or a third mass look so"
@@ -209,7 +198,9 @@ def _covariances(jacobian: Array, residual: Array, response: FrequencyResponse, 
     deviations = response.deviations[:, response.is_used] / sigma
     shifts = np.concatenate([deviations.real, deviations.imag], axis=1) @ changes.T
     frequency = response.frequency_hz[response.is_used]
-    bands = np.floor(_BANDS * np.log(frequency / frequency[0]) / np.log(frequency[-1] / frequency[0] * (1.0 + 1e-9)))
+    bands = np.floor(
+        th.RESONANCE_BANDS * np.log(frequency / frequency[0]) / np.log(frequency[-1] / frequency[0] * (1.0 + 1e-9))
+    )
     both = np.concatenate([bands, bands])
     order = np.argsort(both, kind="stable")
     starts = np.flatnonzero(np.diff(both[order], prepend=-1.0))

@@ -6,20 +6,13 @@ import numpy as np
 
 from friction_hil import friction as models
 from friction_hil.errors import RecordingError
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import Data, moved_since_reversal
 from friction_hil.identification.least_squares import scaled_solution
 from friction_hil.identification.structures import TABLE_POINTS, InitialScales
 from friction_hil.numerics.jit import Array
 
-_DEFLECTIONS = 12  # number of deflections tried
-_VELOCITIES = 10
-_LEAST_LEVEL = 1e-3  # of the measured torque: smallest level, so that searches have a scale even without friction
-_SPREAD = (1e-6, 0.1)  # of the travel: range of deflections tried
 _COLLINEAR = 1e-6  # of a regressor's norm: a smaller remainder outside the span of the base is rounding
-_SLIDING = 3.0  # presliding deflections after which the axis slides
-_LEAST_SHARE = 0.01  # of the time: the axis slides more slowly than the least sliding speed for as long
-_LARGEST = 0.999  # quantile
-_MOVING = 1e-3  # of the top speed: the axis moves if it is faster
 
 
 def estimate_scales(data: Data, mechanics: tuple[str, ...]) -> InitialScales:
@@ -39,8 +32,8 @@ def estimate_scales(data: Data, mechanics: tuple[str, ...]) -> InitialScales:
         raise RecordingError(f"{path}: the measured torque is zero in every row")
     base = _Base(data, mechanics)
     sign = data.stack([np.sign(record.velocity) for record in data.records])
-    level = max(float(base.regress(sign)[1][0]), _LEAST_LEVEL * torque)
-    deflections = np.geomspace(*_SPREAD, _DEFLECTIONS) * travel
+    level = max(float(base.regress(sign)[1][0]), th.LEAST_LEVEL * torque)
+    deflections = np.geomspace(*th.SPREAD, th.DEFLECTIONS) * travel
     left = [base.regress(_dahl(data, deflection))[0] for deflection in deflections]
     static, stribeck_velocities = _stribeck(data, base, sign, level, speed)
     return InitialScales(
@@ -51,7 +44,7 @@ def estimate_scales(data: Data, mechanics: tuple[str, ...]) -> InitialScales:
         deflections=_best(deflections, left, 2),
         stribeck_velocities=stribeck_velocities,
         speeds=_table_speeds(data, speed),
-        least_sliding_speed=_least_sliding_speed(data, _SLIDING * _best(deflections, left, 1)[0], speed),
+        least_sliding_speed=_least_sliding_speed(data, th.SLIDING * _best(deflections, left, 1)[0], speed),
         largest=max(_largest(data, mechanics, sign), level),
     )
 
@@ -76,7 +69,7 @@ class _Base:
 
 def _stribeck(data: Data, base: _Base, sign: Array, level: float, speed: float) -> tuple[float, tuple[float, ...]]:
     """Return the level at standstill and the best Stribeck velocities."""
-    velocities = np.geomspace(3e-3, 0.7, _VELOCITIES) * speed
+    velocities = np.geomspace(3e-3, 0.7, th.SCALES_VELOCITIES) * speed
     fits = [base.regress(sign, _hump(data, velocity)) for velocity in velocities]
     # start only from velocities whose fitted levels are positive
     left = [fit[0] if fit[1][0] > 0.0 and fit[1].sum() > 0.0 else math.inf for fit in fits]
@@ -96,7 +89,7 @@ def _table_speeds(data: Data, speed: float) -> tuple[float, ...]:
             for record in data.records
         ]
     )
-    moving = moving[moving > _MOVING * np.max(moving)]
+    moving = moving[moving > th.SCALES_MOVING * np.max(moving)]
     if not len(moving):
         raise RecordingError(f"{data.records[0].path}: the axis does not move in any row that counts")
     quantiles = np.quantile(moving, np.linspace(0.02, 0.98, TABLE_POINTS))
@@ -108,7 +101,7 @@ def _least_sliding_speed(data: Data, distance: float, top: float) -> float:
 
     It slides where it has moved by ``distance`` since the last reversal; before that the torque shows presliding, not
     the level at that speed. A parameter of the Stribeck curve is known only from rows in which the axis slides. A
-    coarse encoder shows no speed in many of these rows: slower than `_MOVING` the axis does not move.
+    coarse encoder shows no speed in many of these rows: slower than `th.SCALES_MOVING` the axis does not move.
     """
     found, total = [], 0
     for record in data.records:
@@ -120,8 +113,8 @@ def _least_sliding_speed(data: Data, distance: float, top: float) -> float:
         found.append(speeds)
         total += len(velocity)
     slid = np.sort(np.concatenate(found))
-    least = float(slid[min(int(_LEAST_SHARE * total), len(slid) - 1)]) if len(slid) else top
-    return max(least, _MOVING * top)
+    least = float(slid[min(int(th.SCALES_LEAST_SHARE * total), len(slid) - 1)]) if len(slid) else top
+    return max(least, th.SCALES_MOVING * top)
 
 
 def _largest(data: Data, mechanics: tuple[str, ...], sign: Array) -> float:
@@ -129,7 +122,7 @@ def _largest(data: Data, mechanics: tuple[str, ...], sign: Array) -> float:
     columns = np.column_stack([*(data.column(name) for name in mechanics), data.column("viscous"), sign])
     factors = scaled_solution(columns, data.torque)
     friction = data.torque - columns[:, : len(mechanics)] @ factors[: len(mechanics)]
-    return float(np.quantile(np.abs(friction), _LARGEST))
+    return float(np.quantile(np.abs(friction), th.LARGEST))
 
 
 def _dahl(data: Data, deflection: float) -> Array:

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from friction_hil.identification import structures
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.choice import log_likelihood_gain
 from friction_hil.identification.humps import hump
 from friction_hil.identification.least_squares import FitError
@@ -21,13 +22,6 @@ from friction_hil.identification.regression import Estimate, Regression
 from friction_hil.identification.structures import InitialScales
 from friction_hil.identification.workers import in_parallel
 from friction_hil.numerics.jit import Array
-
-_STARTS = 2  # suggested by the scales, besides that of the base
-_HUMP_HEIGHT = 1.3  # of the level
-_HUMP_WIDTHS = (0.4, 0.7)  # between the slowest sliding and the top speed, as a share of the logarithm
-_FIRST_EVALUATIONS = 5  # from each start
-_ROUNDS = ((10, 2.5), (25, 1.4))  # evaluations, and the ratio of errors above which a candidate ends
-_SIGNIFICANT = 3.0  # standard errors by which it must be worse
 
 
 @dataclass(slots=True)
@@ -50,7 +44,7 @@ def screened(regressions: Sequence[Regression], bases: Sequence[Array], scales: 
     The regressions are on the same data. ``bases``: coordinates (m,) to start from; the scales suggest others.
     """
     found = in_parallel([partial(_begun, *given, scales) for given in zip(regressions, bases, strict=True)])
-    for evaluations, ratio in _ROUNDS:
+    for evaluations, ratio in th.SCREENING_ROUNDS:
         left = [i for i, each in enumerate(found) if each.failure is None and not each.is_ended]
         if len(left) < 2:  # what is left is searched for with all steps anyway
             break
@@ -64,7 +58,7 @@ def screened(regressions: Sequence[Regression], bases: Sequence[Array], scales: 
         best = _best(list(known.values()))
         for i, error in known.items():
             gain, doubt = log_likelihood_gain(best, error)
-            found[i].is_ended = gain > max(math.log(ratio), _SIGNIFICANT * doubt)
+            found[i].is_ended = gain > max(math.log(ratio), th.SIGNIFICANT * doubt)
     return found
 
 
@@ -78,13 +72,13 @@ def _begun(regression: Regression, base: Array, scales: InitialScales) -> Search
     starts = [inside(regression, base, scales)]
     coordinates = regression.structure.coordinates
     for values in structures.starts(regression.structure, scales, 0, 0):
-        if len(starts) <= _STARTS:
+        if len(starts) <= th.SCREENING_STARTS:
             starts.append(np.array([each.inner(values[each.name]) for each in coordinates]))
     starts += [
         np.array([each.inner(values[each.name]) for each in coordinates]) for values in _humps(regression, scales)
     ]
     try:
-        tried = [regression.search(each, evaluations=_FIRST_EVALUATIONS, tolerance=1e-5) for each in starts]
+        tried = [regression.search(each, evaluations=th.SCREENING_FIRST_EVALUATIONS, tolerance=1e-5) for each in starts]
     except Exception as error:  # noqa: BLE001  raised again where this candidate is refined, and costs it alone
         return Search(starts[0], failure=error)
     best = min(tried, key=lambda each: each.cost)
@@ -99,9 +93,11 @@ def _humps(regression: Regression, scales: InitialScales) -> list[dict[str, floa
     values = next(structures.starts(regression.structure, scales, 0, 0))
     slowest = min(scales.least_sliding_speed, scales.speed)
     found = []
-    for share in _HUMP_WIDTHS if names else ():
+    for share in th.HUMP_WIDTHS if names else ():
         width = slowest ** (1.0 - share) * scales.speed**share
-        levels = {name: width if name == "stribeck_velocity" else _HUMP_HEIGHT * scales.level for name in names}
+        levels = {
+            name: width if name == "stribeck_velocity" else th.SCREENING_HUMP_HEIGHT * scales.level for name in names
+        }
         found.append({**values, **levels})
     return found
 

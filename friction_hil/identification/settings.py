@@ -7,8 +7,8 @@ from typing import Literal
 from friction_hil import friction as models
 from friction_hil.errors import UsageError, choices
 from friction_hil.identification import structures
-from friction_hil.identification.refine import REPLICAS
 from friction_hil.identification.structures import EQUAL_IN_FEEDFORWARD
+from friction_hil.identification.thresholds import REPLICAS
 
 GravityKind = Literal["auto", "none", "constant", "pendulum"]
 

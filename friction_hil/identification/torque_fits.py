@@ -8,6 +8,7 @@ import numpy as np
 
 from friction_hil import friction as models
 from friction_hil.friction import FrictionModel
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.compliance import ComplianceFitter, TorqueFit
 from friction_hil.identification.data import RegressionSegment
 from friction_hil.identification.fits import Fit
@@ -16,18 +17,6 @@ from friction_hil.identification.motor_motion import Force, MotorMotion, motor_m
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings.quality import acceleration_noise
-
-_BETTER = 3.0  # standard errors by which two masses must fit better than one
-_FALL = 0.8  # of the residual of the simpler form
-_CLEAR = 4.0  # standard errors of the inertia of the load, and of the backlash
-_LEAST_SHARE = 0.03  # of either mass in the inertia
-_MOST_DAMPED = 0.4  # damping ratio at the anti-resonance: beyond, nothing swings
-_NOISE = 1.3  # times the noise of torque and counts: a fit with such a residual cannot be improved
-_NARROW = 0.6  # of the band: a fit to it says how far the result depends on what is compared
-_LEAST_COUNTS = 2.0  # of the encoder, in a backlash
-_LEAST_FREE = 1e-3  # of the time in the gap
-_MOST_ROWS = 16_000  # of all records
-_PARTS, _LEAST_PART_S = 4, 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +40,7 @@ def torque_fits(records: Sequence[RegressionSegment], result: Identification) ->
     plain = ComplianceFitter(motions, inertia, level, has_model=False)
     with_model = ComplianceFitter(motions, inertia, level, has_model=True) if model is not None else None
     rigid = min((each.rigid() for each in (plain, with_model) if each is not None), key=lambda each: each.rmse)
-    if rigid.rmse <= _NOISE * math.hypot(_noise(motions), _noise_of_counts(motions, records, inertia)):
+    if rigid.rmse <= th.TORQUE_FIT_NOISE * math.hypot(_noise(motions), _noise_of_counts(motions, records, inertia)):
         return TorqueFits(motions, rigid, None, None, has_gap=False)
     tried = None
     for fitter in (plain, with_model):
@@ -103,7 +92,7 @@ def _motions(
             friction=friction,
             cutoff_hz=cutoff_hz,
         )
-        if motion is not None and rows < _MOST_ROWS:
+        if motion is not None and rows < th.MOST_ROWS:
             found.append(motion)
             rows += len(each.position)
     return found
@@ -112,16 +101,16 @@ def _motions(
 def _excerpts(records: Sequence[RegressionSegment]) -> list[RegressionSegment]:
     """Return parts of long records, evenly spread: a search through all of them would take minutes."""
     total = sum(len(each.position) for each in records)
-    if total <= _MOST_ROWS:
+    if total <= th.MOST_ROWS:
         return list(records)
     found = []
     for each in records:
         count = len(each.position)
-        part = int(_MOST_ROWS * count / total / _PARTS)
-        if part * each.dt < _LEAST_PART_S:  # as a whole, until there are enough rows
+        part = int(th.MOST_ROWS * count / total / th.PARTS)
+        if part * each.dt < th.LEAST_PART_S:  # as a whole, until there are enough rows
             found.append(each)
             continue
-        for begin in np.linspace(0, count - part, _PARTS).astype(int).tolist():
+        for begin in np.linspace(0, count - part, th.PARTS).astype(int).tolist():
             rows = slice(begin, begin + part)
             found.append(
                 replace(each, encoder=each.encoder[rows], torque=each.torque[rows], position=each.position[rows])
@@ -193,8 +182,8 @@ def _is_clear(fitter: ComplianceFitter, two: TorqueFit, rigid: TorqueFit) -> boo
     load, motor = values["load_inertia"], values["motor_inertia"]
     return (
         swings(two, rigid)
-        and fitter.evidence(two, rigid) > _BETTER
-        and motor > max(_LEAST_SHARE * (load + motor), _CLEAR * errors["motor_inertia"])
+        and fitter.evidence(two, rigid) > th.TORQUE_FIT_BETTER
+        and motor > max(th.TORQUE_FIT_LEAST_SHARE * (load + motor), th.TORQUE_FIT_CLEAR * errors["motor_inertia"])
     )
 
 
@@ -203,9 +192,13 @@ def swings(two: TorqueFit, rigid: TorqueFit) -> bool:
     values, load = two.values, two.values["load_inertia"]
     damping = 0.5 * values["damping"] / math.sqrt(values["stiffness"] * load)
     return (
-        two.rmse < _FALL * rigid.rmse
-        and load > max(_LEAST_SHARE * (load + values["motor_inertia"]), _CLEAR * two.errors["load_inertia"])
-        and damping < _MOST_DAMPED
+        two.rmse < th.TORQUE_FIT_FALL * rigid.rmse
+        and load
+        > max(
+            th.TORQUE_FIT_LEAST_SHARE * (load + values["motor_inertia"]),
+            th.TORQUE_FIT_CLEAR * two.errors["load_inertia"],
+        )
+        and damping < th.MOST_DAMPED
     )
 
 
@@ -215,10 +208,10 @@ def _has_gap(
     count = max((each.resolution or 0.0) for each in records)
     gap, error = wide.values["backlash"], wide.errors["backlash"]
     return (
-        wide.rmse < _FALL * without.rmse
-        and fitter.evidence(wide, without) > _BETTER
-        and gap > max(_CLEAR * error, _LEAST_COUNTS * count)
-        and wide.free > _LEAST_FREE
+        wide.rmse < th.TORQUE_FIT_FALL * without.rmse
+        and fitter.evidence(wide, without) > th.TORQUE_FIT_BETTER
+        and gap > max(th.TORQUE_FIT_CLEAR * error, th.TORQUE_FIT_LEAST_COUNTS * count)
+        and wide.free > th.LEAST_FREE
     )
 
 
@@ -230,7 +223,7 @@ def _checked(
     model: FrictionModel | None,
 ) -> TorqueFit:
     """Return a fit whose standard errors include how far it depends on the band that is compared."""
-    low = [_motions([each], result, model, cutoff_hz=_NARROW * _cutoff(each, result, model)) for each in records]
+    low = [_motions([each], result, model, cutoff_hz=th.NARROW * _cutoff(each, result, model)) for each in records]
     motions = [motion for each in low for motion in each]
     if not motions:
         return fit

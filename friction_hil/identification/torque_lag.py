@@ -26,22 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError
+from friction_hil.identification import thresholds as th
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 
-_HIGHPASS = 0.02  # of the sampling rate: slower changes belong to gravity, friction and integral parts
 _COMMANDS = 16  # samples for which the response to a command is followed
-_POSITIONS, _VELOCITIES = 3, 2  # samples that the loops of the drive may use
-_DEMANDS = range(-1, 5)  # samples of the demand: it is sent ahead of time and interpolated
-_LONGEST = 3.0  # periods; the response to a command has to end within `_COMMANDS`
-_EDGE_PERIODS = 100  # in which the high-pass forgets what was before a run, or a gap in it
-_FEWEST_ROWS = 1000
-_GRID, _ROUNDS = 301, 5
-_KEPT = 12.0  # logarithm of the likelihood ratio beyond which a lag is ruled out
-_ENOUGH_INSIDE = 60  # values of the grid that are not ruled out
-_CORRELATED = 30  # samples
 _SMALLEST = 1e-7  # relative singular value that counts
-_UPPER = 0.95  # probability that the lag is below its upper limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +85,7 @@ def _identified(recordings: Sequence[Recording], mode: str, delay_s: float, *, i
     period_s = recordings[0].period_s
     parts = [_signals(recording, mode, period_s) for recording in recordings]
     torque, commands, loops, demands = (np.concatenate(each) for each in zip(*parts, strict=True))
-    if len(torque) < _FEWEST_ROWS:
+    if len(torque) < th.LAG_FEWEST_ROWS:
         raise RecordingError(f"{recordings[0].path}: {len(torque)} rows are too few for the lag of the torque")
     if not np.all(np.linalg.norm(commands, axis=0) > 0.0):
         raise RecordingError(f"{recordings[0].path}: the command does not change")
@@ -149,23 +139,25 @@ class _Likelihood:
 
     def estimate(self, period_s: float) -> LagEstimate:
         """Return the lag; the grid is narrowed to what the likelihood does not rule out."""
-        grid = np.linspace(0.0, _LONGEST, _GRID)
-        for _ in range(_ROUNDS):
+        grid = np.linspace(0.0, th.LONGEST, th.LAG_GRID)
+        for _ in range(th.LAG_ROUNDS):
             costs, gains = (np.array(each) for each in zip(*map(self._cost, grid), strict=True))
             best = int(np.argmin(costs))
             variance = self._variance(grid, best, float(gains[best]), float(costs[best]))
             logs = (costs[best] - costs) / (2.0 * variance)
-            kept = np.flatnonzero(logs > -_KEPT)
+            kept = np.flatnonzero(logs > -th.KEPT)
             lowest, highest = grid[max(kept[0] - 1, 0)], grid[min(kept[-1] + 1, len(grid) - 1)]
-            if len(kept) >= _ENOUGH_INSIDE:
+            if len(kept) >= th.ENOUGH_INSIDE:
                 break
-            grid = np.linspace(lowest, highest, _GRID)
+            grid = np.linspace(lowest, highest, th.LAG_GRID)
         weights = np.exp(logs)
         weights /= weights.sum()
         mean = float(weights @ grid)
         error = math.sqrt(float(weights @ (grid - mean) ** 2))
-        most = float(grid[min(int(np.searchsorted(np.cumsum(weights), _UPPER)), len(grid) - 1)])
-        return LagEstimate(mean * period_s, error * period_s, most * period_s, _LONGEST * period_s, float(gains[best]))
+        most = float(grid[min(int(np.searchsorted(np.cumsum(weights), th.UPPER)), len(grid) - 1)])
+        return LagEstimate(
+            mean * period_s, error * period_s, most * period_s, th.LONGEST * period_s, float(gains[best])
+        )
 
     def _response(self, lag: float) -> Array:
         return lag_response(lag, self._delay, is_mean=self._is_mean)
@@ -193,8 +185,8 @@ class _Likelihood:
         if size > 0.0:
             score = residual * (self._basis @ direction)
             total = float(score @ score)
-            for k in range(1, _CORRELATED + 1):
-                total += 2.0 * (1.0 - k / (_CORRELATED + 1)) * float(score[k:] @ score[:-k])
+            for k in range(1, th.LAG_CORRELATED + 1):
+                total += 2.0 * (1.0 - k / (th.LAG_CORRELATED + 1)) * float(score[k:] @ score[:-k])
             variance = max(variance, total / size)
         return float(max(variance, cost / self._spare))
 
@@ -221,11 +213,11 @@ def _signals(recording: Recording, mode: str, period_s: float) -> tuple[Array, A
     commands = [_delayed(command, k) for k in range(_COMMANDS + 1)]
     if mode != "cst":
         demand = columns["position_demand"]
-        loops = [_delayed(position, k) for k in range(_POSITIONS)]
+        loops = [_delayed(position, k) for k in range(th.POSITIONS)]
         if "velocity" in columns:
-            loops += [_delayed(columns["velocity"], k) for k in range(_VELOCITIES)]
+            loops += [_delayed(columns["velocity"], k) for k in range(th.LAG_VELOCITIES)]
         loops.append(np.cumsum(demand - position) * period_s)
-        demands = [_delayed(demand, k) for k in _DEMANDS]
+        demands = [_delayed(demand, k) for k in th.DEMANDS]
         demands.append(np.cumsum(demand - demand[0]) * period_s)
     left, right, own, asked = (
         _filtered(group, len(torque))[is_known] for group in ([torque], commands, loops, demands)
@@ -249,7 +241,7 @@ def evenly(recording: Recording, names: Sequence[str]) -> tuple[dict[str, Array]
     is_bad = ~is_there
     is_bad[np.searchsorted(every, cycle[~is_good])] = True
     is_bad[0] = True  # the high-pass begins
-    reached = np.convolve(is_bad, np.ones(_EDGE_PERIODS + 1))[: len(every)] > 0.5
+    reached = np.convolve(is_bad, np.ones(th.EDGE_PERIODS + 1))[: len(every)] > 0.5
     reached |= np.convolve(is_bad[1:], np.ones(3), "full")[1 : len(every) + 1] > 0.5  # later demands
     return columns, ~reached
 
@@ -269,6 +261,6 @@ def _filtered(columns: Sequence[Array], rows: int) -> Array:
 
     if not columns:
         return np.zeros((rows, 0))
-    sections = signal.butter(2, 2.0 * _HIGHPASS, "highpass", output="sos")
+    sections = signal.butter(2, 2.0 * th.HIGHPASS, "highpass", output="sos")
     found: Array = signal.sosfilt(sections, np.column_stack([each - each[0] for each in columns]), axis=0)
     return found

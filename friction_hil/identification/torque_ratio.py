@@ -25,16 +25,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from friction_hil.errors import RecordingError
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.torque_lag import evenly
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 
-_BAND = 0.02  # of the sampling rate
-_ROWS_PER_PERIOD = 8  # of the fastest oscillation of the band: the others only repeat them
-_FEWEST_ROWS = 100
-_CORRELATED = 40  # rows
 _SMALLEST = 1e-9  # relative singular value that counts
-_LEAST_OWN = 1e-3  # fraction of the command that must not be explained by what the loops are given
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +53,7 @@ def identify_torque_ratio(recordings: Sequence[Recording], mode: str) -> RatioEs
     parts = [_signals(each, has_loops=mode != "cst") for each in recordings]
     torque = np.concatenate([each[0] for each in parts])
     columns = np.concatenate([each[1] for each in parts])
-    if len(torque) < _FEWEST_ROWS:
+    if len(torque) < th.RATIO_FEWEST_ROWS:
         raise RecordingError(f"{recordings[0].path}: the runs are too short for the ratio of the torques")
     runs = np.repeat(np.arange(len(parts)), [len(each[0]) for each in parts])
     columns = np.column_stack([columns, runs[:, None] == np.arange(len(parts))])
@@ -68,14 +64,14 @@ def identify_torque_ratio(recordings: Sequence[Recording], mode: str) -> RatioEs
     others = _basis(columns[:, 1:])
     own = columns[:, 0] - others @ (others.T @ columns[:, 0])
     square = float(own @ own)
-    if square < _LEAST_OWN**2:
+    if square < th.LEAST_OWN**2:
         raise RecordingError(f"{recordings[0].path}: the command follows from the motion of the axis")
     factor = float(own @ torque) / square
     left = torque - others @ (others.T @ torque) - factor * own
     score = left * own
     total = float(score @ score)
-    for k in range(1, _CORRELATED + 1):
-        total += 2.0 * (1.0 - k / (_CORRELATED + 1)) * float(score[k:] @ score[:-k])
+    for k in range(1, th.RATIO_CORRELATED + 1):
+        total += 2.0 * (1.0 - k / (th.RATIO_CORRELATED + 1)) * float(score[k:] @ score[:-k])
     ratio, error = factor / float(sizes[0]), math.sqrt(max(total, 0.0)) / square / float(sizes[0])
     unexplained = float(np.linalg.norm(left)) / max(float(np.linalg.norm(torque)), 1e-300)
     return RatioEstimate(ratio, math.hypot(error, unexplained * max(abs(ratio), 1.0)), unexplained)
@@ -89,11 +85,11 @@ def _signals(recording: Recording, *, has_loops: bool) -> tuple[Array, Array]:
     names = ["torque", "command", *(["position", "position_demand"] if has_loops else [])]
     columns, is_known = evenly(recording, names)
     rows = len(is_known)
-    settling = round(1.0 / _BAND)
+    settling = round(1.0 / th.RATIO_BAND)
     if rows < 4 * settling:
         return np.empty(0), np.empty((0, 10 if has_loops else 3))
-    sections = signal.butter(4, 2.0 * _BAND, "lowpass", output="sos")
-    unit = 1.0 / (math.tau * _BAND)  # of the derivatives, so that all columns are of similar size
+    sections = signal.butter(4, 2.0 * th.RATIO_BAND, "lowpass", output="sos")
+    unit = 1.0 / (math.tau * th.RATIO_BAND)  # of the derivatives, so that all columns are of similar size
 
     def slow(values: Array, derivatives: int) -> list[Array]:
         found = [signal.sosfiltfilt(sections, values)]
@@ -105,7 +101,7 @@ def _signals(recording: Recording, *, has_loops: bool) -> tuple[Array, Array]:
     if has_loops:
         error = columns["position_demand"] - columns["position"]
         explained += [*slow(error, 2), *slow(np.cumsum(error) * period_s, 0), *slow(columns["position_demand"], 2)]
-    kept = np.arange(settling, rows - settling, max(round(1.0 / (_ROWS_PER_PERIOD * _BAND)), 1))
+    kept = np.arange(settling, rows - settling, max(round(1.0 / (th.RATIO_ROWS_PER_PERIOD * th.RATIO_BAND)), 1))
     kept = kept[is_known[kept]]
     return slow(columns["torque"], 0)[0][kept], np.column_stack(explained)[kept]
 

@@ -20,6 +20,7 @@ from typing import Literal
 
 import numpy as np
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.candidates import CandidateFitter
 from friction_hil.identification.data import Data
 from friction_hil.identification.fine import FineSegment, recounted
@@ -33,21 +34,7 @@ from friction_hil.numerics.jit import Array
 
 Meaning = Literal["mean", "instant", "late"]
 
-_TRIED = 2  # families of friction models
-_AS_GOOD = 1.1  # times the smallest mean square: a family that fits so well has to agree
-_FIRST_PERIODS = 0.75  # delay that is assumed first: above the true one, so that no damping ends at its bound of zero
-_EARLIEST, _LATEST = -0.5, 5.0  # periods
-_STEPS = 4
-_SETTLED_PERIODS = 0.01  # a smaller step ends the search
-_EVALUATIONS = 8  # of each search
-_REPLICAS = 4
-_CLEAR = 3.0  # standard errors
 _MEAN_PERIODS = 0.5
-_NEAR_PERIODS = 0.15  # deviation from half a period that is none
-_LATE_PERIODS = 0.75
-_VAGUE_PERIODS = 0.1  # larger standard errors tell nothing
-_SHIFT_DOUBT = 1.0 / 8.0  # variance of a bias that is subtracted, relative to its square
-_MOST_EXTRAPOLATED = 2.0  # of a first step, by those that would follow
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +84,11 @@ def torque_timing(fitter: CandidateFitter, fits: Sequence[Fit]) -> TorqueTiming:
     assumed: Meaning = "instant" if all(each.is_torque_age_stated for each in fitter.data.records) else "mean"
     unknown = TorqueTiming(math.nan, math.inf, period_s, None, assumed)
     tried = []
-    for each in list(families.values())[:_TRIED]:
+    for each in list(families.values())[: th.TRIED]:
         fitter.report(each.label)
-        regression = _at(fitter, each, _FIRST_PERIODS * period_s)
+        regression = _at(fitter, each, th.FIRST_PERIODS * period_s)
         try:
-            estimate = weighted_estimate(regression, each.coordinates, fitter.scales, evaluations=_EVALUATIONS)
+            estimate = weighted_estimate(regression, each.coordinates, fitter.scales, evaluations=th.TIMING_EVALUATIONS)
         except NUMERICAL:  # this family is refined, or left out with a note, later
             continue
         weighted = estimate.weights * estimate.residual
@@ -109,7 +96,7 @@ def torque_timing(fitter: CandidateFitter, fits: Sequence[Fit]) -> TorqueTiming:
     tried.sort(key=lambda each: each[0])
     found = []
     for cost, fit, estimate in tried:
-        if cost > _AS_GOOD * tried[0][0]:
+        if cost > th.AS_GOOD * tried[0][0]:
             break
         try:
             found.append(replace(_timing(fitter, fit, estimate, period_s), assumed=assumed))
@@ -134,34 +121,36 @@ def _fine(fitter: CandidateFitter) -> list[FineSegment]:
 
 def _timing(fitter: CandidateFitter, fit: Fit, estimate: Estimate, period_s: float) -> TorqueTiming:
     """Return the age of the torque by one fit, whose estimate at the first delay is given."""
-    delay_s = _FIRST_PERIODS * period_s
+    delay_s = th.FIRST_PERIODS * period_s
     regression = _at(fitter, fit, delay_s)
     steps: list[float] = []
-    for _ in range(_STEPS):
+    for _ in range(th.STEPS):
         step, error = _step(regression, estimate, estimate.residual, estimate.weights)
         steps.append(step)
-        before, delay_s = delay_s, min(max(delay_s + step, _EARLIEST * period_s), _LATEST * period_s)
-        if abs(delay_s - before) < _SETTLED_PERIODS * period_s:
+        before, delay_s = delay_s, min(max(delay_s + step, th.EARLIEST * period_s), th.LATEST * period_s)
+        if abs(delay_s - before) < th.SETTLED_PERIODS * period_s:
             break
         regression = _at(fitter, fit, delay_s)
-        estimate = regression.estimate(estimate.coordinates, weights=estimate.weights, evaluations=_EVALUATIONS)
+        estimate = regression.estimate(
+            estimate.coordinates, weights=estimate.weights, evaluations=th.TIMING_EVALUATIONS
+        )
     # replicas take the first step only; those that follow it lengthen it as much as they did here
     ratio = sum(steps) / steps[0] if steps[0] != 0.0 else 1.0
-    bias, spread = min(max(ratio, 1.0), _MOST_EXTRAPOLATED) * np.array(_bias(fitter, regression, estimate))
+    bias, spread = min(max(ratio, 1.0), th.MOST_EXTRAPOLATED) * np.array(_bias(fitter, regression, estimate))
     delay_s -= float(bias)
-    error = math.sqrt(error**2 + spread**2 + _SHIFT_DOUBT * bias**2)
+    error = math.sqrt(error**2 + spread**2 + th.TIMING_SHIFT_DOUBT * bias**2)
     return TorqueTiming(delay_s, error, period_s, _meaning(delay_s / period_s, error / period_s))
 
 
 def _meaning(delay: float, error: float) -> Meaning | None:
     """Return what a delay means; delay and standard error in periods."""
-    if not error <= _VAGUE_PERIODS:
+    if not error <= th.VAGUE_PERIODS:
         return None
-    if abs(delay - _MEAN_PERIODS) <= _NEAR_PERIODS:
+    if abs(delay - _MEAN_PERIODS) <= th.NEAR_PERIODS:
         return "mean"
-    if delay > max(_LATE_PERIODS, _MEAN_PERIODS + _CLEAR * error):
+    if delay > max(th.LATE_PERIODS, _MEAN_PERIODS + th.TIMING_CLEAR * error):
         return "late"
-    return "instant" if delay < _MEAN_PERIODS - max(_CLEAR * error, _NEAR_PERIODS) else None
+    return "instant" if delay < _MEAN_PERIODS - max(th.TIMING_CLEAR * error, th.NEAR_PERIODS) else None
 
 
 def _step(regression: Regression, estimate: Estimate, residual: Array, weights: Array) -> tuple[float, float]:
@@ -183,7 +172,7 @@ def _bias(fitter: CandidateFitter, regression: Regression, estimate: Estimate) -
     """Return the mean error of the delay in simulated experiments, and the standard error of that mean and one, s."""
     random = np.random.default_rng(fitter.settings.seed)
     torques, found = sensed(regression, estimate), []
-    for _ in range(_REPLICAS):
+    for _ in range(th.TIMING_REPLICAS):
         data = recounted(regression.data, fitter.data.records, torques, random)
         again = regression.on(data)
         linear = {name: estimate.values[name] for name in again.keys}

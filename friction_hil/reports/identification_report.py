@@ -12,11 +12,11 @@ import numpy as np
 from friction_hil import __version__
 from friction_hil.identification import Identification
 from friction_hil.identification.export import as_model_file, standard_errors
-from friction_hil.identification.fine import LAST_BAND_RATIO, RESIDUAL_HZ, ROWS_HZ
 from friction_hil.identification.fits import MECHANICS, Fit
 from friction_hil.identification.frequency_response import FrequencyResponse
 from friction_hil.identification.mechanics import Mechanics
 from friction_hil.identification.resonance import Resonance, two_mass_response
+from friction_hil.identification.thresholds import LAST_BAND_RATIO, RESIDUAL_HZ, ROWS_HZ
 from friction_hil.models.model_file import ModelFile
 from friction_hil.reports.figures import MEASURED, PREDICTED, new_figure
 from friction_hil.reports.identification_pictures import draw_loops, draw_residuals, draw_time, draw_velocity

@@ -12,8 +12,8 @@ from friction_hil.config import AxisConfig
 from friction_hil.errors import FrictionHilError, OptionError
 from friction_hil.identification import Fit, Identification
 from friction_hil.identification.export import add_mechanics, as_model_file
-from friction_hil.identification.inference import VAGUE
 from friction_hil.identification.mechanics import Mechanics
+from friction_hil.identification.thresholds import VAGUE
 from friction_hil.models.model_file import ModelFile
 from friction_hil.tuning.gains import Clipping, GainTrial
 from friction_hil.tuning.torque_ratio import with_torque_ratio
