@@ -40,7 +40,7 @@ def _floor(error: PredictionError) -> float:
     """Return the mean square error below which a difference does not matter."""
     if not error.relative_error > 0.0:
         return 1e-300
-    return max((th.CHOICE_EXACT * error.rmse / error.relative_error) ** 2, 1e-300)
+    return max((th.EXACT * error.rmse / error.relative_error) ** 2, 1e-300)
 
 
 def _error_of_mean(values: Array) -> float:

@@ -155,7 +155,7 @@ def explained(columns: Array, residual: Array) -> float:
 
 
 def _blocks(rows: int) -> Iterator[slice]:
-    edges = np.linspace(0, rows, th.JOINTS_BLOCKS + 1).round().astype(int).tolist()
+    edges = np.linspace(0, rows, th.BLOCKS + 1).round().astype(int).tolist()
     return (slice(begin, end) for begin, end in itertools.pairwise(edges))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError, UsageError, choices
+from friction_hil.identification.motor_motion import derivatives
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
@@ -200,7 +201,7 @@ def _thinned(
     segment, cut_hz, reach_s = replace(segment, is_thinned=True), segment.lowpass_hz, sliding_s
     if cut_hz is None:
         return segment, _sliding(segment, least_speed, sliding_s, distance), sliding_s
-    velocity, acceleration = _derivatives(segment.position, segment.dt)
+    velocity, acceleration = derivatives(segment.position, segment.dt)
     segment = replace(segment, velocity=velocity, acceleration=acceleration)
     rows, least_hz = _sliding(segment, least_speed, reach_s, distance), _LEAST_CUT * cut_hz
     while rows.any() and cut_hz > least_hz:
@@ -215,21 +216,8 @@ def _thinned(
             break
         rows, reach_s = left, longer_s
         smooth = filtering.lowpass(segment.position, cut_hz, segment.rate_hz)
-        segment = replace(segment, acceleration=_derivatives(smooth, segment.dt)[1])
+        segment = replace(segment, acceleration=derivatives(smooth, segment.dt)[1])
     return segment, rows, reach_s
-
-
-def _derivatives(position: Array, dt: float) -> tuple[Array, Array]:
-    """Return velocity and acceleration of a position (n,) by differences of fourth order.
-
-    The gradient of a gradient loses 43 % of an acceleration at a fifth of the sampling rate, which makes an inertia too
-    large at low rates; these lose 2 %. Source: B. Fornberg, Mathematics of Computation 51, 1988.
-    """
-    q = np.pad(position, 2, mode="reflect", reflect_type="odd")
-    near, far = q[3:-1] - q[1:-3], q[4:] - q[:-4]
-    velocity = (8.0 * near - far) / (12.0 * dt)
-    near, far = q[3:-1] + q[1:-3], q[4:] + q[:-4]
-    return velocity, (16.0 * near - far - 30.0 * q[2:-2]) / (12.0 * dt * dt)
 
 
 def _sliding(segment: RegressionSegment, least_speed: float, sliding_s: float, distance: float) -> Mask:

@@ -117,7 +117,7 @@ def fit(
         structure.values(at[0])
     )  # raises on an invalid held value, which a search would only step back from
     if len(at) > 1:
-        first = [regression.search(each, evaluations=th.FIT_FIRST_EVALUATIONS, tolerance=1e-5) for each in at]
+        first = [regression.search(each, evaluations=th.FIRST_EVALUATIONS, tolerance=1e-5) for each in at]
         at = [min(first, key=lambda solution: solution.cost).at]
     estimate = regression.estimate(at[0], is_robust=is_robust, evaluations=th.FIT_EVALUATIONS)
     inference = infer(estimate, regression.data.parts)

@@ -93,10 +93,10 @@ def upright(fit: Fit, flat_values: Mapping[str, float], scales: InitialScales) -
         last, value = each.name.rpartition(".")[2], flat_values.get(each.name, fit.values[each.name])
         if last in _LEVELS:
             level = flat_values[_coulomb_beside(each.name)]
-            each, value = replace(each, lower=min(level, each.upper)), th.FREE_HUMP_HEIGHT * level
+            each, value = replace(each, lower=min(level, each.upper)), th.HUMP_HEIGHT * level
         elif last == "stribeck_velocity":
             narrowest = min(max(each.lower, th.LEAST_DIP * scales.speed), each.upper)
-            each, value = replace(each, lower=narrowest), th.FREE_HUMP_WIDTH * scales.speed
+            each, value = replace(each, lower=narrowest), th.HUMP_WIDTH * scales.speed
         coordinates.append(each)
         at.append(each.inner(value))
     structure = replace(fit.structure, coordinates=tuple(coordinates))

@@ -206,7 +206,7 @@ def _not_far(fitter: CandidateFitter, fits: Mapping[str, Fit]) -> list[str]:
     kept = [
         family
         for family, each in fits.items()
-        if each.train.rmse <= max(th.FAMILIES_FAR * lowest, th.FAMILIES_EXACT * _scale(each))
+        if each.train.rmse <= max(th.FAMILIES_FAR * lowest, th.EXACT * _scale(each))
     ]
     left = [family for family in fits if family not in kept]
     if left:

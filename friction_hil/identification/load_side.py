@@ -66,7 +66,7 @@ class _Part:
 
     def starts(self, rows: Any) -> Any:
         """Return the first of the rows in each stretch of time."""
-        return np.flatnonzero(np.diff(rows // max(1, round(th.LOAD_SIDE_STRETCH_S * self.rate)), prepend=-1))
+        return np.flatnonzero(np.diff(rows // max(1, round(th.STRETCH_S * self.rate)), prepend=-1))
 
 
 def find_load_side(recordings: Sequence[Recording], records: Sequence[RegressionSegment]) -> LoadSide | None:
@@ -134,7 +134,7 @@ def _found(parts: Sequence[_Part], count: float) -> LoadSide | None:
     ]
     at = min(ends, key=lambda each: float(each.cost)).x
     closed = np.array([0.0, 0.0])
-    has_gap = np.linalg.norm(residual(at)) < th.LOAD_SIDE_FALL * np.linalg.norm(residual(closed))
+    has_gap = np.linalg.norm(residual(at)) < th.FALL * np.linalg.norm(residual(closed))
     if not has_gap:
         at = closed
     factors = scaled_solution(columns(at), torque, _SMALLEST)
@@ -146,9 +146,7 @@ def _found(parts: Sequence[_Part], count: float) -> LoadSide | None:
     values = {"motor_inertia": factors[0], "motor_friction": factors[1], "stiffness": factors[4], "damping": factors[5]}
     errors = {"motor_inertia": own[0], "motor_friction": own[1], "stiffness": own[4], "damping": own[5]}
     width, its_error = abs(float(at[0])) * spread, float(own[6]) * spread
-    if has_gap and width > max(
-        th.LOAD_SIDE_CLEAR * its_error, th.LOAD_SIDE_LEAST_COUNTS * count, th.LEAST_WIDTH * spread
-    ):
+    if has_gap and width > max(th.LOAD_SIDE_CLEAR * its_error, th.LEAST_COUNTS * count, th.LEAST_WIDTH * spread):
         values["backlash"], errors["backlash"] = width, its_error
     centre = middle + float(at[1]) * spread
     coupling = np.concatenate([each.low(each.coupling(width, centre), each.load_rows) for each in parts]) @ factors[4:6]

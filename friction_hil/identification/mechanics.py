@@ -246,10 +246,10 @@ def _rigid_inertia(quantity: Quantity, result: Identification, records: Sequence
     if not math.isfinite(error) and "inertia" not in result.settings.held:  # held at that of slow motion
         swings = any(best.mechanics[each] for each in ("gravity.sine", "gravity.cosine"))
         slow = sliding_mechanics(records, can_swing=swings)
-        if slow is not None and 0.0 < slow.inertia_error < th.MECHANICS_VAGUE * slow.inertia:
+        if slow is not None and 0.0 < slow.inertia_error < th.VAGUE * slow.inertia:
             source = f"motion below {LOW_HZ:g} Hz"
             return replace(quantity, value=slow.inertia, error=slow.inertia_error, source=source)
-    if not math.isfinite(error) or not error < th.MECHANICS_VAGUE * abs(value):
+    if not math.isfinite(error) or not error < th.VAGUE * abs(value):
         return replace(quantity, missing="record motions with larger accelerations")
     return replace(quantity, value=value, error=error, source="friction model")
 

@@ -59,7 +59,7 @@ class PlainAxis:
     def _held_out(self, rows: Mask, judged: Mask) -> float:
         """Return the RMS error in the rows ``judged``, each block predicted by a fit to ``rows`` of the others."""
         torque, square, count = self._data.torque, 0.0, 0
-        edges = np.linspace(0, len(torque), th.PLAIN_BLOCKS + 1).round().astype(int)
+        edges = np.linspace(0, len(torque), th.BLOCKS + 1).round().astype(int)
         for begin, end in itertools.pairwise(edges):
             kept, own = rows.copy(), np.zeros(len(torque), dtype=bool)
             kept[begin:end] = False

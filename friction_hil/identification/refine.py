@@ -154,7 +154,7 @@ def _corrected(
         estimate = replace(estimate, values=values, coordinates=coordinates, residual=residual, at_bound=at_bound)
     else:
         notes.append("the bias by the encoder's counts exceeds the bounds: it is part of the errors, not subtracted")
-    doubt = th.REFINED_SHIFT_DOUBT if is_inside else 1.0
+    doubt = th.SHIFT_DOUBT if is_inside else 1.0
     variance = (1.0 + 1.0 / len(shifts)) * spread + doubt * shift**2
     errors = {
         name: float(np.hypot(inference.standard_errors[name], np.sqrt(more)))

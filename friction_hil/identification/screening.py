@@ -78,7 +78,7 @@ def _begun(regression: Regression, base: Array, scales: InitialScales) -> Search
         np.array([each.inner(values[each.name]) for each in coordinates]) for values in _humps(regression, scales)
     ]
     try:
-        tried = [regression.search(each, evaluations=th.SCREENING_FIRST_EVALUATIONS, tolerance=1e-5) for each in starts]
+        tried = [regression.search(each, evaluations=th.FIRST_EVALUATIONS, tolerance=1e-5) for each in starts]
     except Exception as error:  # noqa: BLE001  raised again where this candidate is refined, and costs it alone
         return Search(starts[0], failure=error)
     best = min(tried, key=lambda each: each.cost)
@@ -95,9 +95,7 @@ def _humps(regression: Regression, scales: InitialScales) -> list[dict[str, floa
     found = []
     for share in th.HUMP_WIDTHS if names else ():
         width = slowest ** (1.0 - share) * scales.speed**share
-        levels = {
-            name: width if name == "stribeck_velocity" else th.SCREENING_HUMP_HEIGHT * scales.level for name in names
-        }
+        levels = {name: width if name == "stribeck_velocity" else th.HUMP_HEIGHT * scales.level for name in names}
         found.append({**values, **levels})
     return found
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 # the choice of a fit
-CHOICE_EXACT = 1e-3  # of the measured torque: smaller errors do not matter
+EXACT = 1e-3  # of the measured torque: smaller errors do not matter
 NEGLIGIBLE = 0.014  # of the friction: beside the tenth that a gain of 0.9 leaves, it makes a difference of 1 %
 ABSENT = 1e-3  # of its upper bound: a Coulomb level below is at the lower one
 SERIES = 20  # values: fewer do not show how they are correlated, as those of groups of recordings
@@ -26,7 +26,6 @@ TWO_MASSES_LEAST_STROKE, MOST_STROKE = 1e-7, 0.1  # of the bristle, of the trave
 TWO_MASSES_STEP = 0.25  # of a step times the natural frequency: the frequency is right to 0.3 %
 
 # other joints of an arm
-JOINTS_BLOCKS = 6  # of rows, each held out in turn
 JOINTS_TOLD = 0.3  # of the residual's variance on blocks held out, from which on other joints are named
 NAMED = 0.1  # of the same, for a joint by itself
 JOINTS_SAME = 0.99  # correlation of two positions of the same axis, such as the measured one and its demand
@@ -69,7 +68,7 @@ RESIDUAL_HZ, RESIDUAL_WIDTH_HZ = 80.0, 60.0  # low-pass of the residual, and wid
 FINE_EDGE_S = 1.0  # at either end of a segment, in which filters and states settle
 
 # the fit of a candidate
-FIT_FIRST_EVALUATIONS = 5  # from each start; the search continues from the best one
+FIRST_EVALUATIONS = 5  # from each start; the search continues from the best one
 FIT_EVALUATIONS = 60  # of the full search
 
 # the frequency response
@@ -83,18 +82,17 @@ LEAST_LINES = 8  # that are coherent: of fewer no form is told
 
 # Stribeck humps
 LEAST_DIP = 0.02  # of the top speed: a narrower dip below the Coulomb level is an error of presliding
-FREE_HUMP_HEIGHT, FREE_HUMP_WIDTH = 1.3, 0.05  # of a search for one, in Coulomb levels and top speeds
+HUMP_HEIGHT, HUMP_WIDTH = 1.3, 0.05  # of a search for one, in Coulomb levels and top speeds
 
 # families
 # Times the error of the best family: with parameters for each direction a family is no candidate either.
 FAMILIES_FAR = 3.0
-FAMILIES_EXACT = 1e-3  # of the measured torque: errors below do not tell families apart
 EXTENDED = 2  # families that are tried with further modifiers
 FAMILIES_ROUNDS = 3  # of adding one more modifier
 
 # what the data determine
 COLLINEAR = 0.98  # correlation above which two parameters are reported as collinear
-VAGUE = 0.5  # standard error over value above which a parameter is reported as not excited
+VAGUE = 0.5  # standard error over value above which a value is not determined
 REPORTED_CORRELATION = 0.9  # of two parameters, from which on it is reported
 LEAST_COMPONENT = 0.1  # of a parameter in an undetermined direction, for it to belong to the collinear group
 
@@ -110,21 +108,19 @@ INDEPENDENT = 0.02  # of the energy of the load's column, outside all others
 
 # the position of the load
 LOAD_SIDE_BAND = 0.08  # of the sampling rate
-LOAD_SIDE_STRETCH_S = 0.25  # over which residuals are taken to be correlated
+STRETCH_S = 0.25  # over which residuals are taken to be correlated
 LOAD_SIDE_CLEAR = 4.0  # standard errors
-LOAD_SIDE_LEAST_COUNTS = 2.0  # of the encoders, in a backlash
+LEAST_COUNTS = 2.0  # of the encoders, in a backlash
 LEAST_WIDTH = 0.02  # of the range of the twist: less is not told from a spring that is not quite linear
 LOAD_SIDE_LEAST_ROWS = 200  # in which either side moves
 LEAST_KNOWN = 0.9  # of the rows
 LEAST_SPEED = 0.05  # of the RMS of a velocity: slower, a side may stand still
-LOAD_SIDE_FALL = 0.8  # of the residual without a gap
 WIDEST = 0.95  # of the range of the twist
 WIDTHS = (0.02, 0.1, 0.3, 0.6)  # of the range of the twist, to start from
 
 # quantities behind the motor
 LIKE = 3.0  # a stiffness within this factor of another is like it
 MECHANICS_FORM = 0.02  # of each value: no axis is two masses with Coulomb friction to better than a few per cent
-MECHANICS_VAGUE = 0.5  # standard error over value
 PULL = 0.2  # of the torque: a constant one from which on it may hold a load against one side of a gap
 
 # the motion of the motor
@@ -138,14 +134,12 @@ MOTION_STEP = 0.85  # from one cut-off that is tried to the next
 STUCK_COUNTS, STUCK_ROWS = 3.5, 5  # an axis that moves by less in so many rows stands still
 STUCK_RATIO = 1e-3  # the same of the usual motion, if the position is not quantised
 SETTLED_S = 0.3  # after the start, where the twist of the coupling is not known
-MOTION_STRETCH_S = 0.25  # over which residuals are taken to be correlated
 MOTION_ROWS_PER_PERIOD = 2.5  # of the cut-off frequency
 
 # other axes that move
 BESIDE_TOLD = 0.1  # of the residual's variance on blocks held out, beyond what the axis's own motion explains
 
 # the plainest axis
-PLAIN_BLOCKS = 6  # of rows, each held out in turn
 FRACTIONS = (0.01, 0.02, 0.05, 0.1, 0.2)  # of the top speed: least speeds to try
 TOP = 0.98  # quantile of the speed that is taken for the top speed
 SPOILT = 1.1  # times the error with the best least speed, above which slow rows spoil the fit
@@ -163,7 +157,7 @@ ONE_WAY = 0.02  # of the moving rows: fewer in the other direction determine not
 SPEEDS = 50  # at which a model is looked at for friction
 
 # what is held out
-BLOCKS = 6  # of time, each held out in turn
+BLOCKS = 6  # of time or rows, each held out in turn
 SPEED_GROUPS = 4  # of strokes, each held out in turn
 HELD_OUT_LEAST_STROKE = 10  # rows
 RECORDINGS_AS_BLOCKS = 4  # with this many recordings or more, each is a block
@@ -180,7 +174,7 @@ FURTHER_EVALUATIONS = 10  # after each reweighting
 WEIGHT_S = 0.25  # window of the local residual
 EQUAL_FRACTION = 0.25  # of the rows, those with the smallest residuals, have equal weights
 # Variance of a subtracted shift, relative to its square: it depends on the fitted model.
-REFINED_SHIFT_DOUBT = 1.0 / 8.0
+SHIFT_DOUBT = 1.0 / 8.0
 
 # the regression
 # Viscous friction that bends down must not change its sign up to so many times the top speed of the data.
@@ -218,21 +212,18 @@ SCALES_MOVING = 1e-3  # of the top speed: the axis moves if it is faster
 
 # the search of several candidates
 SCREENING_STARTS = 2  # suggested by the scales, besides that of the base
-SCREENING_HUMP_HEIGHT = 1.3  # of the level
 HUMP_WIDTHS = (0.4, 0.7)  # between the slowest sliding and the top speed, as a share of the logarithm
-SCREENING_FIRST_EVALUATIONS = 5  # from each start
 SCREENING_ROUNDS = ((10, 2.5), (25, 1.4))  # evaluations, and the ratio of errors above which a candidate ends
 SIGNIFICANT = 3.0  # standard errors by which it must be worse
 
 # one mass or two
 TORQUE_FIT_BETTER = 3.0  # standard errors by which two masses must fit better than one
-TORQUE_FIT_FALL = 0.8  # of the residual of the simpler form
+FALL = 0.8  # of the residual of the simpler form: one mass, or no gap
 TORQUE_FIT_CLEAR = 4.0  # standard errors of the inertia of the load, and of the backlash
 TORQUE_FIT_LEAST_SHARE = 0.03  # of either mass in the inertia
 MOST_DAMPED = 0.4  # damping ratio at the anti-resonance: beyond, nothing swings
 TORQUE_FIT_NOISE = 1.3  # times the noise of torque and counts: a fit with such a residual cannot be improved
 NARROW = 0.6  # of the band: a fit to it says how far the result depends on what is compared
-TORQUE_FIT_LEAST_COUNTS = 2.0  # of the encoder, in a backlash
 LEAST_FREE = 1e-3  # of the time in the gap
 MOST_ROWS = 16_000  # of all records
 PARTS, LEAST_PART_S = 4, 1.5  # of a long record that are used, and the least length of one
@@ -270,5 +261,4 @@ TIMING_CLEAR = 3.0  # standard errors
 NEAR_PERIODS = 0.15  # deviation from half a period that is none
 LATE_PERIODS = 0.75  # from which on a delay is longer than that of a mean
 VAGUE_PERIODS = 0.1  # larger standard errors tell nothing
-TIMING_SHIFT_DOUBT = 1.0 / 8.0  # variance of a bias that is subtracted, relative to its square
 MOST_EXTRAPOLATED = 2.0  # of a first step, by those that would follow

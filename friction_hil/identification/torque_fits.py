@@ -192,7 +192,7 @@ def swings(two: TorqueFit, rigid: TorqueFit) -> bool:
     values, load = two.values, two.values["load_inertia"]
     damping = 0.5 * values["damping"] / math.sqrt(values["stiffness"] * load)
     return (
-        two.rmse < th.TORQUE_FIT_FALL * rigid.rmse
+        two.rmse < th.FALL * rigid.rmse
         and load
         > max(
             th.TORQUE_FIT_LEAST_SHARE * (load + values["motor_inertia"]),
@@ -208,9 +208,9 @@ def _has_gap(
     count = max((each.resolution or 0.0) for each in records)
     gap, error = wide.values["backlash"], wide.errors["backlash"]
     return (
-        wide.rmse < th.TORQUE_FIT_FALL * without.rmse
+        wide.rmse < th.FALL * without.rmse
         and fitter.evidence(wide, without) > th.TORQUE_FIT_BETTER
-        and gap > max(th.TORQUE_FIT_CLEAR * error, th.TORQUE_FIT_LEAST_COUNTS * count)
+        and gap > max(th.TORQUE_FIT_CLEAR * error, th.LEAST_COUNTS * count)
         and wide.free > th.LEAST_FREE
     )
 

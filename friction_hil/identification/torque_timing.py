@@ -138,7 +138,7 @@ def _timing(fitter: CandidateFitter, fit: Fit, estimate: Estimate, period_s: flo
     ratio = sum(steps) / steps[0] if steps[0] != 0.0 else 1.0
     bias, spread = min(max(ratio, 1.0), th.MOST_EXTRAPOLATED) * np.array(_bias(fitter, regression, estimate))
     delay_s -= float(bias)
-    error = math.sqrt(error**2 + spread**2 + th.TIMING_SHIFT_DOUBT * bias**2)
+    error = math.sqrt(error**2 + spread**2 + th.SHIFT_DOUBT * bias**2)
     return TorqueTiming(delay_s, error, period_s, _meaning(delay_s / period_s, error / period_s))
 
 

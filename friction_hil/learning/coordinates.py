@@ -65,9 +65,13 @@ class Coordinates:
         bounded = values * (1.0 - values / self.uppers) / (1.0 - self.values / self.uppers)
         return np.where(np.isfinite(self.scales), self.scales, bounded)
 
+    def named(self, x: Array) -> dict[str, float]:
+        """Return the parameters at coordinates (m,) by name."""
+        return dict(zip(self.names, self.at(x).tolist(), strict=True))
+
     def model_at(self, x: Array) -> FrictionModel:
         """Create the model at coordinates (m,); a `UsageError`: the parameters are not consistent."""
-        return with_values(self.model, dict(zip(self.names, map(float, self.at(x)), strict=True)))
+        return with_values(self.model, self.named(x))
 
     def simulate(self, x: Array, velocity: Array, dt: float, **inputs: Any) -> tuple[Array, Array]:
         """Return the friction torque (n,) of a motion and its derivatives with respect to the coordinates (n, m).

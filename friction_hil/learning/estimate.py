@@ -73,8 +73,7 @@ class Belief:
     @property
     def parameters(self) -> dict[str, float]:
         """Parameters of the friction by name."""
-        values = self.coordinates.at(self.x[:-MECHANICS])
-        return dict(zip(self.coordinates.names, values.tolist(), strict=True))
+        return self.coordinates.named(self.x[:-MECHANICS])
 
     def shown(self, others: Array | None = None) -> Array:
         """Return the coordinates with those that nothing has shown left at other values, those at first by default.

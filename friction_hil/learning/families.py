@@ -81,7 +81,7 @@ class Families:
         """
         seconds = len(window) * window.period_s - skipped_s
         for other in self._others.values():
-            other.belief = other.belief.older(th.FAMILY_DRIFT, seconds)
+            other.belief = other.belief.older(th.DRIFT, seconds)
         self._windows += 1
         self._quiet = max(self._quiet - 1, 0)
         self._rests = {form: left - 1 for form, left in self._rests.items() if left > 1}
@@ -181,7 +181,7 @@ class Families:
             torque = torque[-count:] - np.array(plain.torque)[-count:]
         if (
             explained.size < (th.FEW_WINDOWS if adds_directions else th.FAMILY_WINDOWS)
-            or not float(np.mean(torque)) > th.FAMILY_WORTH**2
+            or not float(np.mean(torque)) > th.WORTH**2
         ):
             return False
         if adds_directions:

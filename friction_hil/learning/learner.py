@@ -248,7 +248,7 @@ class Learner:
         change, decline = rms(next_one - present) / level, 1.0 - rms(next_one) / rms(present)
         falls = decline if decline > th.FALLS and not self._force.used.has_model_of(self._file) else 0.0
         gain = self._next_gain(now.highest_gain(rms(next_one)), falls)
-        is_other = change > th.TRIAL_WORTH
+        is_other = change > th.WORTH
         if not is_other and abs(gain - self._force.used.gain) <= th.GAIN_WORTH:
             self._is_gain_doubted = False
             return None

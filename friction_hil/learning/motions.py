@@ -50,8 +50,7 @@ class Used:
     @property
     def parameters(self) -> dict[str, float]:
         """Parameters by name."""
-        values = self.coordinates.at(self.x[:-MECHANICS])
-        return dict(zip(self.coordinates.names, values.tolist(), strict=True))
+        return self.coordinates.named(self.x[:-MECHANICS])
 
     def has_model_of(self, other: "Used") -> bool:
         """Return True if the model is that of another one."""

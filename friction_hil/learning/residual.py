@@ -342,7 +342,7 @@ class Residual:
             if not np.sum(after**2) < (1.0 - th.LAYER_EXPLAINED) * np.sum(rows.target**2):
                 return Finding(None, found.explained)
         change = float(np.sqrt(np.mean((torque - own - added) ** 2)))
-        return replace(found, layer=found.layer if change > th.LAYER_WORTH * self.model.level else used, change=change)
+        return replace(found, layer=found.layer if change > th.WORTH * self.model.level else used, change=change)
 
 
 def _thinned(values: Array) -> Array:

@@ -42,12 +42,10 @@ FAMILY_WINDOWS = 8  # of the same motion, one after the other, that a family is 
 FAMILY_SETTLED = 4  # windows of a motion in which the present family alone learns
 FAMILY_BEGUN = 2  # windows that another one has learned from before it is judged
 FAMILY_EXPLAINED = 0.1  # of the mean square of what the present family leaves: a family that explains less is not tried
-FAMILY_WORTH = 0.004  # of the friction level: root mean square torque that it explains in addition
 FAMILY_EVIDENT = 3.0  # standard errors of the windows
 FEW_WINDOWS, OBVIOUS = 3, 0.5  # windows in each of which so much was explained, that are enough
 FAMILY_RARELY = 100  # windows, ten minutes of motion, before another family is looked for
 FAMILY_UNDECIDED = 10  # windows, after a trial without a verdict, or before another family's trial
-FAMILY_DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
 MAP_DEFLECTIONS = np.geomspace(0.1, 1e-5, 9)  # of the travel: break-away of a map that has no presliding
 
 # missed periods
@@ -70,7 +68,7 @@ UNJUDGED_TICKS = 1  # errors may be due to the change itself, in the midst of a 
 MISLED_TICKS = 2  # one after the other: one may be that of a reversal
 FIRST_PART, FIRST_TICKS = 1.0 / 3.0, 4  # part of a change that is tried first: a wrong one does a ninth of the harm
 DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
-TRIAL_WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
+WORTH = 0.004  # of the friction level: root mean square torque, or change of it, that is worth a trial
 # The same: change since a trial that was taken back, after which the next one does not wait.
 OTHER_FRICTION_LEVEL = 0.03
 FALLS = 0.02  # decrease of the friction since the last change of parameters, beyond which it counts as falling
@@ -126,7 +124,6 @@ LAYER_SHARE = 0.2  # of the friction level: the torque of a layer is at most so 
 MOST_HARMONICS = 4  # harmonics
 LAYER_HELD = 1.0  # of what rows show of a coordinate: by so much it is held where it is
 LAYER_CLEAR = 0.4  # of the mean square of what the model leaves: groups beside ripple that explain less are not tried
-LAYER_WORTH = 0.004  # of the friction level: root mean square torque, or change of it, that is worth a trial
 LAYER_PARTS = 2  # of a window, each explained by what the others and the past show
 LAYER_SPENT = 2  # windows in which a layer explained nothing, one after the other: it is switched off
 LAYER_FIRST_PAUSE, LAYER_LONGEST_PAUSE = 2, 40  # windows without a trial, after one that was no gain
