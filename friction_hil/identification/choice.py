@@ -13,7 +13,7 @@ import numpy as np
 from friction_hil.errors import RecordingError
 from friction_hil.identification import thresholds as th
 from friction_hil.identification.fits import Fit
-from friction_hil.identification.inference import is_doubtful
+from friction_hil.identification.inference import correlated_square, is_doubtful
 from friction_hil.identification.prediction_errors import PredictionError
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.numerics.jit import Array
@@ -50,10 +50,7 @@ def _error_of_mean(values: Array) -> float:
         return 0.0
     left = values - np.mean(values)
     lags = int(4.0 * (count / 100.0) ** (2.0 / 9.0))  # Newey and West, Review of Economic Studies, 1994
-    lags = lags if count >= th.SERIES else 0
-    power = float(left @ left)
-    for lag in range(1, lags + 1):
-        power += 2.0 * (1.0 - lag / (lags + 1.0)) * float(left[lag:] @ left[:-lag])
+    power = correlated_square(left, lags if count >= th.SERIES else 0)
     return math.sqrt(max(power, 0.0) / (count * (count - 1)))
 
 

@@ -88,6 +88,14 @@ def infer(estimate: Estimate, parts: Sequence[slice], *, lags: int | None = None
     return Inference(names, dict(zip(names, map(float, errors), strict=True)), correlations, lags, same)
 
 
+def correlated_square(values: Array, lags: int) -> float:
+    """Return the sum of squares of values (k,) as it counts for their sum if so many rows are correlated."""
+    total = float(values @ values)
+    for lag in range(1, lags + 1):
+        total += 2.0 * (1.0 - lag / (lags + 1)) * float(values[lag:] @ values[:-lag])
+    return total
+
+
 def _singular(matrix: Array) -> tuple[Array, Array]:
     """Return the singular values of a matrix, largest first, and its right singular vectors in rows."""
     try:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError
 from friction_hil.identification import thresholds as th
+from friction_hil.identification.inference import correlated_square
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 
@@ -184,10 +185,7 @@ class _Likelihood:
         size = float(direction @ direction)
         if size > 0.0:
             score = residual * (self._basis @ direction)
-            total = float(score @ score)
-            for k in range(1, th.LAG_CORRELATED + 1):
-                total += 2.0 * (1.0 - k / (th.LAG_CORRELATED + 1)) * float(score[k:] @ score[:-k])
-            variance = max(variance, total / size)
+            variance = max(variance, correlated_square(score, th.LAG_CORRELATED) / size)
         return float(max(variance, cost / self._spare))
 
 

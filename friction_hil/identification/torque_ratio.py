@@ -26,6 +26,7 @@ import numpy as np
 
 from friction_hil.errors import RecordingError
 from friction_hil.identification import thresholds as th
+from friction_hil.identification.inference import correlated_square
 from friction_hil.identification.torque_lag import evenly
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
@@ -68,10 +69,7 @@ def identify_torque_ratio(recordings: Sequence[Recording], mode: str) -> RatioEs
         raise RecordingError(f"{recordings[0].path}: the command follows from the motion of the axis")
     factor = float(own @ torque) / square
     left = torque - others @ (others.T @ torque) - factor * own
-    score = left * own
-    total = float(score @ score)
-    for k in range(1, th.RATIO_CORRELATED + 1):
-        total += 2.0 * (1.0 - k / (th.RATIO_CORRELATED + 1)) * float(score[k:] @ score[:-k])
+    total = correlated_square(left * own, th.RATIO_CORRELATED)
     ratio, error = factor / float(sizes[0]), math.sqrt(max(total, 0.0)) / square / float(sizes[0])
     unexplained = float(np.linalg.norm(left)) / max(float(np.linalg.norm(torque)), 1e-300)
     return RatioEstimate(ratio, math.hypot(error, unexplained * max(abs(ratio), 1.0)), unexplained)
