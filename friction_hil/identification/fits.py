@@ -59,11 +59,13 @@ class Fit:
     curves: Curves
     estimate: Estimate
     is_refined: bool = False  # comes from `refined`
+    # comes from `friction_hil.tuning.closed_loop`: errors are those of the position, and the curves those of the start
+    is_closed_loop: bool = False
 
     @property
     def label(self) -> str:
         """Name for tables and messages."""
-        return self.structure.label
+        return f"{self.structure.label} in closed loop" if self.is_closed_loop else self.structure.label
 
     @property
     def count(self) -> int:

@@ -160,6 +160,29 @@ def run(axis: Axis, demand: Array, trace: Array) -> None:
         plant.advance(axis.servo, axis.controller, axis.state, steps - until)
 
 
+@compiled
+def follow(axis: Axis, demand: Array, measured: Array, correction: tuple[float, float], ahead: Array) -> None:
+    """Simulate a recorded motion of one axis, and correct position and velocity by what was measured, cycle by cycle.
+
+    ``demand``: (n, 7), as for `run`. ``measured``: (n,), position; NaN: unknown, no correction. ``correction``: of
+    position and velocity (1/s), times the difference of the position. ``ahead``: (n,), is filled with that difference,
+    measured less predicted before the correction; NaN where it is unknown.
+    """
+    trace = np.empty((len(TRACE), demand.shape[0]))
+    steps = int(axis.daemon[0].period_steps)
+    until = int(axis.daemon[0].delay_steps) % steps
+    _begin(axis)
+    for k in range(demand.shape[0]):
+        ahead[k] = measured[k] - axis.state[0].position
+        if not math.isnan(ahead[k]):
+            axis.state[0].position += correction[0] * ahead[k]
+            axis.state[0].velocity += correction[1] * ahead[k]
+        _decide(axis, k, demand[k], trace)
+        plant.advance(axis.servo, axis.controller, axis.state, until)
+        _act(axis)
+        plant.advance(axis.servo, axis.controller, axis.state, steps - until)
+
+
 @inlined
 def _pass(mechanism: StructuredArray, mechanism_state: StructuredArray, one: Axis, other: Axis, steps: int) -> None:
     coupled.advance(

@@ -80,6 +80,15 @@ class Rehearsal:
         kernel.run(self.records(simulated, model, is_compensated=is_compensated), demand, trace)
         return dict(zip(kernel.TRACE, trace, strict=True))
 
+    def ahead(
+        self, servo: "ServoConfig", model: "ModelFile", demand: Array, measured: Array, correction: tuple[float, float]
+    ) -> Array:
+        """Return measured less predicted positions (n,) of a recorded motion: see `kernel.follow`."""
+        simulated = simulated_servo(servo, float(measured[np.isfinite(measured)][0]))
+        found = np.empty(len(demand))
+        kernel.follow(self.records(simulated, model, is_compensated=False), demand, measured, correction, found)
+        return found
+
     def records(self, simulated: "Servo", model: "ModelFile", *, is_compensated: bool) -> kernel.Axis:
         """Return the axis with a simulated servo at rest, as the kernels take it."""
         axis = self._axis.model_copy(update={"model": model})

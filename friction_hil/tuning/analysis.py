@@ -8,15 +8,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from friction_hil.config import Configuration
+from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import FrictionHilError, RecordingError, internal_error
 from friction_hil.identification import Identification, IdentificationSettings
 from friction_hil.identification.mechanics import Mechanics, find_mechanics
 from friction_hil.identification.settings import chosen_families
 from friction_hil.recordings import Recording
-from friction_hil.tuning.candidates import ExperimentPart, identified
+from friction_hil.replay.verify import facts_of
+from friction_hil.tuning.candidates import ExperimentPart, closed_loop_starts, identified
+from friction_hil.tuning.closed_loop import ClosedLoop, closed_loop_fits
 from friction_hil.tuning.rehearsed import RehearsedFit, rehearse
 from friction_hil.tuning.sequential import Observer, plain_fit
 from friction_hil.tuning.settings import ShowStep
+from friction_hil.tuning.simulated import drive_loops
+
+_ENOUGH_S = 25.0  # of an experiment, for the models in closed loop: more takes longer than it tells
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +61,10 @@ def analysed(
     show(f"{name}: mechanics behind the motor")
     mechanics = find_mechanics([each.recording for each in parts], found[0], shaken=shaken, held=held)
     try:
+        found += [_in_closed_loop(found, parts, configuration, families, show)]
+    except RecordingError as error:
+        problems.append(f"no model in closed loop: {error}")
+    try:
         rehearsed = rehearse(  # no part is longer
             parts[-1].recording, configuration, found, lambda text, *steps: show(f"{name}: {text}", *steps)
         )
@@ -65,6 +75,29 @@ def analysed(
     except Exception as error:  # noqa: BLE001  it costs the rehearsal, not the models
         return Analysis(found, mechanics, (), tuple(problems), internal_error(error), is_internal=True)
     return Analysis(found, mechanics, rehearsed, tuple(problems))
+
+
+def _in_closed_loop(
+    found: Sequence[Identification],
+    parts: Sequence[ExperimentPart],
+    configuration: Configuration,
+    families: Sequence[str],
+    show: ShowStep,
+) -> Identification:
+    """Fit models to the motion of the experiment.
+
+    Raises `RecordingError`: the loops of the drive are not known, or nothing can be fitted.
+    """
+    recordings = [parts[-1].recording]
+    for each in parts[-2::-1]:
+        if sum(one.duration_s for one in recordings) < _ENOUGH_S:
+            recordings.append(each.recording)
+    name = recordings[0].axis
+    running = recordings[0].at(recordings[0]["state"] == LoopState.RUNNING)
+    resolution = facts_of(recordings[0].metadata, recordings[0]).position_resolution
+    loop = ClosedLoop(recordings, configuration, drive_loops(running, configuration.axes[name], resolution))
+    starts = closed_loop_starts(found, parts, configuration, families)
+    return closed_loop_fits(loop, starts, lambda text, *steps: show(f"{name}: {text}", *steps))
 
 
 def compile_ahead(configuration: Configuration, families: Sequence[str], part: ExperimentPart, _: ShowStep) -> None:

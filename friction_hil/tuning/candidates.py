@@ -1,9 +1,8 @@
 """Identification of an axis from its experiment, and the fits that are worth trying on the machine. Pure."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -11,15 +10,19 @@ from friction_hil import friction as models
 from friction_hil.config import Configuration
 from friction_hil.errors import FrictionHilError, RecordingError, internal_error
 from friction_hil.identification import Fit, Identification, IdentificationSettings, identify
-from friction_hil.identification.choice import is_determined
-from friction_hil.identification.data import prepare
+from friction_hil.identification.choice import by_likelihood, choose, is_determined
+from friction_hil.identification.data import Data, prepare
 from friction_hil.identification.fine import is_presliding_excited
 from friction_hil.identification.refine import is_dynamic
+from friction_hil.identification.scales import estimate_scales
 from friction_hil.identification.settings import FitStep, chosen_families
+from friction_hil.identification.structures import build
+from friction_hil.identification.structures import starts as first_values
 from friction_hil.numerics.filtering import lowpass, lowpass_padding
 from friction_hil.recordings import Recording
+from friction_hil.replay.verify import facts_of
+from friction_hil.tuning.closed_loop import Start
 from friction_hil.tuning.motions import experiment_of, sliding_part
-from friction_hil.tuning.two_steps import steady_curve, with_steady_curve
 
 CandidateFit = tuple[Identification, Fit]
 """A fit that is to be tried, with the identification that it belongs to."""
@@ -33,7 +36,7 @@ class ExperimentPart:
     duration_s: float  # length that was given to it
 
 
-_LUGRE, _CURVE = "lugre", "stribeck"  # the second is the steady curve of the first
+_LUGRE, _GMS, _CURVE = "lugre", "gms", "stribeck"
 _LEAST_SPEED_RATIO = 0.01  # of the highest speed: below, what holds the axis is no friction to a static model
 _NO_PRESLIDING = (
     "the recording does not show presliding: its stiffness and damping (sigma0, sigma1) are not determined, and only "
@@ -81,16 +84,7 @@ def identified(
         raise problem
     for text in dict.fromkeys(text for each in found for text in each.failures):
         on_problem(text)
-    wanted, curve = chosen_families(tuple(families)), found[1:]
-    if _CURVE not in wanted and with_steady_curve(wanted):  # the curve of another family bends inertia and levels
-        slow, settings = _slow_sweeps(parts, configuration, (_CURVE,))
-        settings = replace(settings, sliding_distance=_sliding_distance(found, travel))
-        try:
-            curve = [_identified(slow, settings, on_fit)]
-        except RecordingError:  # the axis hardly slides
-            curve = []
-    recordings = [each.recording for each in parts]
-    return [*found[:1], *_in_two_steps(recordings, found, curve, wanted, on_fit, on_problem), *found[1:]]
+    return found
 
 
 def _identified(
@@ -108,33 +102,77 @@ def _identified(
         raise RecordingError(f"{', '.join(settings.families)}: {internal_error(error)}") from error
 
 
-def _in_two_steps(
-    recordings: Sequence[Recording],
-    found: Sequence[Identification],
-    curve: Sequence[Identification],  # of the slow sweeps
-    families: Sequence[str],
-    on_fit: Callable[[FitStep], None],
-    on_problem: Callable[[str], None],
-) -> Iterator[Identification]:
-    """Yield identifications of dynamic models whose steady curve is that of the slow sweeps.
+def closed_loop_starts(
+    found: Sequence[Identification],  # of `identified`
+    parts: Sequence[ExperimentPart],
+    configuration: Configuration,
+    families: Sequence[str],  # to fit; empty: all
+) -> list[Start]:
+    """Return where searches in closed loop begin: the family that predicts the torque best, LuGre and GMS.
 
-    They are LuGre and, if it has such a curve, the family that predicts the whole experiment best. Each is identified
-    by itself: beside the other, one that predicts the torque of the fast sweeps far worse would be given up, and yet it
-    may compensate well. Modifiers are tried if the slow sweeps show one: where an axis sticks and slips, what the
-    encoder does not resolve of that looks like a ripple.
+    They begin at their fits to the torque, LuGre on the steady curve of the slow sweeps. If the recording shows no
+    presliding, only LuGre begins, with a deflection of a count. If it shows no hump either, the best static fits begin.
     """
-    if not found or not curve:
-        return
-    best, slow = found[0].best.structure.family, curve[0].best.structure
-    is_modified = not {*slow.modifiers} <= {"direction"}
-    for family in with_steady_curve([each for each in families if each in (_LUGRE, best)]):
-        if held := steady_curve(curve, family):
-            settings = replace(found[0].settings, families=(family,), held=held, torque=_settled_torque(found[0]))
-            settings = replace(settings, has_modifiers=is_modified)
-            try:
-                yield _identified(recordings, settings, on_fit)
-            except RecordingError as error:
-                on_problem(f"no {family} model with the steady curve of the slow sweeps: {error}")
+    first, curve = found[0], _steady_curve(parts, configuration)
+    wanted = {name for name in chosen_families(tuple(families)) if not models.describe(name).is_static}
+    if not is_dynamic(first.best.structure):
+        wanted &= {_LUGRE} if curve else set()
+    data = Data(list(first.records))
+    scales = estimate_scales(data, ("inertia", "offset"))
+    one_sided = first.best if curve is None else curve
+    starts = []
+    for family in dict.fromkeys((first.best.structure.family, _LUGRE, _GMS)):
+        if family not in wanted:
+            continue
+        fits = by_likelihood([each for each in first.fits if each.structure.family == family])
+        structure = build(
+            family,
+            scales,
+            first.settings.axis,
+            data.records[0].dt,
+            is_directed="direction" in one_sided.structure.modifiers,
+        )
+        values = next(first_values(structure, scales, 0, 0)) | dict.fromkeys(structure.linear, 0.0)
+        values["inertia"] = first.best.mechanics["inertia"]
+        for fit in fits[:1]:
+            _take(values, fit.values)
+        if curve is not None and (family == _LUGRE or not fits or fits[0].structure.is_flat):
+            _take(values, {_of_family(name, family): value for name, value in curve.values.items()})
+            values["inertia"] = curve.mechanics["inertia"]
+        if family == _LUGRE:
+            if not fits:
+                level = float(np.sqrt(np.mean(first.best.curves.friction**2)))
+                values["sigma0"] = level / facts_of(parts[0].recording.metadata, parts[0].recording).position_resolution
+            # a fit to the torque makes up for a state that it does not resolve by damping
+            values["sigma1"] = min(values["sigma1"], math.sqrt(values["sigma0"] * values["inertia"]))
+        starts.append(Start(first, fits[0] if fits else first.best, structure, values))
+    return starts or [Start(each, each.best, each.best.structure, each.best.values) for each in found]
+
+
+def _take(values: dict[str, float], known: Mapping[str, float]) -> None:
+    """Set values that are known by the same name, or by that of the other side or of both."""
+    plain = {name.rpartition(".")[2]: value for name, value in known.items()}
+    for name in values:
+        value = known.get(name, plain.get(name.rpartition(".")[2]))
+        if value is not None:
+            values[name] = value
+
+
+def _of_family(name: str, family: str) -> str:
+    """Return the name in another family of a parameter of Stribeck's model."""
+    is_renamed = any(each.name == "sigma2" for each in models.describe(family).parameters)
+    return f"{name.removesuffix('viscous')}sigma2" if is_renamed and name.endswith("viscous") else name
+
+
+def _steady_curve(parts: Sequence[ExperimentPart], configuration: Configuration) -> Fit | None:
+    """Return Stribeck's model of the slow sweeps, if they show its hump and the inertia."""
+    slow, settings = _slow_sweeps(parts, configuration, (_CURVE,))
+    try:
+        found = _identified(slow, replace(settings, has_modifiers=False), lambda _: None)
+    except RecordingError:  # the axis hardly slides
+        return None
+    fits = [fit for fit in found.fits if not fit.structure.is_flat and fit.mechanics["inertia"] > 0.0]
+    return choose(fits)[0] if by_likelihood(fits) else None
 
 
 def candidates(found: Sequence[Identification]) -> list[CandidateFit]:
@@ -160,13 +198,6 @@ def _sliding_distance(found: Sequence[Identification], travel: float) -> float:
     stiffness = model.presliding_stiffness
     turned = _TURNING * model.level / stiffness if stiffness > 0.0 else 0.0
     return min(turned, _MOST_TURNING * travel)
-
-
-def _settled_torque(found: Identification) -> Literal["auto", "mean", "instant"]:
-    """Return what an identification took the torque for: one recording has one torque, whatever is fitted to it."""
-    timing = found.torque
-    taken = None if timing is None else timing.meaning or timing.assumed
-    return found.settings.torque if taken is None or taken == "late" else taken
 
 
 def _parts(

@@ -20,19 +20,10 @@ from friction_hil.tuning.analysis import Analysis, analysed, compile_ahead
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text, once_more_text, shaken_text, trial_text
 from friction_hil.tuning.beside import Worker
 from friction_hil.tuning.candidates import CandidateFit, ExperimentPart, candidates
-from friction_hil.tuning.choice import (
-    SCALED,
-    AxisTuning,
-    TriedModel,
-    best_of,
-    inertia_problem,
-    keep_best,
-    model_content,
-    refuse_unwritable_model,
-    write_model,
-)
+from friction_hil.tuning.choice import SCALED, AxisTuning, TriedModel, best_of, keep_best
 from friction_hil.tuning.experiment import refuse_limit_cycle, with_torque
 from friction_hil.tuning.gains import MOST, Gains, GainTrial, find_clipping
+from friction_hil.tuning.model_files import inertia_problem, model_content, refuse_unwritable_model, write_model
 from friction_hil.tuning.motions import (
     experiment_of,
     experiment_run,
@@ -49,7 +40,6 @@ from friction_hil.tuning.settings import Dialog, TuneSettings, chosen_axes, clai
 from friction_hil.tuning.torque_lag import TorqueLag, find_torque_lag, with_torque_lag
 from friction_hil.tuning.torque_ratio import TorqueRatio, find_torque_ratio, refuse_turned_torque, with_torque_ratio
 from friction_hil.tuning.trial import judge
-from friction_hil.tuning.two_steps import label
 
 _WITHOUT = "trial_without.mcap"
 
@@ -316,16 +306,16 @@ class _Tuner:
         for text in dict.fromkeys(each.text for each in timings):
             self._dialog.report(f"{name}: {text}")
         for each in analysis.found:
-            self._dialog.report(f"{name}: {label(each, each.best)}: {each.reason}")
+            self._dialog.report(f"{name}: {each.best.label}: {each.reason}")
         mechanics = self._mechanics[name] = analysis.mechanics
         for line in (*mechanics.lines, *mechanics.notes):
             self._dialog.report(f"{name}: {line}")
         for flag in mechanics.flags:
             self._warn(f"{name}: {flag}")
         chosen = self._chosen(name, analysis)
-        for each, fit in chosen:
+        for _, fit in chosen:
             if problem := inertia_problem(fit):
-                self._dialog.report(f"{name}: {label(each, fit)}: {problem}; the model file keeps the former one")
+                self._dialog.report(f"{name}: {fit.label}: {problem}; the model file keeps the former one")
         write_model(self._file(name), model_content(*chosen[0], axis, mechanics))
         return chosen
 
@@ -345,7 +335,7 @@ class _Tuner:
         chosen = to_try(rehearsed)
         if rehearsed[0].swings:
             self._dialog.report(f"{name}: each model makes the axis oscillate or follow worse in some simulated motion")
-        self._dialog.report(f"{name}: to be tried on the axis: {', '.join(label(*each) for each in chosen)}")
+        self._dialog.report(f"{name}: to be tried on the axis: {', '.join(fit.label for _, fit in chosen)}")
         return chosen
 
     def _trials(
@@ -359,7 +349,7 @@ class _Tuner:
         turns = self._turns(chosen)
         bounds = {name: experiment_of(name, self._configuration.axes[name]) for name in self._names}
         first = turns[0]
-        labels = [{name: label(*pair) for name, pair in turn.fits.items()} for turn in turns]
+        labels = [{name: fit.label for name, (_, fit) in turn.fits.items()} for turn in turns]
         self._confirm(trial_text(first.run, bounds, labels, first.duration_s, has_baseline=without is not None))
         speeds = allowed_speeds(first.run, bounds)
 
@@ -386,7 +376,7 @@ class _Tuner:
                     tried[name].append(found[name])
         if again := self._scaled_turn(tried, without, runs):
             names = {
-                name: f"{label(*pair)}{SCALED if name in again.scaled else ''}" for name, pair in again.fits.items()
+                name: f"{pair[1].label}{SCALED if name in again.scaled else ''}" for name, pair in again.fits.items()
             }
             self._confirm(once_more_text(first.run, bounds, names, first.duration_s))
             try:

@@ -28,7 +28,7 @@ from friction_hil.numerics.readable import brief
 from friction_hil.recordings import Recording, read_all
 from friction_hil.recordings.segments import with_position
 from friction_hil.reports.identification_report import write_report
-from friction_hil.tuning.rehearsed import recorded_loops
+from friction_hil.tuning.simulated import recorded_loops
 
 _SHOWN = 12  # candidates in the table, besides the simplest; JSON has all
 _REMARKS = 2  # in the summary; -v has all

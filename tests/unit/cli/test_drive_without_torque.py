@@ -10,7 +10,7 @@ from friction_hil.cli.work.config import _short_limits
 from friction_hil.config import load, self_contained
 from friction_hil.recordings import Recording
 from friction_hil.servo.config import Loops, ServoConfig
-from friction_hil.tuning.rehearsed import recorded_loops
+from friction_hil.tuning.simulated import recorded_loops
 from tests.servo_drives import axis_dict, configuration, run
 
 LOOP = {"velocity_gain": 0.1, "integral_hz": 10.0, "slew": 1e4}

@@ -22,7 +22,7 @@ from friction_hil.recordings.segments import between_counts
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
 from friction_hil.tuning.candidates import ExperimentPart, _parts, sliding_settings
-from friction_hil.tuning.choice import inertia_problem, model_content
+from friction_hil.tuning.model_files import inertia_problem, model_content
 from friction_hil.tuning.motions import experiment_run
 from tests.servo_drives import axis_dict, configuration
 from tests.unit.identification.test_identification import plain

@@ -16,7 +16,8 @@ from friction_hil.identification import IdentificationSettings, identify
 from friction_hil.identification.drive_loop import DriveLoops
 from friction_hil.recordings import Recording
 from friction_hil.tuning.rehearsal_motions import rehearsal_motions
-from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, rehearse, simulated_axis, to_try
+from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, rehearse, to_try
+from friction_hil.tuning.simulated import simulated_axis
 from friction_hil.tuning.trial_motions import MOTIONS
 from tests.servo_drives import PERIOD_S, axis_dict, configuration, run
 
@@ -78,26 +79,23 @@ def test_fits_whose_errors_refer_to_other_rows_are_not_rehearsed(experiment, fou
     assert [each.fit.structure.family for each in rehearsed] == ["lugre"]
 
 
-def imagined(family, score, *, held=None, swings=()):
+def imagined(family, score, *, is_closed_loop=False, swings=()):
     """Return a rehearsed fit of a family with a score."""
-    structure = SimpleNamespace(family=family)
-    identification = SimpleNamespace(settings=SimpleNamespace(held=held or {}))
-    return RehearsedFit(identification, SimpleNamespace(structure=structure), {"own": (score, score)}, swings)
+    fit = SimpleNamespace(structure=SimpleNamespace(family=family), is_closed_loop=is_closed_loop)
+    return RehearsedFit(SimpleNamespace(), fit, {"own": (score, score)}, swings)
 
 
-def tried_of(*rehearsed):
-    return [(fit.structure.family, bool(each.settings.held)) for each, fit in to_try(rehearsed)]
+def kinds_of(tried):
+    return [(fit.structure.family, fit.is_closed_loop) for _, fit in tried]
 
 
-TWO_STEPS = {"coulomb": 0.1}
-
-
-def test_a_fit_in_two_steps_is_tried_too_and_of_what_is_told_apart_only_the_next_best():
-    """Its curve comes from other data: it may be right where the free one is bent."""
-    free, again = imagined("lugre", 8.7), imagined("lugre", 8.0, held=TWO_STEPS)
-    tried = tried_of(free, imagined("lugre", 8.5), imagined("gms", 8.4), again)
-    assert tried == [("lugre", False), ("lugre", True), ("gms", False)]
-    tried = tried_of(imagined("lugre", 9.0), imagined("gms", 3.0), imagined("stribeck", 2.9, held=TWO_STEPS))
+def test_a_fit_of_another_origin_is_tried_too_and_of_what_is_told_apart_only_the_next_best():
+    """It comes from other data: it may be right where the best one is bent."""
+    closed, torque = imagined("lugre", 8.7, is_closed_loop=True), imagined("lugre", 8.0)
+    others = imagined("lugre", 8.5, is_closed_loop=True), imagined("gms", 8.4, is_closed_loop=True)
+    tried = kinds_of(to_try([closed, *others, torque]))
+    assert tried == [("lugre", True), ("lugre", False), ("gms", True)]
+    tried = kinds_of(to_try([imagined("lugre", 9.0), imagined("gms", 3.0), imagined("stribeck", 2.9)]))
     assert tried == [("lugre", False), ("gms", False)]
 
 
@@ -108,12 +106,12 @@ fits = st.tuples(st.sampled_from(["lugre", "gms", "stribeck"]), st.integers(1, 2
 @given(st.lists(fits, min_size=1, max_size=8))
 def test_tried_fits_are_few_distinct_and_begin_with_the_best(fits) -> None:
     rehearsed = [
-        imagined(family, float(score), held=TWO_STEPS if is_held else {}, swings=("slow",) if is_swinging else ())
-        for family, score, is_held, is_swinging in fits
+        imagined(family, float(score), is_closed_loop=is_closed, swings=("slow",) if is_swinging else ())
+        for family, score, is_closed, is_swinging in fits
     ]
     ordered = sorted(rehearsed, key=lambda each: (bool(each.swings), -each.score))
     tried = to_try(ordered)
-    kinds = [(fit.structure.family, bool(each.settings.held)) for each, fit in tried]
+    kinds = kinds_of(tried)
     by_fit = {id(each.fit): each for each in ordered}
     assert tried[0][1] is ordered[0].fit
     assert 1 <= len(tried) <= 3
@@ -147,7 +145,7 @@ def test_an_inertia_that_the_motion_does_not_show_is_that_of_the_feed_forward(in
     recording = Recording("x.mcap", "x", {"torque": np.array([0.1, -0.2])}, {})
 
     def simulated(inertia, loops):
-        return simulated_axis(configuration().axes["x"].model, inertia, loops, recording, 1e-3, COUNT)
+        return simulated_axis(configuration().axes["x"].model, inertia, loops, recording, 1e-3, COUNT, has_gravity=True)
 
     found = simulated(inertia, LOOPS)
     assert found.mechanics.inertia == (1e-4 if inertia == 1e-4 else 2e-4)

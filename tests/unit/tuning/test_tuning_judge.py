@@ -274,7 +274,7 @@ def test_of_two_models_the_better_one_is_kept(better, worse):
 
 def tuning_of(*models):
     """A tuning of an axis by these models: each has its slow motion in the place of all but its own."""
-    found = SimpleNamespace(settings=SimpleNamespace(axis="rotary", held={}), reason="simplest")
+    found = SimpleNamespace(settings=SimpleNamespace(axis="rotary"), reason="simplest")
     content = {"friction": {"parameters": {"coulomb": 0.1}}, "mechanics": {"inertia": 2e-4}}
     candidates = []
     for label, model in models:
@@ -319,16 +319,13 @@ def test_json_has_the_own_motion_as_before_and_each_motion() -> None:
     assert [second["motions"][name]["is_swinging"] for name in MOTIONS] == [False, *[True] * 5]
 
 
-def test_a_fit_in_two_steps_has_a_name_of_its_own() -> None:
-    tuning = tuning_of(("lugre", model_with((2.0, 2.0))), ("lugre", model_with((1.0, 2.0))))
-    axis = tuning.axes["spindle"]
-    free, again = axis.candidates
-    held = SimpleNamespace(settings=SimpleNamespace(axis="rotary", held={"coulomb": 0.08}), reason="simplest")
-    tuning.axes["spindle"] = replace(axis, candidates=(free, replace(again, identification=held)))
+def test_a_fit_in_closed_loop_has_a_name_of_its_own() -> None:
+    names = ["lugre", "lugre in closed loop"]
+    tuning = tuning_of((names[0], model_with((2.0, 2.0))), (names[1], model_with((1.0, 2.0))))
     shown = " ".join(" ".join(lines(_table(tuning), Console(width=120))).split())
     assert "lugre rms" in shown
-    assert "lugre in two steps (kept)" in shown
-    assert [each["model"] for each in _as_dict(tuning)["axes"]["spindle"]["tried"]] == ["lugre", "lugre in two steps"]
+    assert f"{names[1]} (kept)" in shown
+    assert [each["model"] for each in _as_dict(tuning)["axes"]["spindle"]["tried"]] == names
 
 
 ESTIMATE = LagEstimate(3e-4, 1e-5, 3.2e-4, 3e-3, 1.0)
