@@ -28,9 +28,10 @@ from friction_hil.identification import Fit, Identification
 from friction_hil.identification.choice import by_likelihood
 from friction_hil.identification.drive_loop import DriveLoops
 from friction_hil.identification.inference import flags, infer
-from friction_hil.identification.prediction_errors import BLOCKS, prediction_error
+from friction_hil.identification.prediction_errors import prediction_error
 from friction_hil.identification.regression import Estimate
 from friction_hil.identification.structures import ModelStructure
+from friction_hil.identification.thresholds import BLOCKS
 from friction_hil.identification.workers import in_parallel
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
