@@ -16,7 +16,7 @@ from friction_hil.identification.settings import chosen_families
 from friction_hil.recordings import Recording
 from friction_hil.replay.verify import facts_of
 from friction_hil.tuning.candidates import ExperimentPart, closed_loop_starts, identified
-from friction_hil.tuning.closed_loop import ClosedLoop, closed_loop_fits
+from friction_hil.tuning.closed_loop import ClosedLoop, Start, closed_loop_fits
 from friction_hil.tuning.rehearsed import RehearsedFit, rehearse
 from friction_hil.tuning.sequential import Observer, plain_fit
 from friction_hil.tuning.settings import ShowStep
@@ -61,7 +61,8 @@ def analysed(
     show(f"{name}: mechanics behind the motor")
     mechanics = find_mechanics([each.recording for each in parts], found[0], shaken=shaken, held=held)
     try:
-        found += [_in_closed_loop(found, parts, configuration, families, show)]
+        if starts := closed_loop_starts(found, parts, configuration, families):
+            found += [_in_closed_loop(starts, parts, configuration, show)]
     except RecordingError as error:
         problems.append(f"no model in closed loop: {error}")
     try:
@@ -78,11 +79,7 @@ def analysed(
 
 
 def _in_closed_loop(
-    found: Sequence[Identification],
-    parts: Sequence[ExperimentPart],
-    configuration: Configuration,
-    families: Sequence[str],
-    show: ShowStep,
+    starts: Sequence[Start], parts: Sequence[ExperimentPart], configuration: Configuration, show: ShowStep
 ) -> Identification:
     """Fit models to the motion of the experiment.
 
@@ -96,7 +93,6 @@ def _in_closed_loop(
     running = recordings[0].at(recordings[0]["state"] == LoopState.RUNNING)
     resolution = facts_of(recordings[0].metadata, recordings[0]).position_resolution
     loop = ClosedLoop(recordings, configuration, drive_loops(running, configuration.axes[name], resolution))
-    starts = closed_loop_starts(found, parts, configuration, families)
     return closed_loop_fits(loop, starts, lambda text, *steps: show(f"{name}: {text}", *steps))
 
 

@@ -111,7 +111,7 @@ def closed_loop_starts(
     """Return where searches in closed loop begin: the family that predicts the torque best, LuGre and GMS.
 
     They begin at their fits to the torque, LuGre on the steady curve of the slow sweeps. If the recording shows no
-    presliding, only LuGre begins, with a deflection of a count. If it shows no hump either, the best static fits begin.
+    presliding, only LuGre begins, with a deflection of a count; if it shows no hump either, none does.
     """
     first, curve = found[0], _steady_curve(parts, configuration)
     wanted = {name for name in chosen_families(tuple(families)) if not models.describe(name).is_static}
@@ -133,12 +133,11 @@ def closed_loop_starts(
             is_directed="direction" in one_sided.structure.modifiers,
         )
         values = next(first_values(structure, scales, 0, 0)) | dict.fromkeys(structure.linear, 0.0)
-        values["inertia"] = first.best.mechanics["inertia"]
+        values["inertia"] = (first.best if curve is None else curve).mechanics["inertia"]
         for fit in fits[:1]:
             _take(values, fit.values)
         if curve is not None and (family == _LUGRE or not fits or fits[0].structure.is_flat):
             _take(values, {_of_family(name, family): value for name, value in curve.values.items()})
-            values["inertia"] = curve.mechanics["inertia"]
         if family == _LUGRE:
             if not fits:
                 level = float(np.sqrt(np.mean(first.best.curves.friction**2)))
@@ -146,7 +145,7 @@ def closed_loop_starts(
             # a fit to the torque makes up for a state that it does not resolve by damping
             values["sigma1"] = min(values["sigma1"], math.sqrt(values["sigma0"] * values["inertia"]))
         starts.append(Start(first, fits[0] if fits else first.best, structure, values))
-    return starts or [Start(each, each.best, each.best.structure, each.best.values) for each in found]
+    return starts
 
 
 def _take(values: dict[str, float], known: Mapping[str, float]) -> None:

@@ -49,12 +49,12 @@ _TOLERANCE = 1e-3  # of a change, relative, that ends a search
 # Of a parameter, for its derivative, in one search after the other. Where sticks begin and end, the error has steps:
 # long differences see over them.
 _STEPS = (0.15, 0.1, 0.05, 0.02)
+_DAMPING = 0.01  # of columns of length 1: a block that alone shows a parameter is not extrapolated without bound
 _LEAST_SCALE = 0.01  # of a coordinate, of its range
 _SETTLED_S = 0.5  # until the integral part of the loops has found its torque
 _LARGE = 3.0  # times the usual error: larger ones count less
 _LEAST_ERROR = 0.5  # count: smaller differences are those of the encoder
 _ROWS_HZ = 200.0  # of what standard errors are computed from
-_MOST_FACTOR = 1.5  # by which the inertia changes at most
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,9 @@ class Start:
     identification: Identification  # that the fit belongs to
     fit: Fit  # to the torque: gives offset, gravity and curves
     structure: ModelStructure
-    values: Mapping[str, float]  # of all parameters of the structure, and the inertia
+    # Of all parameters of the structure, and the inertia, which is held: a model that is not quite that of the axis
+    # would bend it.
+    values: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +108,7 @@ class ClosedLoop:
         configuration: Configuration,  # from which these runs were made
         loops: DriveLoops | None,  # None: the daemon's own, which are in the configuration
     ) -> None:
-        name = recordings[0].axis
+        self.name = name = recordings[0].axis
         self.axis, self.period_s, self.loops = configuration.axes[name], configuration.period_s, loops
         self.running = recordings[0].at(recordings[0]["state"] == LoopState.RUNNING)
         self.resolution = facts_of(recordings[0].metadata, recordings[0]).position_resolution
@@ -165,11 +167,9 @@ class _Search:
             lower.append(0.0 if is_viscous else -math.inf)
             upper.append(math.inf)
             at.append(values[name] / scales[-1])
-        self._scales = np.array([*scales, 1.0])
-        most = math.log(_MOST_FACTOR)
-        self._lower, self._upper = np.array([*lower, -most]), np.array([*upper, most])
+        self._scales, self._lower, self._upper = np.array(scales), np.array(lower), np.array(upper)
         inside = 1e-3 * np.minimum(1.0, self._upper - self._lower)
-        self._at = np.clip([*at, 0.0], self._lower + inside, self._upper - inside)
+        self._at = np.clip(at, self._lower + inside, self._upper - inside)
 
     def _fit_of(self, at: Array) -> Fit:
         """Return the fit of the start with other parameters."""
@@ -177,8 +177,8 @@ class _Search:
         count = len(structure.coordinates)
         outer = at * self._scales
         values = structure.values(outer[:count])
-        values |= dict(zip(structure.linear, outer[count:-1].tolist(), strict=True))
-        mechanics = {**fit.mechanics, "inertia": self._start.values["inertia"] * math.exp(outer[-1])}
+        values |= dict(zip(structure.linear, outer[count:].tolist(), strict=True))
+        mechanics = {**fit.mechanics, "inertia": self._start.values["inertia"]}
         values |= {name: value for name, value in mechanics.items() if name in fit.values or name == "inertia"}
         return replace(fit, structure=structure, values=values, mechanics=mechanics)
 
@@ -232,8 +232,7 @@ class _Search:
         slopes = self._scales.copy()
         for i, each in enumerate(structure.coordinates):
             slopes[i] *= each.outer(float(at[i])) if each.is_log else 1.0
-        slopes[-1] *= fit.mechanics["inertia"]
-        names = (*(each.name for each in structure.coordinates), *structure.linear, "inertia")
+        names = (*(each.name for each in structure.coordinates), *structure.linear)
         is_free = (at > self._lower + 1e-6) & (at < self._upper - 1e-6)
         free = tuple(name for name, is_one in zip(names, is_free, strict=True) if is_one)
         estimate = Estimate(
@@ -276,30 +275,31 @@ def _held_out(residual: Array, jacobian: Array) -> Array:
 
     ``jacobian``: (n, p), of the prediction.
     """
-    whole = jacobian.T @ jacobian
+    norms = np.linalg.norm(jacobian, axis=0)
+    columns = jacobian / np.where(norms > 0.0, norms, 1.0)
+    whole = columns.T @ columns + _DAMPING * np.eye(columns.shape[1])
     found = residual.copy()
     edges = np.linspace(0, len(residual), BLOCKS + 1).round().astype(int)
     for begin, end in itertools.pairwise(edges):
-        own, error = jacobian[begin:end], residual[begin:end]
-        change = np.linalg.lstsq(whole - own.T @ own, own.T @ error, rcond=1e-9)[0]
-        found[begin:end] = error + own @ change
+        own, error = columns[begin:end], residual[begin:end]
+        found[begin:end] = error + own @ np.linalg.solve(whole - own.T @ own, own.T @ error)
     return found
 
 
 def closed_loop_fits(loop: ClosedLoop, starts: Sequence[Start], show: ShowStep) -> Identification:
     """Fit models to the motion of an experiment; return them, the likeliest first.
 
-    Raises `RecordingError`: there is no start, or the gain of the position loop, which sets the observer, is not known.
+    Raises `RecordingError`: the gain of the position loop, which sets the observer, is not known; or no search ends.
     """
-    if not starts or not loop.gain > 0.0:
-        raise RecordingError("there is no model to begin with" if not starts else "there is no position loop")
+    if not loop.gain > 0.0:
+        raise RecordingError(f"{loop.name}: there is no position loop")
     fits = []
     for number, start in enumerate(starts, start=1):
         show(f"closed loop: {start.structure.label}", number, len(starts))
         fits.append(_Search(loop, start).run())
     fits = by_likelihood(fits)
     if not fits:
-        raise RecordingError("the motion is not predicted by any model")
+        raise RecordingError(f"{loop.name}: no model predicts the motion")
     best = fits[0]
     reason = (
         f"of {len(starts)} searches in closed loop it predicts the motion best, with an error of "
