@@ -114,7 +114,7 @@ class CandidateFitter:
                 structure = structure.hold(name, value)
         if self.known and BACK_EMF not in self.known:
             structure = unknown_gain.without_viscous(structure)
-        return structure
+        return modifiers.with_ripple(structure, self.settings.orders) if self.settings.orders else structure
 
     def _plain_structure(self, family: str, *, is_directed: bool) -> ModelStructure:
         return structures.build(

@@ -54,6 +54,7 @@ class IdentificationSettings:
     # value at that ``instant``, or ``auto``: found from the recordings, and a mean if they do not tell
     # (`friction_hil.identification.torque_timing`).
     torque: Literal["auto", "mean", "instant"] = "auto"
+    orders: tuple[float, ...] = ()  # of ripple that every candidate has, per revolution or per metre
     replicas: int = REPLICAS  # simulated experiments that the refinement uses to estimate its bias
 
 

@@ -17,6 +17,7 @@ from friction_hil.recordings import Recording
 from friction_hil.replay.verify import facts_of
 from friction_hil.tuning.candidates import ExperimentPart, closed_loop_starts, identified
 from friction_hil.tuning.closed_loop import ClosedLoop, Start, closed_loop_fits
+from friction_hil.tuning.cogging import PositionTorque
 from friction_hil.tuning.rehearsed import RehearsedFit, rehearse
 from friction_hil.tuning.sequential import Observer, plain_fit
 from friction_hil.tuning.settings import ShowStep
@@ -43,6 +44,7 @@ def analysed(
     parts: Sequence[ExperimentPart],  # all of the experiment
     shaken: Sequence[Recording],  # while the axis was shaken, if it was
     held: Mapping[str, Recording],  # of the others meanwhile, by axis
+    whole: PositionTorque | None,  # what depends on the position, if it is as large as the friction
     show: ShowStep,
 ) -> Analysis:
     """Identify an axis from its experiment, and rehearse the models.
@@ -57,6 +59,7 @@ def analysed(
         families,
         on_fit=lambda step: show(f"{name}: {step.stage}: {step.label}", step.number, step.count),
         on_problem=problems.append,
+        whole=whole,
     )
     show(f"{name}: mechanics behind the motor")
     mechanics = find_mechanics([each.recording for each in parts], found[0], shaken=shaken, held=held)

@@ -44,23 +44,42 @@ class Worker:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._stop()
+        self._folder.cleanup()
+
+    def _stop(self) -> None:
         if self._process is not None:
             self._process.kill()
             self._process.communicate()
-        self._folder.cleanup()
+        self._process = None
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> int:
         """Give a job; return its number for `result`."""
         number = len(self._jobs)
         self._jobs.append((function, arguments))
         with contextlib.suppress(OSError):  # then it is computed by this process
-            with self._path(number, "job").open("wb") as file:
-                pickle.dump((function, arguments), file)
-            process = self._process = self._process or self._started()
-            assert process.stdin is not None
-            process.stdin.write(f"{self._path(number, '')}\n".encode())
-            process.stdin.flush()
+            self._give(number)
         return number
+
+    def _give(self, number: int) -> None:
+        with self._path(number, "job").open("wb") as file:
+            pickle.dump(self._jobs[number], file)
+        process = self._process = self._process or self._started()
+        assert process.stdin is not None
+        process.stdin.write(f"{self._path(number, '')}\n".encode())
+        process.stdin.flush()
+
+    def replace(self, number: int, *arguments: Any) -> None:
+        """Compute a job with other arguments, because its result is of no use any more; it is lost."""
+        function, _ = self._jobs[number]
+        left = [k for k in range(len(self._jobs)) if k == number or not self._path(k, "done").exists()]
+        self._stop()
+        self._jobs[number] = (function, arguments)
+        with contextlib.suppress(OSError):
+            for kind in ("done", "step"):
+                self._path(number, kind).unlink(missing_ok=True)
+            for k in left:
+                self._give(k)
 
     def result(self, number: int, show: ShowStep) -> Any:
         """Wait for a job and return its result; ``show`` is told of its steps. No axis moves meanwhile."""

@@ -13,6 +13,7 @@ from friction_hil.identification import Fit, Identification, IdentificationSetti
 from friction_hil.identification.choice import by_likelihood, choose, is_determined
 from friction_hil.identification.data import Data, prepare
 from friction_hil.identification.fine import is_presliding_excited
+from friction_hil.identification.modifiers import with_ripple
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.identification.scales import estimate_scales
 from friction_hil.identification.settings import FitStep, chosen_families
@@ -22,6 +23,7 @@ from friction_hil.numerics.filtering import lowpass, lowpass_padding
 from friction_hil.recordings import Recording
 from friction_hil.replay.verify import facts_of
 from friction_hil.tuning.closed_loop import Start
+from friction_hil.tuning.cogging import PositionTorque
 from friction_hil.tuning.motions import experiment_of, sliding_part
 
 CandidateFit = tuple[Identification, Fit]
@@ -62,6 +64,7 @@ def identified(
     on_fit: Callable[[FitStep], None],  # called before each fit
     # called with a sentence on what cannot be identified, or what an internal error has cost
     on_problem: Callable[[str], None],
+    whole: PositionTorque | None = None,  # what depends on the position, if it is identified over all of the travel
 ) -> list[Identification]:
     """Identify dynamic models from all of an experiment, and static ones from where the axis slides.
 
@@ -72,6 +75,9 @@ def identified(
     name = parts[0].recording.axis
     travel = experiment_of(name, configuration.axes[name]).travel
     for recordings, settings in _parts(parts, configuration, tuple(families), on_problem):
+        if whole is not None:
+            recordings = [*recordings, *whole.recordings]
+            settings = replace(settings, orders=whole.orders, refine=not settings.sliding_s or None)
         kind = "dynamic"
         if settings.sliding_s:
             kind, settings = "static", replace(settings, sliding_distance=_sliding_distance(found, travel))
@@ -120,6 +126,10 @@ def closed_loop_starts(
     data = Data(list(first.records))
     scales = estimate_scales(data, ("inertia", "offset"))
     one_sided = first.best if curve is None else curve
+    rippled = (
+        first.best if first.settings.orders else found[-1].best
+    )  # where the axis sticks and slips, ripple is made up
+    orders = tuple(each["order"] for each in rippled.friction[1].get("ripple", ()))
     starts = []
     for family in dict.fromkeys((first.best.structure.family, _LUGRE, _GMS)):
         if family not in wanted:
@@ -132,10 +142,12 @@ def closed_loop_starts(
             data.records[0].dt,
             is_directed="direction" in one_sided.structure.modifiers,
         )
+        structure = with_ripple(structure, orders) if orders else structure
         values = next(first_values(structure, scales, 0, 0)) | dict.fromkeys(structure.linear, 0.0)
         values["inertia"] = (first.best if curve is None else curve).mechanics["inertia"]
+        values |= {name: x for name, x in rippled.values.items() if name in values and name.startswith("ripple[")}
         for fit in fits[:1]:
-            _take(values, fit.values)
+            _take(values, {name: x for name, x in fit.values.items() if not name.startswith("ripple[")})
         if curve is not None and (family == _LUGRE or not fits or fits[0].structure.is_flat):
             _take(values, {_of_family(name, family): value for name, value in curve.values.items()})
         if family == _LUGRE:
@@ -165,7 +177,7 @@ def _of_family(name: str, family: str) -> str:
 
 def _steady_curve(parts: Sequence[ExperimentPart], configuration: Configuration) -> Fit | None:
     """Return Stribeck's model of the slow sweeps, if they show its hump and the inertia."""
-    slow, settings = _slow_sweeps(parts, configuration, (_CURVE,))
+    slow, settings = slow_sweeps(parts, configuration, (_CURVE,))
     try:
         found = _identified(slow, replace(settings, has_modifiers=False), lambda _: None)
     except RecordingError:  # the axis hardly slides
@@ -219,10 +231,10 @@ def _parts(
         lowpass_hz = _lowpass_hz(configuration.period_s) if is_noisy else None
         yield recordings, IdentificationSettings(families=dynamic, axis=kind, lowpass_hz=lowpass_hz)
     if static:
-        yield _slow_sweeps(parts, configuration, static)
+        yield slow_sweeps(parts, configuration, static)
 
 
-def _slow_sweeps(
+def slow_sweeps(
     parts: Sequence[ExperimentPart], configuration: Configuration, families: tuple[str, ...]
 ) -> tuple[list[Recording], IdentificationSettings]:
     """Return the slow sweeps, with the settings for static families."""

@@ -1,15 +1,16 @@
 """The model of an axis that is kept after the trials."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from friction_hil.config import AxisConfig
+from friction_hil.config import AxisConfig, Configuration
 from friction_hil.identification import Fit, Identification
-from friction_hil.tuning.gains import Clipping, GainTrial
+from friction_hil.recordings import Recording
+from friction_hil.tuning.gains import Clipping, GainTrial, find_clipping
 from friction_hil.tuning.model_files import write_model
-from friction_hil.tuning.trial import Trial
+from friction_hil.tuning.trial import Trial, judge
 from friction_hil.tuning.trial_motions import MOTIONS
 
 SCALED = ", scaled"  # of a model in the commanded torque
@@ -30,6 +31,25 @@ class TriedModel:
     def label(self) -> str:
         """Name for tables and messages."""
         return f"{self.fit.label}{SCALED if self.is_scaled else ''}"
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A run of the trial: one candidate of each axis, and its model file."""
+
+    fits: Mapping[str, tuple[Identification, Fit]]
+    files: Mapping[str, dict[str, Any]]
+    run: Configuration
+    duration_s: float
+    scaled: Collection[str] = ()  # axes whose models are scaled by a ratio that the trial showed
+
+    def judged(self, name: str, without: Recording, compensated: Recording) -> TriedModel:
+        """Compare the recordings of an axis without and with compensation."""
+        fade_s = max(self.run.axes[each].compensation.fade_s for each in self.fits)
+        axis, period_s = self.run.axes[name], self.run.period_s
+        trial = judge(without, compensated, axis, period_s, fade_s)
+        clipping = find_clipping(compensated, axis, period_s)
+        return TriedModel(*self.fits[name], self.files[name], trial, name in self.scaled, clipping)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,13 +3,13 @@
 import contextlib
 import math
 import shlex
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from friction_hil.config import Configuration
-from friction_hil.errors import FrictionHilError, UsageError, internal_error
+from friction_hil.errors import FrictionHilError, RecordingError, UsageError, internal_error
 from friction_hil.identification.mechanics import Mechanics
 from friction_hil.identification.settings import chosen_families
 from friction_hil.identification.torque_timing import TorqueTiming
@@ -19,10 +19,11 @@ from friction_hil.recordings import Recording, read, read_all
 from friction_hil.tuning.analysis import Analysis, analysed, compile_ahead
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text, once_more_text, shaken_text, trial_text
 from friction_hil.tuning.beside import Worker
-from friction_hil.tuning.candidates import CandidateFit, ExperimentPart, candidates
-from friction_hil.tuning.choice import SCALED, AxisTuning, TriedModel, best_of, keep_best
+from friction_hil.tuning.candidates import CandidateFit, ExperimentPart, candidates, slow_sweeps
+from friction_hil.tuning.choice import SCALED, AxisTuning, TriedModel, Turn, best_of, keep_best
+from friction_hil.tuning.cogging import large_position_torque
 from friction_hil.tuning.experiment import refuse_limit_cycle, with_torque
-from friction_hil.tuning.gains import MOST, Gains, GainTrial, find_clipping
+from friction_hil.tuning.gains import MOST, Gains, GainTrial
 from friction_hil.tuning.model_files import inertia_problem, model_content, refuse_unwritable_model, write_model
 from friction_hil.tuning.motions import (
     experiment_of,
@@ -39,7 +40,6 @@ from friction_hil.tuning.sequential import ExperimentResult, Observer, part_dura
 from friction_hil.tuning.settings import Dialog, TuneSettings, chosen_axes, claim
 from friction_hil.tuning.torque_lag import TorqueLag, find_torque_lag, with_torque_lag
 from friction_hil.tuning.torque_ratio import TorqueRatio, find_torque_ratio, refuse_turned_torque, with_torque_ratio
-from friction_hil.tuning.trial import judge
 
 _WITHOUT = "trial_without.mcap"
 
@@ -69,7 +69,7 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
        parts, until what is unknown of its friction does not matter for its own motion any more; if wanted, it is
        shaken while it slides, too.
     2. Identification: friction models and mechanics of each axis from its recording, dynamic models from all of it and
-       static ones from where the axis slides.
+       static ones from where the axis slides. Where torque over the position is as large, also from its own motion.
     3. Candidates: each model compensates each plausible axis in simulation, with the loops that the experiment showed;
        the best two or three that swing nowhere are tried. This and the identification are computed by another process,
        while other axes make their experiments, and all of them the first run of the trial.
@@ -114,25 +114,6 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
             settings.folder.rmdir()  # only if it is still empty
 
 
-@dataclass(frozen=True, slots=True)
-class _Turn:
-    """A run of the trial: one candidate of each axis, and its model file."""
-
-    fits: Mapping[str, CandidateFit]
-    files: Mapping[str, dict[str, Any]]
-    run: Configuration
-    duration_s: float
-    scaled: Collection[str] = ()  # axes whose models are scaled by a ratio that the trial showed
-
-    def judged(self, name: str, without: Recording, compensated: Recording) -> TriedModel:
-        """Compare the recordings of an axis without and with compensation."""
-        fade_s = max(self.run.axes[each].compensation.fade_s for each in self.fits)
-        axis, period_s = self.run.axes[name], self.run.period_s
-        trial = judge(without, compensated, axis, period_s, fade_s)
-        clipping = find_clipping(compensated, axis, period_s)
-        return TriedModel(*self.fits[name], self.files[name], trial, name in self.scaled, clipping)
-
-
 class _Tuner:
     def __init__(
         self,
@@ -168,15 +149,17 @@ class _Tuner:
 
     def tune(self) -> Tuning:
         """Carry out all steps; see `tune`."""
-        recorded, jobs = {}, {}
+        recorded, jobs, is_shaken = {}, {}, self._settings.is_shaken
         for name in self._names:
             recorded[name] = self._experiment(name)
-            if not self._settings.is_shaken:
+            if not is_shaken:
                 jobs[name] = self._submit(name, recorded[name], {})
-        for name in self._names if self._settings.is_shaken else ():
+        for name in self._names if is_shaken else ():
             jobs[name] = self._submit(name, recorded[name], self._shake(name))
-        recorded.clear()
         without = self._trial_ahead()
+        for name in self._names if without is not None and not is_shaken else ():
+            self._look_over_positions(jobs[name], recorded[name], (without or {})[name])
+        recorded.clear()
         tried = self._trials({name: self._candidates(name, job) for name, job in jobs.items()}, without)
         is_simulated = self._settings.is_simulated
         axes = {
@@ -214,7 +197,23 @@ class _Tuner:
         """Have the worker identify an axis and rehearse its models; return the number of that job."""
         held = dict(shaken)
         own = [held.pop(name)] if held else []
-        return self._worker.submit(analysed, self._configuration, self._settings.families, parts, own, held)
+        return self._worker.submit(analysed, self._configuration, self._settings.families, parts, own, held, None)
+
+    def _look_over_positions(self, job: int, parts: Sequence[ExperimentPart], without: Recording) -> None:
+        """Have an axis identified over the positions of its own motion, if they change its torque by much."""
+        name, configuration = without.axis, self._configuration
+        try:
+            own = with_torque(without, configuration.axes[name].mode)
+            with self._dialog.working(f"{name}: looking for a torque that depends on the position"):
+                whole = large_position_torque(*slow_sweeps(parts, configuration, ("coulomb",)), own)
+        except RecordingError:  # the axis hardly slides
+            return
+        except Exception as error:  # noqa: BLE001  it costs the positions, not the models
+            self._warn(f"{name}: positions are not looked at, because of {internal_error(error)}")
+            return
+        if whole is not None:
+            self._dialog.report(f"{name}: {whole.text}")
+            self._worker.replace(job, configuration, self._settings.families, parts, [], {}, whole)
 
     def _trial_ahead(self) -> dict[str, Recording] | None:
         """Record the run of the trial without compensation, if no model matters for it; None if one does."""
@@ -405,7 +404,7 @@ class _Tuner:
             gains = {name: gain for name, each in self._gains.items() if (gain := each.next()) is not None}
             if not gains:
                 return
-            turn = _Turn(fits, files, *self._run_with(files, gains))
+            turn = Turn(fits, files, *self._run_with(files, gains))
             try:
                 compensated = record(turn.run, f"trial_gain_{number}.mcap")
                 for name, gain in gains.items():
@@ -421,7 +420,7 @@ class _Tuner:
         tried: Mapping[str, Sequence[TriedModel]],
         without: Mapping[str, Recording],
         compensated: Mapping[str, Sequence[Recording]],
-    ) -> "_Turn | None":
+    ) -> Turn | None:
         """Return the run with the best models, scaled to the commanded torque; None if all of them have its size."""
         best = {name: best_of(tuple(each)) for name, each in tried.items()}
         files = {name: each.model for name, each in best.items()}
@@ -441,7 +440,7 @@ class _Tuner:
         if not scaled:
             return None
         fits = {name: (each.identification, each.fit) for name, each in best.items()}
-        return _Turn(fits, files, *self._run_with(files), scaled)
+        return Turn(fits, files, *self._run_with(files), scaled)
 
     def _warn(self, text: str) -> None:
         self._dialog.report(text)
@@ -468,9 +467,9 @@ class _Tuner:
         self._torque_lags[name] = lag
         return tuple(with_torque_lag(each, lag) for each in tried)
 
-    def _turns(self, chosen: Mapping[str, Sequence[CandidateFit]]) -> list["_Turn"]:
+    def _turns(self, chosen: Mapping[str, Sequence[CandidateFit]]) -> list[Turn]:
         """Return the runs of the trial, each with one candidate of each axis."""
-        turns: list[_Turn] = []
+        turns: list[Turn] = []
         for k in range(max(map(len, chosen.values()))):
             fits = {name: each[min(k, len(each) - 1)] for name, each in chosen.items()}
             files = {
@@ -478,7 +477,7 @@ class _Tuner:
                 for name, each in fits.items()
             }
             try:
-                turns.append(_Turn(fits, files, *self._run_with(files)))
+                turns.append(Turn(fits, files, *self._run_with(files)))
             except FrictionHilError as error:
                 if not k:
                     raise

@@ -28,6 +28,7 @@ from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.tuning_report import write_reports
 from friction_hil.tuning import AxisTuning, TriedModel, TuneSettings, Tuning, tune
 from friction_hil.tuning.choice import motion_names
+from friction_hil.tuning.cogging import position_share
 from friction_hil.tuning.settings import ShowStep
 
 _FOLDER = Path("out/tune")
@@ -173,7 +174,8 @@ def _as_dict(tuning: Tuning, config: Path = Path(), applied: Collection[str] = (
 
 def _axis(name: str, tuning: Tuning) -> dict[str, Any]:
     axis, lag, ratio = tuning.axes[name], tuning.torque_lags.get(name), tuning.torque_ratios.get(name)
-    best = axis.best
+    best, share = axis.best, position_share(axis.best.model)
+    own = axis.recommended.trial.own
     return {
         "model": best.label,
         "file": axis.file,
@@ -185,6 +187,11 @@ def _axis(name: str, tuning: Tuning) -> dict[str, Any]:
         "experiment": tuning.experiments[name].figures if name in tuning.experiments else None,
         "torque_lag": None if lag is None else lag.figures,
         "torque_ratio": None if ratio is None else ratio.figures,
+        "position_torque": None if share is None else asdict(share),
+        "left": {
+            "rms": _left(own.compensated.rms, own.uncompensated.rms),
+            "peak": _left(own.compensated.peak, own.uncompensated.peak),
+        },
         "tried": [
             {
                 "model": each.label,
@@ -226,7 +233,7 @@ def _print_summary(
         click.echo("This is the friction of the simulated drive, not that of the machine.")
     for name, axis in tuning.axes.items():
         say(f"{name}: {_recommendation(axis, config, applied.get(name))}", stderr=False)
-        for text in (_uncertainty(name, axis, tuning), _clipped(axis)):
+        for text in (_positions(axis), _uncertainty(name, axis, tuning), _clipped(axis)):
             if text:
                 say(f"{name}: {text}", stderr=False)
     if tuning.report is not None:
@@ -290,11 +297,29 @@ def _uncertainty(name: str, axis: AxisTuning, tuning: Tuning) -> str:
     return "; ".join(said)
 
 
+def _positions(axis: AxisTuning) -> str:
+    """Say what depends on the position, and how much of the error neither that nor friction removes."""
+    share, own = position_share(axis.best.model), axis.recommended.trial.own
+    if share is None:
+        return ""
+    left = 100.0 * _left(own.compensated.rms, own.uncompensated.rms)
+    return f"{share.text(_torque_unit(axis))}; with friction, it leaves {left:.2g} % of the following error (RMS)"
+
+
+def _left(compensated: float, uncompensated: float) -> float:
+    """Return the share of an error that compensation does not remove; 0 of none."""
+    return compensated / uncompensated if uncompensated > 0.0 else 0.0
+
+
+def _torque_unit(axis: AxisTuning) -> str:
+    return "N m" if _unit(axis) == "rad" else "N"
+
+
 def _clipped(axis: AxisTuning) -> str:
     found = axis.recommended.clipping
     if found is None:
         return ""
-    unit = "N m" if _unit(axis) == "rad" else "N"
+    unit = _torque_unit(axis)
     where = f"limits.torque {found.limit:g} {unit} clipped the compensation in {100.0 * found.share:.2g} % of the rows"
     return where if found.enough is None else f"{where}; {found.enough:g} {unit} would not, if the machine bears it"
 

@@ -23,7 +23,7 @@ def silent(*_):
 
 
 def submitted(worker, parts):
-    return worker.submit(analysed, machine(), FAMILIES, parts, [], {})
+    return worker.submit(analysed, machine(), FAMILIES, parts, [], {}, None)
 
 
 def children():
@@ -43,7 +43,7 @@ def test_a_worker_finds_the_same_bits_and_tells_its_steps() -> None:
     with Worker() as worker:
         worker.submit(compile_ahead, machine(), FAMILIES[:1], parts[0])
         found = worker.result(submitted(worker, parts), lambda *step: steps.append(step))
-    here = analysed(machine(), FAMILIES, parts, [], {}, silent)
+    here = analysed(machine(), FAMILIES, parts, [], {}, None, silent)
     assert [(each.reason, each.notes) for each in found.found] == [(each.reason, each.notes) for each in here.found]
     for one, other in zip(found.found[0].fits, here.found[0].fits, strict=True):
         assert (one.label, one.values, one.inference.standard_errors) == (
@@ -91,6 +91,18 @@ def test_what_cannot_be_identified_is_said_and_a_lost_worker_costs_time_only(is_
         with pytest.raises(RecordingError) as error:
             worker.result(number, silent)
     with pytest.raises(RecordingError) as here:
-        analysed(machine(), FAMILIES, [replace(good, recording=still)], [], {}, silent)
+        analysed(machine(), FAMILIES, [replace(good, recording=still)], [], {}, None, silent)
     assert str(error.value) == str(here.value)
     assert pickle.loads(pickle.dumps(error.value)).args == error.value.args
+
+
+def test_a_job_that_is_replaced_is_computed_with_its_new_arguments_and_others_are_not_lost() -> None:
+    others = children()
+    with Worker() as worker:
+        jobs = [worker.submit("{0}".format, k) for k in (1, 2)]
+        assert worker.result(jobs[0], silent) == "1"
+        [former] = children() - others
+        worker.replace(jobs[0], 3)
+        [process] = children() - others
+        assert process != former
+        assert [worker.result(job, silent) for job in jobs] == ["3", "2"]
