@@ -93,7 +93,8 @@ def recorded_motion(recording: Recording, axis: AxisConfig, period_s: float) -> 
     sent, sent_velocity = (np.interp(grid + late, grid, each) for each in (position, velocity))
     resolution = facts.position_resolution
     measured = np.full(len(grid), math.nan)
-    measured[(cycle - cycle[0]).astype(int)] = running["position"] + 0.5 * resolution
+    is_fresh = running["is_fresh"] > 0.0 if "is_fresh" in running else np.ones(len(cycle), dtype=bool)
+    measured[(cycle - cycle[0]).astype(int)[is_fresh]] = running["position"][is_fresh] + 0.5 * resolution
     columns = position, velocity, acceleration, velocity, acceleration
     demand = np.column_stack([*columns, np.round(sent / resolution) * resolution, sent_velocity])
     return _Motion(Rehearsal(axis, facts, period_s), demand, measured, position - measured)
