@@ -41,8 +41,8 @@ class ExperimentPart:
 _LUGRE, _GMS, _CURVE = "lugre", "gms", "stribeck"
 _LEAST_SPEED_RATIO = 0.01  # of the highest speed: below, what holds the axis is no friction to a static model
 _NO_PRESLIDING = (
-    "the recording does not show presliding: its stiffness and damping (sigma0, sigma1) are not determined, and only "
-    "static models are identified; --models lugre fits one nevertheless"
+    "the recording does not show presliding: its stiffness and damping (sigma0, sigma1) are not determined by the "
+    "torque, to which only static models are fitted; --models lugre fits one nevertheless"
 )
 _LOWPASS_HZ, _LOWPASS_RATIO = 100.0, 0.4  # of the position, and the most of it that a sampling rate allows
 _ROWS_HZ = 100.0  # of a regression with static models
