@@ -66,8 +66,10 @@ def analysed(
     try:
         if starts := closed_loop_starts(found, parts, configuration, families):
             found += [_in_closed_loop(starts, parts, configuration, show)]
-    except RecordingError as error:
+    except FrictionHilError as error:
         problems.append(f"no model in closed loop: {error}")
+    except Exception as error:  # noqa: BLE001  it costs these models, not the others
+        problems.append(f"no model in closed loop, because of {internal_error(error)}")
     try:
         rehearsed = rehearse(  # no part is longer
             parts[-1].recording, configuration, found, lambda text, *steps: show(f"{name}: {text}", *steps)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from friction_hil.errors import RecordingError
+from friction_hil.identification.least_squares import FitError
 from friction_hil.recordings import Recording
 from friction_hil.tuning.analysis import analysed, compile_ahead
 from friction_hil.tuning.beside import Worker
@@ -106,3 +107,17 @@ def test_a_job_that_is_replaced_is_computed_with_its_new_arguments_and_others_ar
         [process] = children() - others
         assert process != former
         assert [worker.result(job, silent) for job in jobs] == ["3", "2"]
+
+
+@pytest.mark.parametrize(
+    "error", [np.linalg.LinAlgError("singular"), FitError("not finite"), RecordingError("no loop")]
+)
+def test_what_fails_in_closed_loop_costs_these_models_and_no_others(error, monkeypatch) -> None:
+    def failing(*_):
+        raise error
+
+    monkeypatch.setattr("friction_hil.tuning.analysis.closed_loop_starts", failing)
+    found = analysed(machine(), ("coulomb",), [part(seed=1)], [], {}, None, silent)
+    [problem] = [each for each in found.problems if "closed loop" in each]
+    assert str(error) in problem
+    assert [each.best.structure.family for each in found.found] == ["coulomb"]
