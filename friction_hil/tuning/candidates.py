@@ -126,10 +126,10 @@ def closed_loop_starts(
     data = Data(list(first.records))
     scales = estimate_scales(data, ("inertia", "offset"))
     one_sided = first.best if curve is None else curve
-    rippled = (
-        first.best if first.settings.orders else found[-1].best
-    )  # where the axis sticks and slips, ripple is made up
-    orders = tuple(each["order"] for each in rippled.friction[1].get("ripple", ()))
+    # where the axis sticks and slips, a fit to all of the torque makes ripple up
+    static = [each for each in found if not is_dynamic(each.best.structure)]
+    rippled = [first.best] if first.settings.orders else [each.best for each in static]
+    orders = tuple(each["order"] for fit in rippled for each in fit.friction[1].get("ripple", ()))
     starts = []
     for family in dict.fromkeys((first.best.structure.family, _LUGRE, _GMS)):
         if family not in wanted:
@@ -145,7 +145,8 @@ def closed_loop_starts(
         structure = with_ripple(structure, orders) if orders else structure
         values = next(first_values(structure, scales, 0, 0)) | dict.fromkeys(structure.linear, 0.0)
         values["inertia"] = (first.best if curve is None else curve).mechanics["inertia"]
-        values |= {name: x for name, x in rippled.values.items() if name in values and name.startswith("ripple[")}
+        for fit in rippled:
+            values |= {name: x for name, x in fit.values.items() if name in values and name.startswith("ripple[")}
         for fit in fits[:1]:
             _take(values, {name: x for name, x in fit.values.items() if not name.startswith("ripple[")})
         if curve is not None and (family == _LUGRE or not fits or fits[0].structure.is_flat):

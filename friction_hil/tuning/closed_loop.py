@@ -38,7 +38,6 @@ from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.rehearsal import Rehearsal
 from friction_hil.replay.verify import facts_of
-from friction_hil.servo.config import ServoConfig
 from friction_hil.tuning.model_files import model_content
 from friction_hil.tuning.settings import ShowStep
 from friction_hil.tuning.simulated import simulated_axis
@@ -54,6 +53,7 @@ _LEAST_SCALE = 0.01  # of a coordinate, of its range
 _SETTLED_S = 0.5  # until the integral part of the loops has found its torque
 _LARGE = 3.0  # times the usual error: larger ones count less
 _LEAST_ERROR = 0.5  # count: smaller differences are those of the encoder
+_FAILED = 1e3  # counts, of a simulation without a result
 _ROWS_HZ = 200.0  # of what standard errors are computed from
 
 
@@ -79,7 +79,7 @@ class _Motion:
     error: Array  # (n,), following error
 
 
-def recorded_motion(recording: Recording, axis: AxisConfig, period_s: float) -> _Motion:
+def _recorded(recording: Recording, axis: AxisConfig, period_s: float) -> _Motion:
     """Return the motion of an uncompensated run of the daemon."""
     facts = facts_of(recording.metadata, recording)
     running = recording.at(recording["state"] == LoopState.RUNNING)
@@ -113,31 +113,29 @@ class ClosedLoop:
         self.axis, self.period_s, self.loops = configuration.axes[name], configuration.period_s, loops
         self.running = recordings[0].at(recordings[0]["state"] == LoopState.RUNNING)
         self.resolution = facts_of(recordings[0].metadata, recordings[0]).position_resolution
-        self.motions = [recorded_motion(each, self.axis, self.period_s) for each in recordings]
+        self.motions = [_recorded(each, self.axis, self.period_s) for each in recordings]
         own = self.axis.controller
         self.gain = loops.position_gain if loops and loops.position_gain > 0.0 else own.position_gain if own else 0.0
-
-    def servo(self, model: ModelFile, inertia: float) -> ServoConfig | None:
-        """Return the axis with the friction of a model; None if it cannot be simulated."""
-        return simulated_axis(
-            model, inertia, self.loops, self.running, self.period_s, self.resolution, has_gravity=True
-        )
 
     def errors(self, model: ModelFile, inertia: float) -> Array:
         """Return measured less predicted positions (n,) of all motions over a count.
 
         Positions that are unknown count as predicted.
         """
-        servo = self.servo(model, inertia)
+        servo = simulated_axis(
+            model, inertia, self.loops, self.running, self.period_s, self.resolution, has_gravity=True
+        )
         if servo is None:
             raise UsageError("no simulation has such a friction")
         pole = math.exp(-_RATE * self.gain * self.period_s)  # both poles of the observer
         correction = 1.0 - pole * pole, (1.0 - pole) ** 2 / self.period_s
-        begin = round(_SETTLED_S / self.period_s)
-        found = [
-            each.rehearsal.ahead(servo, model, each.demand, each.measured, correction)[begin:] for each in self.motions
-        ]
-        return np.nan_to_num(np.concatenate(found) / self.resolution, nan=0.0, posinf=1e6, neginf=-1e6)
+        found = []
+        for each in self.motions:
+            ahead = each.rehearsal.ahead(servo, model, each.demand, each.measured, correction) / self.resolution
+            # a simulation that fails is no sample that is missing
+            ahead = np.nan_to_num(ahead, nan=_FAILED, posinf=_FAILED, neginf=-_FAILED)
+            found.append(np.where(np.isnan(each.measured), 0.0, ahead)[round(_SETTLED_S / self.period_s) :])
+        return np.concatenate(found)
 
     @cached_property
     def following(self) -> Array:
@@ -191,7 +189,7 @@ class _Search:
             model = ModelFile.model_validate(content)
             return self._loop.errors(model, fit.mechanics["inertia"])
         except (UsageError, ValueError):
-            return np.full(len(self._loop.following), 1e3)
+            return np.full(len(self._loop.following), _FAILED)
 
     def _jacobian(self, at: Array, step: float) -> Array:
         """Return the derivatives (n, m) of the errors, by differences."""

@@ -92,6 +92,12 @@ def test_where_no_sample_was_recorded_nothing_is_corrected_and_nothing_counts() 
     assert usual(errors) < 1.2
 
 
+def test_a_simulation_that_fails_is_no_sample_that_is_missing(monkeypatch) -> None:
+    loop = closed_loop()
+    monkeypatch.setattr(loop.motions[0].rehearsal, "ahead", lambda *_: np.full(len(loop.motions[0].demand), math.nan))
+    assert np.min(np.abs(loop.errors(model(), INERTIA))) > 100.0
+
+
 @cache
 def started(**changes):
     """A start far from the truth; the torque of this motion shows no hump at all."""
