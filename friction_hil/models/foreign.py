@@ -15,8 +15,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from friction_hil import __version__
+from friction_hil.dynamics import xml_input
 from friction_hil.errors import FrictionHilError, UsageError, choices
-from friction_hil.models import mjcf_joints, xml_input
+from friction_hil.models import mjcf_joints
 from friction_hil.models.model_file import ModelFile
 
 _MOST_BYTES = 100_000_000

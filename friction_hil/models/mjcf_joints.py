@@ -1,17 +1,13 @@
-"""The friction of a joint in an MJCF file, with the defaults of its classes.
-
-Source: MuJoCo's XML reference: default classes are inherited from the enclosing class, ``childclass`` of a body holds
-for all within it, ``class`` of an element comes first. Files that are included are not read.
-"""
+"""The friction of a joint in an MJCF file, with the defaults of its classes. Files that are included are not read."""
 
 import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
+from friction_hil.dynamics.mjcf_defaults import MAIN, Classes, classes, with_defaults
+from friction_hil.dynamics.xml_input import choose, numbers
 from friction_hil.errors import UsageError
-from friction_hil.models.xml_input import choose, numbers
 
-_MAIN = "main"  # the class of what names none
 _STIFF_IMPEDANCE = 0.999  # of the dry friction, of 0.9999 that MuJoCo allows: hardly a joint creeps to be seen
 
 
@@ -31,12 +27,10 @@ class Joint:
 
 def find(root: ET.Element, path: str, name: str | None) -> Joint:
     """Return the joint of a name, or the only one with friction; raise UsageError where there is none."""
-    defaults: dict[str, dict[str, dict[str, str]]] = {_MAIN: {}}
-    for default in root.findall("default"):
-        _classes(default, {}, defaults, path)
+    defaults = classes(root, path)
     joints: dict[str, dict[str, str]] = {}
     for body in root.findall("worldbody"):
-        _joints(body, _MAIN, defaults, joints, path)
+        _joints(body, MAIN, defaults, joints, path)
     elsewhere = "; files that it includes are not read" if root.find(".//include") is not None else ""
     motors = _motors(root, defaults, path)
     has_friction = [
@@ -119,33 +113,17 @@ def _cogging(text: str | None, where: str) -> tuple[float, float, float] | None:
     return (values[0], values[1], values[2]) if values[0] != 0.0 and values[1] > 0.0 else None
 
 
-def _classes(
-    default: ET.Element, above: dict[str, dict[str, str]], known: dict[str, dict[str, dict[str, str]]], path: str
-) -> None:
-    """Collect the attributes of joints and motors by class; a class inherits those of the class around it."""
-    name = default.get("class", _MAIN)
-    own = {tag: dict(above.get(tag, {})) for tag in ("joint", "dcmotor")}
-    for tag in own:
-        for element in default.findall(tag):
-            own[tag] |= element.attrib
-    known[name] = {tag: {**known.get(name, {}).get(tag, {}), **own[tag]} for tag in own}
-    for inner in default.findall("default"):
-        if "class" not in inner.attrib:
-            raise UsageError(f"{path}: a default within another must have a class")
-        _classes(inner, known[name], known, path)
-
-
 def _joints(
     body: ET.Element,
     current: str,
-    defaults: dict[str, dict[str, dict[str, str]]],
+    defaults: Classes,
     joints: dict[str, dict[str, str]],
     path: str,
 ) -> None:
     current = body.get("childclass", current)
     for element in body:
         if element.tag == "joint":
-            attributes = _with_defaults(element, current, defaults, path)
+            attributes = with_defaults(element, current, defaults, path)
             name = attributes.get("name", f"joint {len(joints) + 1}")
             if name in joints:
                 raise UsageError(f"{path}: several joints have the name {name!r}")
@@ -154,11 +132,11 @@ def _joints(
             _joints(element, current, defaults, joints, path)
 
 
-def _motors(root: ET.Element, defaults: dict[str, dict[str, dict[str, str]]], path: str) -> dict[str, dict[str, str]]:
+def _motors(root: ET.Element, defaults: Classes, path: str) -> dict[str, dict[str, str]]:
     """Return the motors with friction of their own, by the joint that they act on."""
     motors: dict[str, dict[str, str]] = {}
     for element in root.findall("actuator/dcmotor"):
-        attributes = _with_defaults(element, _MAIN, defaults, path)
+        attributes = with_defaults(element, MAIN, defaults, path)
         joint = attributes.get("joint")
         if joint is None or not {"lugre", "cogging", "damping", "armature"} & set(attributes):
             continue
@@ -166,15 +144,6 @@ def _motors(root: ET.Element, defaults: dict[str, dict[str, dict[str, str]]], pa
             raise UsageError(f"{path}: several dcmotors with friction act on the joint {joint!r}")
         motors[joint] = attributes
     return motors
-
-
-def _with_defaults(
-    element: ET.Element, current: str, defaults: dict[str, dict[str, dict[str, str]]], path: str
-) -> dict[str, str]:
-    name = element.get("class", current)
-    if name not in defaults:
-        raise UsageError(f"{path}: there is no default class {name!r} for <{element.tag}>")
-    return {**defaults[name].get(element.tag, {}), **element.attrib}
 
 
 def _numbers(attributes: dict[str, str], key: str, path: str, joint: str) -> list[float]:

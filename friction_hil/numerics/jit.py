@@ -79,11 +79,11 @@ class Kernel:
     def __init__(self, function: Callable[..., object], **options: Any) -> None:
         update_wrapper(self, function)
         self._function, self._options = function, options
-        self._run: Callable[..., object] = self._first_call
+        self.run: Callable[..., Any] = self._first_call  # for callers in a loop: it saves a Python call
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the compiled function."""
-        return self._run(*arguments)
+        return self.run(*arguments)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -108,8 +108,8 @@ class Kernel:
             return _dispatcher(self._function, {"nogil": True}, "called")
 
     def _first_call(self, *arguments: Any) -> Any:
-        self._run = self.called
-        return self._run(*arguments)
+        self.run = self.called
+        return self.run(*arguments)
 
 
 def ready(function: Function) -> Function:

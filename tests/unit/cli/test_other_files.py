@@ -13,8 +13,8 @@ import yaml
 import friction_hil as fh
 from friction_hil.cli import main
 from friction_hil.config import from_dict, self_contained
+from friction_hil.dynamics.xml_input import parse
 from friction_hil.errors import ConfigurationError, RecordingError, UsageError
-from friction_hil.models.xml_input import parse
 from tests.servo_drives import axis_dict, configuration
 
 

@@ -5,22 +5,32 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection, Sequence
 from xml.parsers import expat
 
+import numpy as np
+from numpy.typing import NDArray
+
 from friction_hil.errors import UsageError, choices
 
 _MOST_DEPTH = 200
 
 
-def parse(content: bytes, path: str, root: str) -> ET.Element:
-    """Return the root element.
+def parse(content: bytes, path: str, *roots: str) -> ET.Element:
+    """Return the root element, which has one of the names ``roots``.
 
     A document type declaration is refused: entities that multiply or name other files are declared in one. Raises
     `UsageError`: it is no XML, has a document type or another root element, or is nested too deep.
     """
+    return parse_with_lines(content, path, *roots)[0]
+
+
+def parse_with_lines(content: bytes, path: str, *roots: str) -> tuple[ET.Element, dict[ET.Element, int]]:
+    """Return the root element as `parse` does, and the line at which each element begins."""
     depth = 0
+    lines = []
 
     def start(name: str, attributes: object) -> None:
         nonlocal depth
         depth += 1
+        lines.append(parser.CurrentLineNumber)
         if depth > _MOST_DEPTH:
             raise UsageError(f"{path}: elements are nested more than {_MOST_DEPTH} deep")
 
@@ -40,9 +50,10 @@ def parse(content: bytes, path: str, root: str) -> ET.Element:
         found = ET.fromstring(content)
     except (expat.ExpatError, ET.ParseError) as error:
         raise UsageError(f"{path} is not XML: {error}") from None
-    if found.tag != root:
-        raise UsageError(f"{path}: the root element is <{found.tag}>, not <{root}> without a namespace")
-    return found
+    if found.tag not in roots:
+        wanted = " or ".join(f"<{root}>" for root in roots)
+        raise UsageError(f"{path}: the root element is <{found.tag}>, not {wanted} without a namespace")
+    return found, dict(zip(found.iter(), lines, strict=True))
 
 
 def choose(
@@ -82,3 +93,15 @@ def numbers(text: str, where: str, least: int, most: int) -> list[float]:
         wanted = "one finite number, not" if most == 1 else f"{least} to {most} finite numbers, none"
         raise UsageError(f"{where}: {text!r} must be {wanted} below zero")
     return values
+
+
+def vector(text: str, least: int, most: int) -> NDArray[np.float64]:
+    """Return the numbers of an attribute; raise ValueError, with what would be right, if they are not finite."""
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if not least <= len(values) <= most or not all(map(math.isfinite, values)):
+        count = f"{most}" if least == most else f"{least} to {most}"
+        raise ValueError(f"must be {count} finite number{'s' * (most > 1)}, not {text!r}")
+    return np.array(values)
