@@ -5,21 +5,23 @@ It needs nothing but the recordings, so that it is computed by `friction_hil.tun
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from friction_hil.config import Configuration
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import FrictionHilError, RecordingError, internal_error
-from friction_hil.identification import Identification, IdentificationSettings
+from friction_hil.identification import Identification, IdentificationSettings, identify
 from friction_hil.identification.mechanics import Mechanics, find_mechanics
 from friction_hil.identification.settings import chosen_families
+from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.replay.verify import facts_of
 from friction_hil.tuning.candidates import ExperimentPart, closed_loop_starts, identified
 from friction_hil.tuning.closed_loop import ClosedLoop, Start, closed_loop_fits
 from friction_hil.tuning.cogging import PositionTorque
+from friction_hil.tuning.model_files import model_content
 from friction_hil.tuning.rehearsed import RehearsedFit, rehearse
-from friction_hil.tuning.sequential import Observer, plain_fit
+from friction_hil.tuning.sequential import Observer
 from friction_hil.tuning.settings import ShowStep
 from friction_hil.tuning.simulated import drive_loops
 
@@ -66,6 +68,7 @@ def analysed(
     try:
         if starts := closed_loop_starts(found, parts, configuration, families):
             found += [_in_closed_loop(starts, parts, configuration, show)]
+            problems += found[-1].failures
     except FrictionHilError as error:
         problems.append(f"no model in closed loop: {error}")
     except Exception as error:  # noqa: BLE001  it costs these models, not the others
@@ -94,18 +97,30 @@ def _in_closed_loop(
     for each in parts[-2::-1]:
         if sum(one.duration_s for one in recordings) < _ENOUGH_S:
             recordings.append(each.recording)
-    name = recordings[0].axis
-    running = recordings[0].at(recordings[0]["state"] == LoopState.RUNNING)
-    resolution = facts_of(recordings[0].metadata, recordings[0]).position_resolution
-    loop = ClosedLoop(recordings, configuration, drive_loops(running, configuration.axes[name], resolution))
-    return closed_loop_fits(loop, starts, lambda text, *steps: show(f"{name}: {text}", *steps))
+    loop = _closed_loop(recordings, configuration)
+    return closed_loop_fits(loop, starts, lambda text, *steps: show(f"{loop.name}: {text}", *steps))
+
+
+def _closed_loop(recordings: Sequence[Recording], configuration: Configuration) -> ClosedLoop:
+    """Return the loops of the drive as the first recording shows them.
+
+    Raises `RecordingError`: it does not.
+    """
+    first = recordings[0]
+    running = first.at(first["state"] == LoopState.RUNNING)
+    resolution = facts_of(first.metadata, first).position_resolution
+    return ClosedLoop(recordings, configuration, drive_loops(running, configuration.axes[first.axis], resolution))
 
 
 def compile_ahead(configuration: Configuration, families: Sequence[str], part: ExperimentPart, _: ShowStep) -> None:
     """Compile what `Observer` and `analysed` need, by simple fits to the first part, which are of no other use."""
     name = part.recording.axis
-    settings = IdentificationSettings(chosen_families(tuple(families)), axis=configuration.axes[name].model.axis)
+    kind = configuration.axes[name].model.axis
+    settings = IdentificationSettings(chosen_families(tuple(families)), kind, has_modifiers=False, refine=False)
     with contextlib.suppress(Exception):  # what is wrong is met again
         Observer(configuration, name).take(part)
     with contextlib.suppress(Exception):
-        plain_fit([part.recording], settings)
+        found = identify([part.recording], settings)
+        model = ModelFile.model_validate(model_content(found, found.best, configuration.axes[name]))
+        _closed_loop([part.recording], configuration).errors(model, found.best.mechanics["inertia"])
+        rehearse(part.recording, configuration, [replace(found, fits=(found.best,))])

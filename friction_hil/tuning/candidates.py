@@ -151,11 +151,10 @@ def closed_loop_starts(
             _take(values, {name: x for name, x in fit.values.items() if not name.startswith("ripple[")})
         if curve is not None and (family == _LUGRE or not fits or fits[0].structure.is_flat):
             _take(values, {_of_family(name, family): value for name, value in curve.values.items()})
-        if family == _LUGRE:
-            if not fits:
-                level = float(np.sqrt(np.mean(first.best.curves.friction**2)))
-                values["sigma0"] = level / facts_of(parts[0].recording.metadata, parts[0].recording).position_resolution
-            # a fit to the torque makes up for a state that it does not resolve by damping
+        if family == _LUGRE and not fits:
+            level = float(np.sqrt(np.mean(first.best.curves.friction**2)))
+            values["sigma0"] = level / facts_of(parts[0].recording.metadata, parts[0].recording).position_resolution
+        if "sigma1" in values:  # a fit to the torque makes up for a state that it does not resolve by damping
             values["sigma1"] = min(values["sigma1"], math.sqrt(values["sigma0"] * values["inertia"]))
         starts.append(Start(first, fits[0] if fits else first.best, structure, values))
     return starts

@@ -23,7 +23,7 @@ import numpy as np
 
 from friction_hil.config import AxisConfig, Configuration
 from friction_hil.daemon.safety import LoopState
-from friction_hil.errors import RecordingError, UsageError
+from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 from friction_hil.identification import Fit, Identification
 from friction_hil.identification.choice import by_likelihood
 from friction_hil.identification.drive_loop import DriveLoops
@@ -40,7 +40,7 @@ from friction_hil.rehearsal import Rehearsal
 from friction_hil.replay.verify import facts_of
 from friction_hil.tuning.model_files import model_content
 from friction_hil.tuning.settings import ShowStep
-from friction_hil.tuning.simulated import simulated_axis
+from friction_hil.tuning.simulated import SOFT_HZ, simulated_axis
 
 _RATE = 4.0  # of the observer, over the gain of the position loop
 _EVALUATIONS = 15
@@ -122,11 +122,10 @@ class ClosedLoop:
 
         Positions that are unknown count as predicted.
         """
-        servo = simulated_axis(
-            model, inertia, self.loops, self.running, self.period_s, self.resolution, has_gravity=True
-        )
+        # presliding that is too stiff for these rates moves the axis by less than the encoder shows
+        servo = simulated_axis(model, inertia, self.loops, self.running, self.period_s, self.resolution, SOFT_HZ)
         if servo is None:
-            raise UsageError("no simulation has such a friction")
+            raise UsageError(f"{model.friction.model}: its presliding is stiffer than the motion shows")
         pole = math.exp(-_RATE * self.gain * self.period_s)  # both poles of the observer
         correction = 1.0 - pole * pole, (1.0 - pole) ** 2 / self.period_s
         found = []
@@ -182,14 +181,15 @@ class _Search:
         return replace(fit, structure=structure, values=values, mechanics=mechanics)
 
     def _errors(self, at: Array) -> Array:
-        """Return `ClosedLoop.errors`; very large ones where the model is inconsistent."""
-        fit = self._fit_of(at)
+        """Return `ClosedLoop.errors`; very large ones where the model is inconsistent, or too stiff."""
         try:
-            content = model_content(self._start.identification, fit, self._loop.axis)
-            model = ModelFile.model_validate(content)
-            return self._loop.errors(model, fit.mechanics["inertia"])
+            return self._errors_of(self._fit_of(at))
         except (UsageError, ValueError):
             return np.full(len(self._loop.following), _FAILED)
+
+    def _errors_of(self, fit: Fit) -> Array:
+        model = ModelFile.model_validate(model_content(self._start.identification, fit, self._loop.axis))
+        return self._loop.errors(model, fit.mechanics["inertia"])
 
     def _jacobian(self, at: Array, step: float) -> Array:
         """Return the derivatives (n, m) of the errors, by differences."""
@@ -199,10 +199,14 @@ class _Search:
         return np.column_stack([(each - first) / one for each, one in zip(in_parallel(jobs), steps, strict=True)])
 
     def run(self) -> Fit:
-        """Search, and return the fit where the search has ended."""
+        """Search, and return the fit where the search has ended.
+
+        Raises `UsageError`: where it begins, there is nothing to simulate.
+        """
         from scipy.optimize import least_squares  # imported here: start-up time
 
         at = self._at
+        self._errors_of(self._fit_of(at))
         for step in _STEPS:
             usual = max(float(np.median(np.abs(self._errors(at)))), _LEAST_ERROR)
             found = least_squares(
@@ -292,16 +296,19 @@ def closed_loop_fits(loop: ClosedLoop, starts: Sequence[Start], show: ShowStep) 
     """
     if not loop.gain > 0.0:
         raise RecordingError(f"{loop.name}: there is no position loop")
-    fits = []
+    fits, failures = [], []
     for number, start in enumerate(starts, start=1):
         show(f"closed loop: {start.structure.label}", number, len(starts))
-        fits.append(_Search(loop, start).run())
+        try:
+            fits.append(_Search(loop, start).run())
+        except FrictionHilError as error:
+            failures.append(f"{start.structure.label} in closed loop: {error}")
     fits = by_likelihood(fits)
     if not fits:
-        raise RecordingError(f"{loop.name}: no model predicts the motion")
+        raise RecordingError("; ".join(failures) or f"{loop.name}: no model predicts the motion")
     best = fits[0]
     reason = (
         f"of {len(starts)} searches in closed loop it predicts the motion best, with an error of "
         f"{100.0 * best.held_out.relative_error:.2g} % of the following error"
     )
-    return replace(starts[0].identification, fits=tuple(fits), reason=reason)
+    return replace(starts[0].identification, fits=tuple(fits), reason=reason, failures=tuple(failures))

@@ -91,17 +91,7 @@ def rehearse(
     servos = {
         k: servo
         for k, model in enumerate(models)
-        if (
-            servo := simulated_axis(
-                model,
-                fits[k][1].mechanics["inertia"],
-                loops,
-                running,
-                period_s,
-                resolution,
-                has_gravity=loops is None,  # in its own loops the integral part carries it
-            )
-        )
+        if (servo := simulated_axis(model, fits[k][1].mechanics["inertia"], loops, running, period_s, resolution))
         is not None
     }
     weights = _weights({k: fits[k][1] for k in servos})

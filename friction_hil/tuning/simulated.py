@@ -17,7 +17,9 @@ from friction_hil.replay.verify import facts_of
 from friction_hil.servo.config import Encoder, Loops, Motor, ServoConfig, ServoMechanics, TrueFriction
 from friction_hil.servo.parts import Gravity
 
-_INTEGRATION_HZ = (40_000.0, 80_000.0, 160_000.0, 320_000.0, 640_000.0)  # tried in turn, for stiff friction
+# tried in turn, for stiff friction
+SOFT_HZ = (40_000.0, 80_000.0)
+INTEGRATION_HZ = (*SOFT_HZ, 160_000.0, 320_000.0, 640_000.0)
 _WHOLE = 1e-6  # of an integration step
 _PEAK_RATIO = 3.0  # torque of the drive over the largest that was recorded
 
@@ -66,8 +68,7 @@ def simulated_axis(
     recording: Recording,  # of the experiment; its largest torque sets what the drive can give
     period_s: float,  # of the loop: a whole number of integration steps
     resolution: float,  # step of the position, SI
-    *,
-    has_gravity: bool,  # of the model; without it, the integral part of the drive's loops is taken to carry it
+    rates_hz: Sequence[float] = INTEGRATION_HZ,
 ) -> ServoConfig | None:
     """Return a servo with the friction of a model; None if no simulation has such a friction."""
     mechanics = model.mechanics
@@ -78,12 +79,12 @@ def simulated_axis(
     turn = math.tau if model.axis == "rotary" else 1.0
     lag_s = mechanics.torque_lag_s if loops is None else loops.torque_lag_s
     parts: dict[str, Any] = {
-        "mechanics": _mechanics(model, inertia, has_gravity=has_gravity),
+        "mechanics": _mechanics(model, inertia),
         "encoder": Encoder(counts=turn / resolution),
         "motor": Motor(torque_lag_s=lag_s, peak_torque=_PEAK_RATIO * _largest_torque(recording)),
         "loops": Loops() if loops is None else _loops(loops, inertia),
     }
-    for rate_hz in _INTEGRATION_HZ:
+    for rate_hz in rates_hz:
         if abs(period_s * rate_hz - round(period_s * rate_hz)) > _WHOLE:
             continue
         try:
@@ -96,11 +97,9 @@ def simulated_axis(
     return None
 
 
-def _mechanics(model: ModelFile, inertia: float, *, has_gravity: bool) -> ServoMechanics:
+def _mechanics(model: ModelFile, inertia: float) -> ServoMechanics:
     """Return the rigid axis."""
     offset, gravity = model.mechanics.offset, model.mechanics.gravity
-    if not has_gravity or gravity == type(gravity)():
-        return ServoMechanics(axis=model.axis, inertia=inertia, load_torque=offset)
     has_swing = model.axis == "rotary" and (gravity.sine or gravity.cosine)
     swing = Gravity(sine=gravity.sine, cosine=gravity.cosine) if has_swing else None
     return ServoMechanics(axis=model.axis, inertia=inertia, load_torque=offset + gravity.constant, gravity=swing)

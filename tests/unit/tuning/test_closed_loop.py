@@ -139,11 +139,15 @@ def test_its_standard_errors_hold_and_its_errors_are_those_of_the_position() -> 
     assert not fit.flags
 
 
-def test_a_friction_that_cannot_be_simulated_is_refused_and_a_search_goes_round_it() -> None:
-    with pytest.raises(UsageError, match="no simulation"):
+def test_a_friction_that_is_too_stiff_is_refused_and_a_search_that_begins_there_costs_no_other() -> None:
+    with pytest.raises(UsageError, match="lugre"):
         closed_loop().errors(model(sigma0=1e9), INERTIA)
-    [fit] = closed_loop_fits(closed_loop(), [started(sigma0=1e9)], lambda *_: None).fits
-    assert fit.values["sigma0"] < 1e6
+    found = closed_loop_fits(closed_loop(), [started(sigma0=1e9), started()], lambda *_: None)
+    assert found.fits[0].values["sigma0"] < 1e5
+    [failure] = found.failures
+    assert "lugre in closed loop" in failure
+    with pytest.raises(RecordingError, match="lugre in closed loop"):
+        closed_loop_fits(closed_loop(), [started(sigma0=1e9)], lambda *_: None)
     without_position_loop = replace(LOOPS, position_gain=0.0)
     loop = ClosedLoop([recorded()], configuration(x=axis_dict(experiment=BOUNDS)), without_position_loop)
     with pytest.raises(RecordingError, match="no position loop"):

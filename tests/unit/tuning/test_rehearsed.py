@@ -145,7 +145,7 @@ def test_an_inertia_that_the_motion_does_not_show_is_that_of_the_feed_forward(in
     recording = Recording("x.mcap", "x", {"torque": np.array([0.1, -0.2])}, {})
 
     def simulated(inertia, loops):
-        return simulated_axis(configuration().axes["x"].model, inertia, loops, recording, 1e-3, COUNT, has_gravity=True)
+        return simulated_axis(configuration().axes["x"].model, inertia, loops, recording, 1e-3, COUNT)
 
     found = simulated(inertia, LOOPS)
     assert found.mechanics.inertia == (1e-4 if inertia == 1e-4 else 2e-4)
