@@ -1,18 +1,55 @@
 """friction_hil: real-time friction compensation for servo axes.
 
-The public Python interface is ``friction_hil.models``, ``friction_hil.recordings``, ``friction_hil.export``,
-``friction_hil.health`` and ``friction_hil.dynamics``; they are imported when first used, so that
-``import friction_hil`` costs nothing.
+What is in ``__all__`` is the public Python interface. It is imported when first used, so that ``import friction_hil``
+costs nothing.
 """
 
 import importlib
-from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from friction_hil import dynamics, errors, export, health, models, recordings
+    from friction_hil.api.comparison import Comparison, Verified, compare, verify
+    from friction_hil.api.identification import Identified, identify
+    from friction_hil.api.training import Trained, train
+    from friction_hil.api.tuning import Tuned, tune
 
 __version__ = "0.3.0.dev0"
-__all__ = ["dynamics", "export", "health", "models", "recordings"]
+__all__ = [
+    "Comparison",
+    "Identified",
+    "Trained",
+    "Tuned",
+    "Verified",
+    "compare",
+    "dynamics",
+    "errors",
+    "export",
+    "health",
+    "identify",
+    "models",
+    "recordings",
+    "train",
+    "tune",
+    "verify",
+]
+_MODULES = {  # of the functions and classes; the other names are modules
+    "Comparison": "api.comparison",
+    "Identified": "api.identification",
+    "Trained": "api.training",
+    "Tuned": "api.tuning",
+    "Verified": "api.comparison",
+    "compare": "api.comparison",
+    "identify": "api.identification",
+    "train": "api.training",
+    "tune": "api.tuning",
+    "verify": "api.comparison",
+}
 
+if not TYPE_CHECKING:  # by it, every name would be known to a type checker
 
-def __getattr__(name: str) -> ModuleType:
-    if name in __all__:
-        return importlib.import_module(f"friction_hil.{name}")
-    raise AttributeError(f"module 'friction_hil' has no attribute {name!r}; it has {', '.join(__all__)}")
+    def __getattr__(name: str) -> Any:
+        if name in __all__:
+            module = importlib.import_module(f"friction_hil.{_MODULES.get(name, name)}")
+            return getattr(module, name) if name in _MODULES else module
+        raise AttributeError(f"module 'friction_hil' has no attribute {name!r}; it has {', '.join(__all__)}")

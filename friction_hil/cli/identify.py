@@ -32,7 +32,6 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
 @option_validate
 @click.option(
     "--fix",
-    "held",
     multiple=True,
     callback=_pairs,
     metavar="NAME=VALUE",
@@ -40,13 +39,11 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
 )
 @click.option(
     "--linear",
-    "is_linear",
     is_flag=True,
     help="A linear axis: m, N, kg. A recording of run says it itself.",
 )
 @click.option(
     "--static",
-    "is_static",
     is_flag=True,
     help="The files are maps of friction: points of velocity and torque at constant speeds, without time and position.",
 )
@@ -60,14 +57,12 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
 )
 @click.option(
     "--unknown-gain",
-    "has_unknown_gain",
     is_flag=True,
     help="The column torque is a signal of unknown gain (volts, amperes, duty cycle): identify gain and back-EMF. The "
     "scale comes from what --fix holds, e.g. inertia, or gravity.sine with the value of mass * 9.81 * length.",
 )
 @click.option(
     "--min-speed",
-    "least_speed",
     type=click.FloatRange(min=0.0),
     default=0.0,
     metavar="SPEED",
@@ -80,7 +75,6 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
 )
 @click.option(
     "--torque-is",
-    "torque",
     type=click.Choice(["auto", "mean", "instant"]),
     default="auto",
     show_default=True,
@@ -89,14 +83,12 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
 )
 @click.option(
     "--refine/--no-refine",
-    "is_refined",
     default=None,
     help="Fit the chosen dynamic model again with the full bandwidth of the encoder.  [default: if presliding shows]",
 )
 @recording_options
 @click.option(
     "--lowpass",
-    "lowpass_hz",
     type=float,
     metavar="HZ",
     help="Derive the velocity from the position, low-passed at HZ without delay.",

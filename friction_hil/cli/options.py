@@ -38,12 +38,9 @@ option_families = click.option(
     callback=lambda context, parameter, text: () if text == "all" else tuple(map(str.strip, text.split(","))),
     help="Families of friction models to try.",
 )
-option_lowpass = click.option(
-    "--lowpass", "lowpass_hz", type=float, metavar="HZ", help="Low-pass all signals at HZ, without delay."
-)
+option_lowpass = click.option("--lowpass", type=float, metavar="HZ", help="Low-pass all signals at HZ, without delay.")
 option_validate = click.option(
     "--validate",
-    "kept_apart",
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="RECORDING",

@@ -14,23 +14,17 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 def _columns(context: click.Context, parameter: click.Parameter, pairs: tuple[str, ...]) -> dict[str, str]:
     columns: dict[str, str] = {}
-    factors: dict[str, float] = context.meta.setdefault(__name__, {})
     for text in pairs:
         name, source = _pair(text, "torque=effort")
         _refuse_repeated(name, columns)
-        columns[name], factor = _parsed(source)
-        if factor != 1.0 or columns[name] != source.strip():  # a factor of 1 keeps the numbers of the file, too
-            factors[name] = factor
-    return columns
-
-
-def _parsed(source: str) -> tuple[str, float]:
-    from friction_hil.recordings.mapping import parse_source  # imported here: --help must not wait for numpy
+        columns[name] = source
+    from friction_hil.recordings.mapping import split_factors  # imported here: --help must not wait for numpy
 
     try:
-        return parse_source(source)
+        sources, context.meta[__name__] = split_factors(columns)
     except UsageError as error:
         raise click.BadParameter(str(error)) from None
+    return sources
 
 
 def _scale(context: click.Context, parameter: click.Parameter, pairs: tuple[str, ...]) -> dict[str, float]:

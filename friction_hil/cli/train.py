@@ -66,7 +66,6 @@ def _names(context: click.Context, parameter: click.Parameter, text: str) -> tup
 )
 @click.option(
     "--period",
-    "period_s",
     type=float,
     default=1e-3,
     show_default=True,
@@ -75,7 +74,6 @@ def _names(context: click.Context, parameter: click.Parameter, text: str) -> tup
 )
 @click.option(
     "--speed",
-    "top_speed",
     type=float,
     metavar="V",
     help="With --from-model: top speed.  [default: ten Stribeck velocities]",
@@ -87,7 +85,7 @@ def _names(context: click.Context, parameter: click.Parameter, text: str) -> tup
     help="Model file with the mechanics of the axis and, for a residual, its friction. Without it, both are identified "
     "first.",
 )
-@click.option("--linear", "is_linear", is_flag=True, help="A linear axis; --base or a recording of run says it itself.")
+@click.option("--linear", is_flag=True, help="A linear axis; --base or a recording of run says it itself.")
 @recording_options
 @option_lowpass
 @result_options

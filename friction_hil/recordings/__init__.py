@@ -12,5 +12,6 @@
 
 from friction_hil.recordings.files import formats, read, read_all, write
 from friction_hil.recordings.recording import Event, Recording
+from friction_hil.recordings.table import from_table
 
-__all__ = ["Event", "Recording", "formats", "read", "read_all", "write"]
+__all__ = ["Event", "Recording", "formats", "from_table", "read", "read_all", "write"]

@@ -73,6 +73,7 @@ def read(
     only: Collection[str] | None = None,
     configuration: "Configuration | None" = None,
     is_alone: bool = False,
+    is_preview: bool = False,
 ) -> Recording:
     """Read one axis of a recording; `formats` lists the suffixes.
 
@@ -101,6 +102,8 @@ def read(
     is_alone : bool
         True to read this file alone, also if it is the first of several into which the daemon has divided a recording;
         otherwise those that follow are read with it.
+    is_preview : bool
+        True if time stamps may be missing.
 
     Raises
     ------
@@ -119,7 +122,8 @@ def read(
         return names if axis is None else [axis]
 
     mapped = mapping_of(Path(path), columns or {}, scale or {}, rate_hz)
-    (recording,) = _read(Source(Path(path), axis, None, one, configuration), mapped, where, only, is_alone=is_alone)
+    source = Source(Path(path), axis, None, one, configuration)
+    (recording,) = _read(source, mapped, where, only, is_alone=is_alone, is_preview=is_preview)
     return recording
 
 
@@ -137,7 +141,7 @@ def read_all(
 ) -> dict[str, Recording]:
     """Read all axes of a recording; return them by name.
 
-    Parameters are as of `read`; with ``is_preview`` time stamps may be missing.
+    Parameters are as of `read`.
     """
     mapped = mapping_of(Path(path), columns or {}, scale or {}, rate_hz)
     source = Source(Path(path), configuration=configuration)
@@ -197,27 +201,33 @@ def _read(
     else:
         memory = Memory(*files)
         recordings = parts.read_as_one(files, lambda path: _read_file(replace(source, path=path, shared=memory)))
-    for recording in recordings:
-        fitting = mapped.fitting({*recording.columns, *recording.others})
-        if only is not None:
-            fitting = fitting.without(_not_looked_at(fitting, only, recording))
-        if sources := [*fitting.columns.values(), *([] if where is None else [where])]:
-            time_source = "" if mapped.rate_hz is not None else fitting.columns.get(TIME, TIME)
-            add_columns_beside(recording, sources, time_source, _MODULES, lambda path: _read_file(Source(path)))
-        before = recording.columns
-        rename(recording, fitting.columns, fitting.scale)
-        if mapped.rate_hz is not None:
-            count_time(recording, mapped.rate_hz)
-        there: dict[str, Array] = {**before, **recording.columns}
-        if only is not None:  # others were read because mapped columns are products of them
-            recording.others += tuple(name for name in recording.columns if name not in only)
-            recording.columns = {name: values for name, values in recording.columns.items() if name in only}
-            recording.units = {name: unit for name, unit in recording.units.items() if name in only}
-        if TIME in recording.columns or not is_preview:
-            check(recording)
-        if where is not None:
-            count_where(recording, where, there)
-    return recordings
+    return [mapped_to(each, mapped, where, only, is_preview=is_preview) for each in recordings]
+
+
+def mapped_to(
+    recording: Recording, mapped: Mapped, where: str | None, only: Collection[str] | None = None, *, is_preview: bool
+) -> Recording:
+    """Rename and scale the columns of a recording, check it, and return it."""
+    fitting = mapped.fitting({*recording.columns, *recording.others})
+    if only is not None:
+        fitting = fitting.without(_not_looked_at(fitting, only, recording))
+    if sources := [*fitting.columns.values(), *([] if where is None else [where])]:
+        time_source = "" if mapped.rate_hz is not None else fitting.columns.get(TIME, TIME)
+        add_columns_beside(recording, sources, time_source, _MODULES, lambda path: _read_file(Source(path)))
+    before = recording.columns
+    rename(recording, fitting.columns, fitting.scale)
+    if mapped.rate_hz is not None:
+        count_time(recording, mapped.rate_hz)
+    there: dict[str, Array] = {**before, **recording.columns}
+    if only is not None:  # others were read because mapped columns are products of them
+        recording.others += tuple(name for name in recording.columns if name not in only)
+        recording.columns = {name: values for name, values in recording.columns.items() if name in only}
+        recording.units = {name: unit for name, unit in recording.units.items() if name in only}
+    if TIME in recording.columns or not is_preview:
+        check(recording)
+    if where is not None:
+        count_where(recording, where, there)
+    return recording
 
 
 def _not_looked_at(mapped: Mapped, only: Collection[str], recording: Recording) -> set[str]:

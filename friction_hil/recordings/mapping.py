@@ -73,6 +73,20 @@ def parse_source(text: str) -> tuple[str, float]:
     return found["source"].strip(), factor_of(found["factors"], text)
 
 
+def split_factors(columns: Mapping[str, str]) -> tuple[dict[str, str], dict[str, float]]:
+    """Return the sources of columns without their factors, and the factors by friction_hil's names.
+
+    Raises `UsageError`: a factor is not finite, or zero.
+    """
+    sources: dict[str, str] = {}
+    factors: dict[str, float] = {}
+    for name, text in columns.items():
+        sources[name], factor = parse_source(text)
+        if factor != 1.0 or sources[name] != text.strip():  # a factor of 1 keeps the numbers of the file, too
+            factors[name] = factor
+    return sources, factors
+
+
 def mapping_of(
     path: Path, columns: Mapping[str, str], scale: Mapping[str, float], rate_hz: float | None = None
 ) -> Mapped:

@@ -21,7 +21,7 @@ def read(source: Source) -> list[Recording]:
     Raises `RecordingError`: the file was cut off or is not Parquet; `UsageError`: pyarrow is not installed; `OSError`:
     the file cannot be opened.
     """
-    arrow, parquet = _library(source.path)
+    arrow, parquet = library(source.path)
     recording = Recording(str(source.path), source.name, {})
     source.path.open("rb").close()  # raises the usual error where the file cannot be opened
     # arrow's own file: its threads may still hold it when an error is raised, and crash with one of Python's
@@ -33,14 +33,14 @@ def read(source: Source) -> list[Recording]:
             wanted, recording.others = source.split(fields)
             names = []
             for name in wanted:
-                if _is_number(arrow.types, fields[name].type):
+                if is_number(arrow.types, fields[name].type):
                     names.append(name)
                 else:
                     recording.problems.append(f"{name} holds {fields[name].type}, no numbers: left out")
             groups = map(content.metadata.row_group, range(content.metadata.num_row_groups))
             source.memory.take(sum(group.num_rows for group in groups) * len(names) * 8)
             for name, column in _columns(arrow, content, names, recording.problems):
-                recording.columns[name] = _values(arrow, column)
+                recording.columns[name] = values_of(arrow, column)
                 metadata = fields[name].metadata or {}
                 unit = next((metadata[key] for key in _UNIT_KEYS if key in metadata), b"")
                 if unit:
@@ -56,7 +56,7 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     Raises `UsageError`: pyarrow is not installed; `OSError`: the file exists, unless ``overwrite``, or cannot be
     written.
     """
-    arrow, parquet = _library(path)
+    arrow, parquet = library(path)
     fields = []
     for name in recording.columns:
         unit = known_unit(recording.units, name)
@@ -66,7 +66,8 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
         parquet.write_table(table, file, write_page_checksum=True)
 
 
-def _library(path: Path) -> tuple[Any, Any]:
+def library(path: Path) -> tuple[Any, Any]:
+    """Return pyarrow and its module for Parquet. Raises `UsageError`: it is not installed."""
     try:  # imported here: an optional package
         import pyarrow
         import pyarrow.parquet
@@ -88,7 +89,8 @@ def _columns(arrow: Any, content: Any, names: list[str], problems: list[str]) ->
             problems.append(f"{name} is damaged ({' '.join(str(error).split())}): left out")
 
 
-def _is_number(types: Any, kind: Any) -> bool:
+def is_number(types: Any, kind: Any) -> bool:
+    """True if a type of Arrow holds numbers or times."""
     tests = (
         types.is_integer,
         types.is_floating,
@@ -100,7 +102,7 @@ def _is_number(types: Any, kind: Any) -> bool:
     return any(test(kind) for test in tests)
 
 
-def _values(arrow: Any, column: Any) -> Any:
+def values_of(arrow: Any, column: Any) -> Any:
     """Return a column of numbers as float64."""
     kind = column.type
     types = arrow.types

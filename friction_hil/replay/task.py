@@ -18,7 +18,7 @@ from friction_hil.recordings import Recording
 from friction_hil.replay.comparison import Replay, replay
 from friction_hil.replay.verify import Verification, verify
 
-_NEEDED = ("time_s", "cycle", "position", "velocity", "torque", "load_torque", "temperature")
+NEEDED = ("time_s", "cycle", "position", "velocity", "torque", "load_torque", "temperature")  # columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ def _read(task: ReplayTask) -> list[Recording]:
         "scale": task.scale,
         "where": task.where,
         "rate_hz": task.rate_hz,
-        "only": None if task.is_verifying else _NEEDED,
+        "only": None if task.is_verifying else NEEDED,
         "configuration": None if task.config is None else load(os.path.join(task.folder, task.config)),
     }
     path = os.path.join(task.folder, task.source)
@@ -97,16 +97,14 @@ def _read(task: ReplayTask) -> list[Recording]:
 
 
 def _replay(task: ReplayTask, recording: Recording, *, is_only: bool) -> ReplayOutcome:
-    verification: Verification | None = None
-    compared: Replay | None = None
     drawn = None
     try:
         configuration = None if task.config is None else load(os.path.join(task.folder, task.config))
-        if task.is_verifying:
-            verification = verify(recording, configuration)
+        verification = verify(recording, configuration) if task.is_verifying else None
+        compared: Replay | None = None
         if task.models or not task.is_verifying:
             models = {argument: model_from_argument(_model_argument(task, argument)) for argument in task.models}
-            models = models or _own_model(recording, configuration)
+            models = models or own_model(recording, configuration)
             compared = replay(recording, models, lowpass_hz=task.lowpass_hz, decimate=task.decimate)
             if task.picture is not None and task.draw is not None:
                 picture = Path(task.picture)
@@ -117,7 +115,7 @@ def _replay(task: ReplayTask, recording: Recording, *, is_only: bool) -> ReplayO
     except FrictionHilError as error:
         return failed(recording.path, recording.axis, error)
     is_bad = verification is not None and not verification.is_verified
-    return ReplayOutcome(_facts(recording, compared, verification), int(is_bad), drawn)
+    return ReplayOutcome(facts(recording, compared, verification), int(is_bad), drawn)
 
 
 def _model_argument(task: ReplayTask, argument: str) -> str:
@@ -125,7 +123,7 @@ def _model_argument(task: ReplayTask, argument: str) -> str:
     return path if os.path.isfile(path) else argument  # an argument may also be NAME:coulomb=0.08
 
 
-def _own_model(recording: Recording, configuration: Configuration | None) -> dict[str, ModelFile]:
+def own_model(recording: Recording, configuration: Configuration | None) -> dict[str, ModelFile]:
     """Return the model that the daemon ran with, from the configuration in its recording."""
     if configuration is None and "configuration" in recording.metadata:
         inside = f"{recording.path} (configuration inside)"
@@ -136,8 +134,9 @@ def _own_model(recording: Recording, configuration: Configuration | None) -> dic
     return {f"{model.friction.model} (as recorded)": model}
 
 
-def _facts(recording: Recording, compared: Replay | None, verification: Verification | None) -> dict[str, Any]:
-    facts: dict[str, Any] = {
+def facts(recording: Recording, compared: Replay | None, verification: Verification | None) -> dict[str, Any]:
+    """Return the entry of a recording in the JSON of ``replay``."""
+    found: dict[str, Any] = {
         "path": recording.path,
         "axis": recording.axis,
         "rows": len(recording),
@@ -147,16 +146,16 @@ def _facts(recording: Recording, compared: Replay | None, verification: Verifica
         "models": [],
     }
     if verification:
-        facts["verification"] = {
+        found["verification"] = {
             "rows": verification.rows,
             "tolerance": verification.tolerance,
             "differences": verification.differences,
             "reason": verification.reason,
         }
     if compared:
-        facts["segments"] = len(compared.segments)
-        facts["models"] = [
+        found["segments"] = len(compared.segments)
+        found["models"] = [
             {"model": each.model, "rmse": each.rmse, "relative_error": each.relative_error, "unit": each.unit}
             for each in compared.predictions
         ]
-    return facts
+    return found

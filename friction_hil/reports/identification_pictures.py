@@ -53,17 +53,24 @@ def draw_velocity(curves: Curves, unit: str, speed_unit: str) -> "Figure":
     """Draw friction over velocity: measured torque less the mechanics, and the model."""
     figure = new_figure(11.0, 4.6)
     left, right = figure.subplots(1, 2)
-    every = _every(curves)
-    velocity, measured = curves.velocity[every], (curves.friction + curves.residual)[every]
     low = float(np.quantile(np.abs(curves.velocity), 0.25))
     for axes, limit in ((left, None), (right, low)):
-        _points(axes, velocity, measured, MEASURED)
-        _points(axes, velocity, curves.friction[every], PREDICTED)
-        axes.set(xlabel=f"velocity [{speed_unit}]", ylabel=f"friction [{unit}]")
+        velocity_points(axes, curves, unit, speed_unit)
         if limit:
             axes.set_xlim(-limit, limit)
             axes.set_title("the slowest quarter")
     return figure
+
+
+def velocity_points(
+    axes: "Axes", curves: Curves, unit: str, speed_unit: str, labels: tuple[str, str] = ("", "")
+) -> None:
+    """Draw measured friction and that of the model over velocity; ``labels`` of the two for a legend."""
+    every = _every(curves)
+    velocity, measured = curves.velocity[every], (curves.friction + curves.residual)[every]
+    _points(axes, velocity, measured, MEASURED, labels[0])
+    _points(axes, velocity, curves.friction[every], PREDICTED, labels[1])
+    axes.set(xlabel=f"velocity [{speed_unit}]", ylabel=f"friction [{unit}]")
 
 
 def draw_residuals(curves: Curves, unit: str, speed_unit: str, position_unit: str) -> "Figure":
@@ -110,10 +117,9 @@ def draw_loops(curves: Curves, unit: str, position_unit: str) -> "Figure":
     return figure
 
 
-def _points(axes: "Axes", x: Array, y: Array, color: str) -> None:
-    axes.plot(
-        x, y, ".", color=color, markersize=2.0, rasterized=True
-    )  # thousands of points as SVG shapes take megabytes
+def _points(axes: "Axes", x: Array, y: Array, color: str, label: str = "") -> None:
+    # rasterized: thousands of points as SVG shapes take megabytes
+    axes.plot(x, y, ".", color=color, markersize=2.0, rasterized=True, label=label)
 
 
 def _every(curves: Curves) -> slice:

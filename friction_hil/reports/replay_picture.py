@@ -1,5 +1,6 @@
 """The picture of a replay: predicted and measured torque, the residual, and friction over velocity."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,29 +22,21 @@ def draw(replay: Replay, path: Path) -> None:
     """
     figure = new_figure_for(path, 11.0, 8.0)
     first = replay.predictions[0]
-    what, speed = ("torque", "rad/s") if first.unit == "N m" else ("force", "m/s")
+    speed = "rad/s" if first.unit == "N m" else "m/s"
 
-    size = bucket_size(len(replay.time_s), _MOST_POINTS)
-
-    def line(values: Array) -> Array:
-        """Return the points of a line over time, with gaps between the parts of the recording."""
-        return np.concatenate([np.append(decimated(values[part], size), np.nan) for part in replay.segments])
-
-    time = np.concatenate([np.append(decimated_time(replay.time_s[part], size), np.nan) for part in replay.segments])
+    time = _line(replay, replay.time_s, decimated_time)
     every = slice(None, None, 1 + len(replay.time_s) // _MOST_POINTS)
     measured = first.measured
     axes = figure.subplot_mosaic([["torque", "friction"], ["residual", "friction"]], width_ratios=[3, 2])
     axes["residual"].sharex(axes["torque"])
-    axes["torque"].plot(time, line(measured), color=MEASURED, linewidth=1.2, label="measured")
+    torque_lines(axes["torque"], replay)
     points: dict[str, Any] = {"marker": ".", "linestyle": "", "markersize": 2.0, "rasterized": True}
     axes["friction"].plot(replay.velocity[every], (measured - first.mechanics)[every], color=MEASURED, **points)
     for i, prediction in enumerate(replay.predictions):
         color = SERIES[i % len(SERIES)]
-        label = f"{prediction.model}: relative error {100.0 * prediction.relative_error:.2f} %"
-        axes["torque"].plot(time, line(prediction.torque), color=color, linewidth=0.8, label=label)
-        axes["residual"].plot(time, line(prediction.measured - prediction.torque), color=color, linewidth=0.8)
+        residual = _line(replay, prediction.measured - prediction.torque)
+        axes["residual"].plot(time, residual, color=color, linewidth=0.8)
         axes["friction"].plot(replay.velocity[every], prediction.friction[every], color=color, **points)
-    axes["torque"].set(ylabel=f"{what} [{first.unit}]")
     axes["residual"].set(ylabel=f"measured - predicted [{first.unit}]", xlabel="time [s]")
     axes["friction"].set(
         xlabel=f"velocity [{speed}]",
@@ -53,3 +46,19 @@ def draw(replay: Replay, path: Path) -> None:
     figure.suptitle(f"{Path(replay.path).name}, axis {replay.axis}")
     figure.legend(*axes["torque"].get_legend_handles_labels(), loc="outside lower left")
     save(figure, path)
+
+
+def torque_lines(axes: Any, replay: Replay) -> None:
+    """Draw measured and predicted torque over time."""
+    time, first = _line(replay, replay.time_s, decimated_time), replay.predictions[0]
+    axes.plot(time, _line(replay, first.measured), color=MEASURED, linewidth=1.2, label="measured")
+    for i, each in enumerate(replay.predictions):
+        label = f"{each.model}: relative error {100.0 * each.relative_error:.2f} %"
+        axes.plot(time, _line(replay, each.torque), color=SERIES[i % len(SERIES)], linewidth=0.8, label=label)
+    axes.set(ylabel=f"{'torque' if first.unit == 'N m' else 'force'} [{first.unit}]")
+
+
+def _line(replay: Replay, values: Array, decimate: Callable[[Array, int], Array] = decimated) -> Array:
+    """Return the points of a line over time, with gaps between the parts of the recording."""
+    size = bucket_size(len(replay.time_s), _MOST_POINTS)
+    return np.concatenate([np.append(decimate(values[part], size), np.nan) for part in replay.segments])

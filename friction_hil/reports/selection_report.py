@@ -2,17 +2,19 @@
 
 import html
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from friction_hil import __version__
+from friction_hil.numerics.jit import Array
 from friction_hil.reports.figures import BLUE, GREY, new_figure
 from friction_hil.reports.page import page, picture, table, unordered_list, write_page
 from friction_hil.reports.training_report import MARK
 from friction_hil.training import Selection
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _MOST_POINTS = 6000
@@ -56,13 +58,18 @@ def _draw(found: Selection) -> "Figure":
     unit = "N m" if is_rotary else "N"
     figure = new_figure(11.0, 4.0)
     axes = figure.subplots(1, 2, sharey=True)
-    every = slice(None, None, 1 + len(samples) // _MOST_POINTS)
-    learned = found.learned(samples)
     names = (f"velocity [{'rad/s' if is_rotary else 'm/s'}]", f"position [{'rad' if is_rotary else 'm'}]")
     for each, values, name in zip(axes, (samples.velocity, samples.position), names, strict=True):
-        each.plot(values[every], samples.torque[every], ".", color=GREY, markersize=1.5, rasterized=True)
-        if np.any(learned):
-            each.plot(values[every], learned[every], ".", color=BLUE, markersize=1.5, rasterized=True)
+        left_points(each, found, values)
         each.set(xlabel=name)
     axes[0].set(ylabel=f"torque [{unit}]")
     return figure
+
+
+def left_points(axes: "Axes", found: Selection, over: Array) -> None:
+    """Draw what the physical model leaves, and what the network has learned of it, over a quantity (n,)."""
+    every, learned = slice(None, None, 1 + len(over) // _MOST_POINTS), found.learned(found.samples)
+    points: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": 1.5, "rasterized": True}
+    axes.plot(over[every], found.samples.torque[every], color=GREY, **points)
+    if np.any(learned):
+        axes.plot(over[every], learned[every], color=BLUE, **points)

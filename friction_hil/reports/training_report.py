@@ -13,6 +13,7 @@ from friction_hil.reports.page import page, picture, table, unordered_list, writ
 from friction_hil.training import Samples, TrainedModel
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MARK = f'<meta name="generator" content="friction-hil train {__version__}">'
@@ -142,7 +143,12 @@ def _draw_errors(runs: list[tuple[Samples, Array]], unit: str, speed: str) -> "F
 
 def _draw_curve(candidate: TrainedModel, unit: str, speed: str) -> "Figure":
     figure = new_figure(8.0, 4.5)
-    axes = figure.subplots()
+    curve(figure.subplots(), candidate, unit, speed)
+    return figure
+
+
+def curve(axes: "Axes", candidate: TrainedModel, unit: str, speed: str) -> None:
+    """Draw the friction on which a network was trained, and its own at constant velocity."""
     limit, samples = candidate.network.speed_limit, candidate.task.samples
     every = slice(None, None, 1 + len(samples) // _MOST_POINTS)
     axes.plot(samples.velocity[every], samples.torque[every], ".", color=_TRUE, markersize=1.5, rasterized=True)
@@ -154,7 +160,6 @@ def _draw_curve(candidate: TrainedModel, unit: str, speed: str) -> "Figure":
     for side in (-1.0, 1.0):
         axes.axvspan(side * limit, 1.4 * side * limit, color="#eeeeee", zorder=0)
     axes.set(xlabel=f"velocity [{speed}]", ylabel=f"torque [{unit}]")
-    return figure
 
 
 def _draw_course(candidate: TrainedModel) -> "Figure":

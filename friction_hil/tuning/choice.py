@@ -32,6 +32,11 @@ class TriedModel:
         """Name for tables and messages."""
         return f"{self.fit.label}{SCALED if self.is_scaled else ''}"
 
+    @property
+    def content(self) -> dict[str, Any]:
+        """The model file with what the trial has shown, as plain values."""
+        return {**self.model, "fit": {**self.model["fit"], "trial": self.trial.figures}}
+
 
 @dataclass(frozen=True, slots=True)
 class Turn:
@@ -101,7 +106,7 @@ def keep_best(
     real axis has another friction. Raises `FrictionHilError`: a file cannot be written.
     """
     best = best_of(candidates)
-    model = {**best.model, "fit": {**best.model["fit"], "trial": best.trial.figures}}
+    model = best.content
     write_model(file, model)
     wanted = axis.model.source_path
     is_in_place = wanted is not None and not wanted.exists() and best.trial.has_helped and not is_simulated

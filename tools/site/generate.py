@@ -1,12 +1,14 @@
 """Write the pages of the site that come from the code: all messages, and the Python interface."""
 
+import importlib
+import inspect
 from pathlib import Path
 
 import friction_hil
 from friction_hil.doctor.explanations import explanations
 
 FOLDER = Path("out/generated")
-MODULES = (*friction_hil.__all__, "drive")  # the last one for those who write a driver
+NAMES = (*friction_hil.__all__, "drive")  # the last one for those who write a driver
 
 
 def main() -> None:
@@ -27,11 +29,15 @@ def messages() -> list[str]:
 
 
 def interface() -> list[str]:
-    """Return the lines of the page of the public modules."""
+    """Return the lines of the page of all public names."""
     lines = ["# Python interface", ""]
-    for name in MODULES:
-        lines += [f"## friction_hil.{name}", "", "```{eval-rst}", f".. automodule:: friction_hil.{name}"]
-        lines += ["   :members:", "   :imported-members:", "```", ""]
+    for name in sorted(NAMES, key=str.lower):
+        each = importlib.import_module("friction_hil.drive") if name == "drive" else getattr(friction_hil, name)
+        kind = "module" if inspect.ismodule(each) else "class" if inspect.isclass(each) else "function"
+        lines += [f"## friction_hil.{name}", "", "```{eval-rst}", f".. auto{kind}:: friction_hil.{name}"]
+        if kind != "function":
+            lines += ["   :members:", "   :imported-members:" if kind == "module" else "   :inherited-members:"]
+        lines += ["```", ""]
     return lines
 
 

@@ -9,8 +9,8 @@ import click
 import numpy as np
 
 from friction_hil import recordings
+from friction_hil.checked_yaml.output import check_writable
 from friction_hil.cli.output import print_json
-from friction_hil.cli.work.result_files import check_writable
 from friction_hil.cli.work.tables import new_table, number, print_table, say
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.numerics.readable import brief
@@ -49,7 +49,7 @@ def convert(
         _write_onnx(source, target, force)
         return
     if target is not None:
-        check_writable(target, "OUT")
+        check_writable(target, "OUT ")
     source = only_recording(source)
     options["configuration"] = None
     if config is not None:

@@ -7,14 +7,15 @@ from pathlib import Path
 
 import click
 
-from friction_hil.cli.work.simulated import simulated_drives
-from friction_hil.cli.work.tune import Terminal, checked
+from friction_hil.cli.work.tune import Terminal
 from friction_hil.config import Compensation, Configuration, located
 from friction_hil.daemon.companion import state_folder
+from friction_hil.daemon.simulated_drives import simulated_drives
 from friction_hil.errors import OptionError, UsageError, choices
 from friction_hil.tuning import TuneSettings
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text
 from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, refuse_shared_beam
+from friction_hil.tuning.outcome import checked
 from friction_hil.tuning.runs import TuningRuns
 
 HISTORY_NAME = "{}-fingerprint"

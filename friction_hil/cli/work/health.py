@@ -13,7 +13,6 @@ import click
 from friction_hil import recordings
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
-from friction_hil.cli.work.read import expanded
 from friction_hil.cli.work.result_files import check_result_files
 from friction_hil.cli.work.tables import new_table, number, print_files, print_table, prose, say
 from friction_hil.daemon.companion import state_folder
@@ -25,6 +24,7 @@ from friction_hil.health.metrics import metrics_text
 from friction_hil.health.observe import COLUMNS
 from friction_hil.numerics.readable import brief
 from friction_hil.recordings import Recording
+from friction_hil.recordings.given import expanded
 from friction_hil.recordings.parts import SUFFIX, is_of_fault, part_of, parts_of
 from friction_hil.reports.health_report import write_report
 

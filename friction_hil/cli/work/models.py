@@ -8,10 +8,10 @@ import click
 import numpy as np
 
 from friction_hil import models, recordings
+from friction_hil.checked_yaml.output import check_writable
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.given_model import given_model
 from friction_hil.cli.work.model_text import Page, default_text, in_units_of, unit_text, value_text
-from friction_hil.cli.work.result_files import check_writable
 from friction_hil.cli.work.tables import Table, new_table, number, print_files, prose
 from friction_hil.config.examples import example_models
 from friction_hil.errors import UsageError
@@ -39,7 +39,7 @@ def show_models(
     if picture is None and (motion is not None or beside):
         raise UsageError("--motion and --beside belong to --draw PICTURE")
     if picture is not None:
-        check_writable(picture, "--draw")
+        check_writable(picture, "--draw ")
     if gallery is not None:
         if picture is not None:
             raise UsageError("--draw and --export-all: the gallery of --export-all has pictures of its own; give one")

@@ -11,12 +11,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from types import FrameType
 
-from friction_hil.cli.output import to_json
 from friction_hil.cli.work.monitor_screen import brief_line, screen, waiting_screen
 from friction_hil.daemon.control.names import running, socket_path
 from friction_hil.errors import FrictionHilError, UsageError
 from friction_hil.interrupts import Interrupted, interrupt
 from friction_hil.live import Live, LiveFigures, Snapshot, Watch, attach
+from friction_hil.numerics.json_values import to_json
 
 _FRAME_S, _LINE_S = 0.25, 1.0
 _ANSWER_S = 3.0  # of a daemon that runs; before, nothing is said of waiting

@@ -14,12 +14,12 @@ import click
 from friction_hil.cli.colour import echo_labelled
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import progress_bar
-from friction_hil.cli.work.read import expanded
 from friction_hil.cli.work.tables import console, new_table, number, print_table, say
 from friction_hil.config import load
 from friction_hil.errors import UsageError
 from friction_hil.models.files import model_from_argument
 from friction_hil.numerics.readable import digits, quantity, readable
+from friction_hil.recordings.given import expanded
 from friction_hil.replay.batch import replay_many
 from friction_hil.replay.task import ReplayOutcome, ReplayTask
 from friction_hil.reports.replay_picture import draw
@@ -33,6 +33,7 @@ def replay(
     config: Path | None,
     output: Path | None,
     scheduler: str | None,
+    lowpass: float | None,
     as_json: bool,
     **options: Any,
 ) -> int:
@@ -54,6 +55,7 @@ def replay(
             draw=None if output is None else draw,
             name=name,
             is_only=len(files) == 1,
+            lowpass_hz=lowpass,
             **options,
         )
         for file, name in zip(files, _short_names(files), strict=True)

@@ -12,12 +12,12 @@ import click
 from friction_hil.cli.colour import echo_labelled, yellow
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
-from friction_hil.cli.work.simulated import hint_at_simulated_time, simulated_drives
 from friction_hil.cli.work.tables import print_table, say
 from friction_hil.config import load, located, missing_models
 from friction_hil.daemon import learning_words
 from friction_hil.daemon.control.lock import control_socket
 from friction_hil.daemon.control.names import default_name
+from friction_hil.daemon.simulated_drives import hint_at_simulated_time, simulated_drives
 from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.errors import OptionError
 from friction_hil.interrupts import Interrupted

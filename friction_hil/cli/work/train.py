@@ -2,7 +2,6 @@
 
 import math
 import signal
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,16 +9,11 @@ from typing import Any
 
 import click
 
-from friction_hil import training
-from friction_hil.checked_yaml.text import dump
+from friction_hil.api.training import trained
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
-from friction_hil.cli.work.read import kind_of, read_recordings
 from friction_hil.cli.work.result_files import check_result_files
 from friction_hil.cli.work.tables import console, new_table, number, print_files, print_table
-from friction_hil.errors import UsageError
-from friction_hil.identification import IdentificationSettings
-from friction_hil.models.files import model_from_argument
 from friction_hil.reports import selection_report, training_report
 from friction_hil.training import Progress, Selection, TrainedModel
 
@@ -27,131 +21,53 @@ from friction_hil.training import Progress, Selection, TrainedModel
 def train(
     *,
     sources: tuple[Path, ...],
-    structure: Any,
-    hidden: tuple[int, ...],
-    inputs: tuple[str, ...],
-    from_model: str | None,
-    samples: int,
-    period_s: float,
-    top_speed: float | None,
-    base: str | None,
-    seed: int,
+    columns: dict[str, str],
+    rate_hz: float | None,
+    axis: str | None,
+    scale: dict[str, float],
+    where: str | None,
     output: Path | None,
     report: Path | None,
     as_json: bool,
     verbose: bool,
     **options: Any,
 ) -> int:
-    """Train a network, write model file and report, and print the result; ``options`` concern recordings."""
-    if bool(sources) == (from_model is not None):
-        raise UsageError("train needs recordings or --from-model, one of them")
+    """Train a network, write model file and report, and print the result; ``options`` are those of `trained`."""
     check_result_files(output, report)
-    if structure == "auto" and from_model is None:
-        if hidden:
-            raise UsageError("--hidden needs a --structure: auto averages small networks of its own")
-        training.NetworkSpec(inputs=inputs)  # raises on an unknown input
-        begin = time.monotonic()
-        selection = _select(sources, inputs, base, seed, **options)
-        seconds = time.monotonic() - begin
-        _tell(selection, selection_report, _print_selection, seconds, output, report, as_json=as_json, verbose=verbose)
-        return 0
-    structure = "gated" if structure == "auto" else structure
-    spec = training.NetworkSpec(structure=structure, hidden=hidden, inputs=inputs, seed=seed)
-    known = None if base is None else model_from_argument(base)
-    if structure == "residual" and from_model is not None:
-        raise UsageError("a residual learns what a model misses in recordings: give recordings, not --from-model")
-    if from_model is not None:
-        task = training.task_of_model(
-            model_from_argument(from_model), period_s=period_s, samples=samples, top_speed=top_speed, seed=seed
-        )
+    reading = {"axis": axis, "column": columns, "scale": scale, "rate": rate_hz, "where": where}
+    if options["structure"] == "auto" and options["from_model"] is None:
+        with console(stderr=True).status("reading") as status:
+            found = trained(sources, status.update, _watched, reading=reading, **options)
     else:
-        task = _task_of_recordings(sources, structure, known, **options)
-    begin = time.monotonic()
-    with _stoppable() as goes_on, _progress() as show:
-        candidate = training.train_task(task, spec, lambda progress: show(progress) or goes_on())
-    seconds = time.monotonic() - begin
-    _tell(candidate, training_report, _print, seconds, output, report, as_json=as_json, verbose=verbose)
-    return 0
-
-
-def _tell(
-    found: Any,
-    reports: Any,  # the module that writes the report
-    show: Callable[..., None],
-    seconds: float,
-    output: Path | None,
-    report: Path | None,
-    *,
-    as_json: bool,
-    verbose: bool,
-) -> None:
-    """Write model file and report, and print the result and how to go on."""
+        found = trained(sources, lambda _: None, _watched, reading=reading, **options)
     if output is not None:
-        output.write_text(dump(found.model_file()), encoding="utf-8")
+        found.save(output)
+    result, seconds = found.found, found.seconds
     if report is not None:
-        reports.write_report(report, found, seconds)
+        if isinstance(result, Selection):
+            selection_report.write_report(report, result, seconds)
+        else:
+            training_report.write_report(report, result, seconds)
     if as_json:
-        print_json({**found.as_json(seconds), "output": output, "report": report})
-        return
-    show(found, seconds, verbose=verbose)
+        print_json({**found.facts, "output": output, "report": report})
+        return 0
+    if isinstance(result, Selection):
+        _print_selection(result, seconds, verbose=verbose)
+    else:
+        _print(result, seconds, verbose=verbose)
     print_files({"model file": output, "report": report})
     if output is None:
         click.echo("next: the same with --output MODEL.yaml, which writes the model file")
     else:
         click.echo(f"next: friction-hil replay ANOTHER_RECORDING --model {output}")
+    return 0
 
 
-def _select(
-    sources: tuple[Path, ...],
-    inputs: tuple[str, ...],
-    base: str | None,
-    seed: int,
-    *,
-    kept_apart: tuple[Path, ...],
-    axis: str | None,
-    is_linear: bool,
-    lowpass_hz: float | None,
-    **reading: Any,
-) -> Selection:
-    """Choose a network and its physical model."""
-    known = None if base is None else model_from_argument(base)
-    with console(stderr=True).status("reading") as status:
-        recordings = read_recordings(sources, axis, **reading)
-        validation = read_recordings(kept_apart, axis, **reading)
-        kind = known.axis if known is not None else kind_of([*recordings, *validation], is_linear=is_linear)
-        return training.select(
-            recordings,
-            validation,
-            known,
-            settings=IdentificationSettings(axis=kind, lowpass_hz=lowpass_hz, seed=seed),
-            inputs=inputs or None,
-            seed=seed,
-            progress=status.update,
-        )
-
-
-def _task_of_recordings(
-    sources: tuple[Path, ...],
-    structure: str,
-    known: Any,
-    kept_apart: tuple[Path, ...],
-    axis: str | None,
-    is_linear: bool,
-    lowpass_hz: float | None,
-    **reading: Any,
-) -> training.TrainingTask:
-    with console(stderr=True).status("reading"):
-        recordings = read_recordings(sources, axis, **reading)
-        validation = read_recordings(kept_apart, axis, **reading)
-        return training.task_of_recordings(
-            recordings,
-            validation,
-            known,
-            is_linear=known is None and kind_of([*recordings, *validation], is_linear=is_linear) == "linear",
-            is_static=structure in ("static", "residual"),
-            is_residual=structure == "residual",
-            lowpass_hz=lowpass_hz,
-        )
+@contextmanager
+def _watched() -> Iterator[Callable[[Progress], object]]:
+    """Yield what shows the progress of a training, and returns False once Ctrl-C is pressed."""
+    with _stoppable() as goes_on, _progress() as show:
+        yield lambda progress: show(progress) or goes_on()
 
 
 @contextmanager

@@ -1,37 +1,30 @@
 """The work of ``friction-hil tune``."""
 
-import os
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
 
 from friction_hil.analysis.following import Figures
-from friction_hil.checked_yaml.edit import edit, with_value
-from friction_hil.checked_yaml.text import FieldPath
+from friction_hil.api.tuning import FOLDER, tuned
 from friction_hil.cli.colour import echo_labelled, yellow
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.progress import status_line
-from friction_hil.cli.work.result_files import check_writable
-from friction_hil.cli.work.simulated import simulated_drives
 from friction_hil.cli.work.tables import Table, new_table, number, print_table, prose, say
-from friction_hil.config import Configuration, file_problems, load, located
 from friction_hil.daemon.companion import free_path
-from friction_hil.errors import ConfigurationError, FrictionHilError, OptionError
+from friction_hil.errors import FrictionHilError
 from friction_hil.numerics.readable import POSITION_UNITS, digits
 from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.tuning_report import write_reports
-from friction_hil.tuning import AxisTuning, TriedModel, TuneSettings, Tuning, tune
+from friction_hil.tuning import AxisTuning, TriedModel, TuneSettings, Tuning
 from friction_hil.tuning.choice import motion_names
 from friction_hil.tuning.cogging import position_share
+from friction_hil.tuning.outcome import apply_recommended, as_dict, recommended_keys, share_left
 from friction_hil.tuning.settings import ShowStep
-
-_FOLDER = Path("out/tune")
 
 
 def tune_machine(
@@ -55,11 +48,8 @@ def tune_machine(
             "the machine moves several times, minutes apart, and there is no terminal to ask for confirmation: "
             "--yes moves it without asking"
         )
-    configuration = checked(config)
-    if apply:
-        _refuse_unchangeable(config, names or configuration.axes)
     settings = TuneSettings(
-        folder=free_path(_FOLDER, 0) if output is None else output,
+        folder=free_path(FOLDER, 0) if output is None else output,
         names=names,
         families=models,
         is_fault_reset_wanted=reset_fault,
@@ -68,21 +58,16 @@ def tune_machine(
         is_shaken=mechanics,
         is_simulated=simulate,
     )
-    terminal = Terminal(is_asked=not yes, is_verbose=verbose)
-    try:
-        with simulated_drives(configuration, pace, terminal.tell) if simulate else nullcontext(configuration) as own:
-            tuning = tune(own, settings, terminal)
-    except OptionError as error:
-        raise located(config, error) from None
+    tuning = tuned(config, settings, Terminal(is_asked=not yes, is_verbose=verbose), pace, is_applied=apply)
     tuning.report = _report(settings.folder, tuning, is_simulated=simulate)
     applied, problem = dict[str, dict[str, Any]](), ""
     if apply:
         try:
-            applied = _apply(tuning, config)
+            applied = apply_recommended(tuning, config)
         except FrictionHilError as error:  # hours on a machine are not lost with it
             problem = str(error)
     if as_json:
-        print_json(_as_dict(tuning, config, applied))
+        print_json(as_dict(tuning, config, applied))
     else:
         if verbose:
             _print_details(tuning)
@@ -96,17 +81,6 @@ def tune_machine(
         why = "makes it oscillate" if tuning.axes[name].recommended.trial.own.is_swinging else "did not help"
         say(f"{name}: compensation {why}: its model is not used")
     return 1 if failed or tuning.leftovers or problem else 0  # the runs have told what was not restored
-
-
-def checked(config: Path) -> Configuration:
-    """Return a configuration whose model files need not exist, but whose other files must.
-
-    Raises `ConfigurationError`: it is wrong, or a file is missing.
-    """
-    configuration = load(config, needs_models=False)
-    if problems := file_problems(config, configuration):
-        raise ConfigurationError(problems)
-    return configuration
 
 
 def _report(folder: Path, tuning: Tuning, *, is_simulated: bool) -> Path | None:
@@ -154,57 +128,6 @@ class Terminal:
             yield show
 
 
-def _as_dict(tuning: Tuning, config: Path = Path(), applied: Collection[str] = ()) -> dict[str, Any]:
-    return {
-        "axes": {
-            name: {
-                **_axis(name, tuning),
-                "recommended": _settings(axis, config) if axis.recommended.trial.has_helped else {},
-                "is_applied": name in applied,
-            }
-            for name, axis in tuning.axes.items()
-        },
-        "seconds": tuning.seconds.figures,
-        "recordings": tuning.recordings,
-        "report": tuning.report,
-        "warnings": tuning.warnings,
-        "not_restored": tuning.leftovers,
-    }
-
-
-def _axis(name: str, tuning: Tuning) -> dict[str, Any]:
-    axis, lag, ratio = tuning.axes[name], tuning.torque_lags.get(name), tuning.torque_ratios.get(name)
-    best, share = axis.best, position_share(axis.best.model)
-    own = axis.recommended.trial.own
-    return {
-        "model": best.label,
-        "file": axis.file,
-        "in_place": axis.is_in_place,
-        "reason": best.identification.reason,
-        "flags": best.fit.flags,
-        "parameters": best.model["friction"]["parameters"],
-        "mechanics": best.model["mechanics"],
-        "experiment": tuning.experiments[name].figures if name in tuning.experiments else None,
-        "torque_lag": None if lag is None else lag.figures,
-        "torque_ratio": None if ratio is None else ratio.figures,
-        "position_torque": None if share is None else asdict(share),
-        "left": {
-            "rms": _left(own.compensated.rms, own.uncompensated.rms),
-            "peak": _left(own.compensated.peak, own.uncompensated.peak),
-        },
-        "tried": [
-            {
-                "model": each.label,
-                **each.trial.figures,
-                "reduction": asdict(each.trial.reduction),
-                "has_helped": each.trial.has_helped,
-            }
-            for each in axis.candidates
-        ],
-        "gains": [each.figures for each in axis.gains],
-    }
-
-
 def _print_details(tuning: Tuning) -> None:
     print_table(_table(tuning))
     click.echo()
@@ -239,7 +162,7 @@ def _print_summary(
     if tuning.report is not None:
         click.echo(f"report: {tuning.report}")
     helped = [name for name, axis in tuning.axes.items() if axis.recommended.trial.has_helped]
-    left = [name for name in helped if name not in applied and _settings(tuning.axes[name], config)]
+    left = [name for name in helped if name not in applied and recommended_keys(tuning.axes[name], config)]
     first = f"write these keys into {config} (--apply does that), then: " if left else ""
     where = " --simulate" if is_simulated else ""  # never to a machine with the friction of a simulated drive
     more = f"next: {first}friction-hil run {config}{where} --duration 20"
@@ -254,20 +177,11 @@ def _best_label(axis: AxisTuning) -> str:
     return axis.best.label if gain is None else f"{axis.best.label}, gain {gain:g}"
 
 
-def _settings(axis: AxisTuning, config: Path) -> dict[str, Any]:
-    """Return the keys of an axis that differ from those of the configuration."""
-    found: dict[str, Any] = {} if axis.is_in_place else {"model": os.path.relpath(axis.file, config.parent)}
-    gain = axis.recommended.gain
-    if gain is not None and axis.gains and gain != axis.gains[0].gain:
-        found["compensation"] = {"gain": gain}
-    return found
-
-
 def _recommendation(axis: AxisTuning, config: Path, applied: Mapping[str, Any] | None) -> str:
     best = axis.recommended
     if not best.trial.has_helped:
         return f"model not used, because it did not help; its file is {axis.file}"
-    keys = ", ".join(f"{key}: {_flow(value)}" for key, value in _settings(axis, config).items())
+    keys = ", ".join(f"{key}: {_flow(value)}" for key, value in recommended_keys(axis, config).items())
     done = f"written into {config}: " if applied else "recommended: "
     said = f"{done}{keys}" if keys else f"the configuration stays as it is; its model file is {axis.file}"
     others = [each for each in axis.gains if each is not best]
@@ -302,13 +216,8 @@ def _positions(axis: AxisTuning) -> str:
     share, own = position_share(axis.best.model), axis.recommended.trial.own
     if share is None:
         return ""
-    left = 100.0 * _left(own.compensated.rms, own.uncompensated.rms)
+    left = 100.0 * share_left(own.compensated.rms, own.uncompensated.rms)
     return f"{share.text(_torque_unit(axis))}; with friction, it leaves {left:.2g} % of the following error (RMS)"
-
-
-def _left(compensated: float, uncompensated: float) -> float:
-    """Return the share of an error that compensation does not remove; 0 of none."""
-    return compensated / uncompensated if uncompensated > 0.0 else 0.0
 
 
 def _torque_unit(axis: AxisTuning) -> str:
@@ -331,29 +240,6 @@ def _unit(axis: AxisTuning) -> str:
 def _compared(axis: AxisTuning) -> tuple[str, Figures, Figures, Figures]:
     own = axis.recommended.trial.own
     return _unit(axis), own.uncompensated, own.compensated, own.reduction
-
-
-def _apply(tuning: Tuning, config: Path) -> dict[str, dict[str, Any]]:
-    """Write what is recommended into the configuration; return it by axis."""
-    found = {name: _settings(axis, config) for name, axis in tuning.axes.items() if axis.recommended.trial.has_helped}
-    changes: dict[FieldPath, Any] = {}
-    for name, keys in found.items():
-        if "model" in keys:
-            changes["axes", name, "model"] = keys["model"]
-        if "compensation" in keys:
-            changes["axes", name, "compensation", "gain"] = keys["compensation"]["gain"]
-    if changes:
-        edit(config, changes)
-    return {name: keys for name, keys in found.items() if keys}
-
-
-def _refuse_unchangeable(config: Path, names: Iterable[str]) -> None:
-    """Refuse a configuration that cannot be rewritten, before anything moves."""
-    check_writable(config, "--apply")
-    text = config.read_text(encoding="utf-8-sig")
-    for name in names:
-        for keys, value in ((("model",), "x.yaml"), (("compensation", "gain"), 1.0)):
-            with_value(text, ("axes", name, *keys), value, str(config))
 
 
 def _table(tuning: Tuning) -> Table:

@@ -16,12 +16,13 @@ import pytest
 from friction_hil import __version__
 from friction_hil.cli import COMMANDS, LazyGroup, main
 from friction_hil.cli.options import option_json
-from friction_hil.cli.output import print_json, to_json
+from friction_hil.cli.output import print_json
 from friction_hil.cli.work.drives import _parse
 from friction_hil.cli.work.tables import console
 from friction_hil.config import json_schema, load, self_contained
 from friction_hil.config.new_file import Wanted, parse_bus
 from friction_hil.errors import ConfigurationError, DriveError, Problem, UsageError
+from friction_hil.numerics.json_values import to_json
 
 EXAMPLES = Path(__file__).parents[3] / "config"
 DEMO = str(EXAMPLES / "demo.yaml")

@@ -4,8 +4,9 @@ import os
 
 import pytest
 
+from friction_hil.checked_yaml.output import check_writable
 from friction_hil.cli import main
-from friction_hil.cli.work.result_files import check_result_files, check_writable
+from friction_hil.cli.work.result_files import check_result_files
 from friction_hil.errors import UsageError
 
 LONG = {
@@ -39,4 +40,4 @@ def test_a_file_that_may_not_be_written_is_refused_and_none_is_touched(tmp_path,
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # tests may run as root, who may write everywhere
     for path in (tmp_path / "new.yaml", tmp_path):
         with pytest.raises(UsageError, match=r"cannot be written|is a folder"):
-            check_writable(path, "--output")
+            check_writable(path)

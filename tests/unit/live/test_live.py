@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from friction_hil import errors
 from friction_hil.analysis.baseline import without_and_with
-from friction_hil.cli.output import to_json
 from friction_hil.cli.work.control import _lines
 from friction_hil.config import Circle, self_contained
 from friction_hil.daemon.control.ask import ask
@@ -39,6 +38,7 @@ from friction_hil.live.values import values_of
 from friction_hil.live.web.circle import CircleTracer
 from friction_hil.live.web.metrics import metrics_text
 from friction_hil.live.web.strips import BUCKET_S, WINDOW_S, Strips
+from friction_hil.numerics.json_values import to_json
 from friction_hil.recordings import Recording, columns
 from tests.servo_drives import axis_dict, configuration
 

@@ -15,13 +15,21 @@ SECTIONS = {"Parameters", "Attributes", "Returns", "Yields", "Raises"}
 
 def exported() -> set[tuple[str, str]]:
     """File and name of everything that the public modules export."""
+    public: list[object] = []
+    for each in (getattr(fh, name) for name in fh.__all__):
+        public += (
+            [value for name, value in vars(each).items() if not name.startswith("_")]
+            if inspect.ismodule(each)
+            else inspect.getmro(each)
+            if inspect.isclass(each)
+            else [each]
+        )
     found = set()
-    for module in (getattr(fh, name) for name in fh.__all__):
-        for name, each in vars(module).items():
-            if not name.startswith("_") and (inspect.isclass(each) or inspect.isfunction(each)):
-                source = Path(inspect.getsourcefile(each) or "")
-                if source.is_relative_to(PROJECT):
-                    found.add((str(source.relative_to(PROJECT)), each.__qualname__))
+    for each in public:
+        if inspect.isfunction(each) or (inspect.isclass(each) and each is not object):
+            source = Path(inspect.getsourcefile(each) or "")
+            if source.is_relative_to(PROJECT):
+                found.add((str(source.relative_to(PROJECT)), each.__qualname__))
     return found
 
 

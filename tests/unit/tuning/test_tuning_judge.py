@@ -15,7 +15,7 @@ from rich.console import Console
 
 from friction_hil.analysis.following import RECOVERY_S, SETTLE_S, Figures
 from friction_hil.cli.work.tables import lines
-from friction_hil.cli.work.tune import _as_dict, _motions_table, _table
+from friction_hil.cli.work.tune import _motions_table, _table
 from friction_hil.daemon.assembly import make_path
 from friction_hil.daemon.notices import CompensationNotices
 from friction_hil.daemon.safety import LoopState
@@ -26,6 +26,7 @@ from friction_hil.recordings import Recording
 from friction_hil.recordings.recording import Event
 from friction_hil.reports.tuning_report import write_reports
 from friction_hil.tuning import AxisTuning, TriedModel, Tuning
+from friction_hil.tuning.outcome import as_dict
 from friction_hil.tuning.rehearsed import RehearsedFit
 from friction_hil.tuning.sequential import ExperimentResult
 from friction_hil.tuning.torque_lag import TorqueLag
@@ -306,7 +307,7 @@ def test_the_tables_show_each_motion_within_80_columns() -> None:
 
 def test_json_has_the_own_motion_as_before_and_each_motion() -> None:
     tuning = tuning_of(("lugre", model_with((1.0, 2.0))), ("stribeck", model_with((9.0, 9.0), swings=True)))
-    axis_result = _as_dict(tuning)["axes"]["spindle"]
+    axis_result = as_dict(tuning)["axes"]["spindle"]
     assert axis_result["model"] == "lugre"
     first, second = axis_result["tried"]
     assert first["uncompensated"] == {"rms": 10.0, "peak": 20.0}
@@ -325,7 +326,7 @@ def test_a_fit_in_closed_loop_has_a_name_of_its_own() -> None:
     shown = " ".join(" ".join(lines(_table(tuning), Console(width=120))).split())
     assert "lugre rms" in shown
     assert f"{names[1]} (kept)" in shown
-    assert [each["model"] for each in _as_dict(tuning)["axes"]["spindle"]["tried"]] == names
+    assert [each["model"] for each in as_dict(tuning)["axes"]["spindle"]["tried"]] == names
 
 
 ESTIMATE = LagEstimate(3e-4, 1e-5, 3.2e-4, 3e-3, 1.0)

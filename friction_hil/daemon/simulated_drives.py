@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import click
-
 from friction_hil.checked_yaml.text import dump
 from friction_hil.config import Configuration, self_contained
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
@@ -56,7 +54,7 @@ def simulated_drives(
         if private.bus is not None and private.bus.role == "sidecar":
             words.append("--master")
         with Child(words, folder) as drives:
-            where, *notes = _wait_until_ready(drives, is_interrupted)
+            where, *notes = _wait_until_ready(drives, report, is_interrupted)
             report(f"simulated drives: {where}, on a private bus instead of {former}")
             for line in notes:
                 report(line)
@@ -75,13 +73,13 @@ def hint_at_simulated_time(configuration: Configuration, pace: str, report: Call
         report(f"{reason}; --pace sync runs in simulated time, in which nothing is late")
 
 
-def _wait_until_ready(drives: Child, is_interrupted: Callable[[], bool]) -> list[str]:
+def _wait_until_ready(drives: Child, report: Callable[[str], None], is_interrupted: Callable[[], bool]) -> list[str]:
     """Return what they print when they are on the bus: nodes and bus, then notes."""
     begin_s, is_told = time.monotonic(), not sys.stderr.isatty()
     while not (printed := drives.printed).endswith("\n"):
         if not is_told and time.monotonic() > begin_s + _QUIET_S:
             is_told = True
-            click.echo("starting the simulated drives: the first time, they are compiled for this machine", err=True)
+            report("starting the simulated drives: the first time, they are compiled for this machine")
         if is_interrupted():
             raise KeyboardInterrupt
         if drives.wait(_TICK_S):

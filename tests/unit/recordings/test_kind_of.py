@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from friction_hil.cli.work.read import kind_of
 from friction_hil.errors import UsageError
 from friction_hil.recordings import Recording
+from friction_hil.recordings.given import kind_of
 
 
 def recorded(kind=None, path="log.mcap"):
