@@ -89,7 +89,7 @@ def compensator_steps(library: ctypes.CDLL, name: str, rows: Any, *, single: boo
         _fields_ = (
             *(("cycles", ctypes.c_uint32), ("position", ctypes.c_double), ("velocity", real), ("torque", real)),
             *(("position_demand", ctypes.c_double), ("velocity_demand", real), ("velocity_demand_ahead", real)),
-            *(("acceleration_demand_ahead", real), ("temperature", real)),
+            *(("acceleration_demand_ahead", real), ("temperature", real), ("load_torque", real)),
             *(("is_fresh", ctypes.c_bool), ("is_enabled", ctypes.c_bool)),
         )
 

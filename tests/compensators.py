@@ -57,7 +57,7 @@ def row(cycle: int, **given: float) -> tuple[float, ...]:
     """One cycle's inputs: at rest, no demand, fresh and enabled where nothing else is given."""
     usual = dict.fromkeys(INPUTS, 0.0) | {"cycle": float(cycle), "is_fresh": 1.0, "is_enabled": 1.0}
     demand = ("position_demand", "velocity_demand", "velocity_demand_ahead", "acceleration_demand_ahead")
-    usual |= dict.fromkeys((*demand, "temperature"), math.nan)
+    usual |= dict.fromkeys((*demand, "temperature", "load_torque"), math.nan)
     assert not set(given) - set(INPUTS)
     return tuple((usual | given).values())
 
@@ -104,13 +104,13 @@ def wild_inputs(draw: Any, *, longest: int = 60) -> list[tuple[float, ...]]:
         cycle = max(cycle + draw(st.integers(-1, 40)), 0)  # none or fewer must not happen, but must not hurt
         values = [draw(each) for each in (_wild, _unknown, _unknown, _unknown, _unknown, _unknown)]
         rows.append((float(cycle), *values, float(draw(st.booleans())), float(draw(st.booleans()))))
-        rows[-1] += (draw(_unknown), draw(_unknown))
+        rows[-1] += (draw(_unknown), draw(_unknown), draw(_unknown))
     return rows
 
 
 def opposite(inputs: tuple[float, ...]) -> tuple[float, ...]:
     """The same cycle seen in a mirror."""
-    return (inputs[0], *(-value for value in inputs[1:7]), *inputs[7:9], -inputs[9], inputs[10])
+    return (inputs[0], *(-value for value in inputs[1:7]), *inputs[7:9], -inputs[9], inputs[10], -inputs[11])
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,7 @@ def cycles(count=3000):
         glitch = 0.1 if random.random() < 0.002 else 0.0
         flags = float(is_fresh), float(k > 100 and not 2000 < k < 2100)
         last = acceleration[k] if has_demand else nan, 30.0 + 5.0 * math.sin(t[k]) if k % 3 else nan
+        last += (0.1 * math.cos(3.0 * t[k]) if k % 5 > 2 else nan,)
         rows.append((float(cycle), position[k] + glitch, measured[k], torque, *now, *flags, *last))
         cycle += 1 if random.random() > 0.01 else int(random.integers(1, 25))
     return rows

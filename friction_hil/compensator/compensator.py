@@ -34,10 +34,12 @@ class CompensatorInputs(NamedTuple):
     is_enabled: bool
     acceleration_demand_ahead: float = math.nan
     temperature: float = math.nan
+    load_torque: float = math.nan
 
 
 INPUTS = CompensatorInputs._fields
 _PACKED_INPUTS = struct.Struct(f"<{len(INPUTS)}d")
+_NO_LOAD = struct.pack("<d", math.nan)
 _UNCERTAIN_FRACTION = 0.2  # of the friction level, standard deviation of the torque unknown to the Kalman observer
 _UNCERTAIN_S = 0.01  # correlation time of that torque
 _RESTING_COUNTS, _RESTING_DEFLECTIONS = 3.0, 1.5  # encoder counts, or presliding deflections, that count as rest
@@ -45,8 +47,8 @@ _LEAST_ADAPTATION_S = 5.0 * adaptation.FILTER_S  # adaptation must be slower tha
 
 
 def input_checksum(*inputs: float) -> float:
-    """Return the CRC-32 of one cycle's `INPUTS`, given in their order."""
-    return float(zlib.crc32(_PACKED_INPUTS.pack(*inputs)))
+    """Return the CRC-32 of one cycle's `INPUTS`, given in their order; a load that is not given is no part of it."""
+    return float(zlib.crc32(_PACKED_INPUTS.pack(*inputs).removesuffix(_NO_LOAD)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +168,9 @@ class Compensator:
         # when this torque will act: load of load-dependent friction and side of the backlash follow from it
         acceleration_demand_ahead: float = math.nan,
         temperature: float = math.nan,  # measured, deg C; NaN where none is measured
+        # all that the load puts on the axis, N m, positive if it opposes positive motion; NaN: that of the settings'
+        # gravity and inertia. Load-dependent friction depends on it; it is no part of the compensation
+        load_torque: float = math.nan,
     ) -> float:
         """Compute one cycle and return the compensation, N m."""
         if self._former is not None:
@@ -181,6 +186,7 @@ class Compensator:
                 is_enabled,
                 acceleration_demand_ahead,
                 temperature,
+                load_torque,
             )
         return self._whole_step(
             self._settings,
@@ -196,6 +202,7 @@ class Compensator:
             1.0 if is_enabled else 0.0,
             acceleration_demand_ahead,
             temperature,
+            load_torque,
         )
 
     def compile(self) -> None:
@@ -249,6 +256,15 @@ class Compensator:
     def use(self, record: StructuredArray) -> None:
         """Take settings that belong to a `state` that is assigned: nothing is carried over."""
         self._settings, self._former = record, None
+
+    def move_to(self, settings: StructuredArray, state: StructuredArray) -> None:
+        """Keep settings and state in these rows of arrays, (1,) each, from now on; a compiled call may step all rows.
+
+        The room for parameters of a model may be larger there.
+        """
+        records.copy(self._settings, settings)
+        state[:] = self._state
+        self._settings, self._state, self._flat = settings, state, state.view(np.float64)
 
     @property
     def is_changing(self) -> bool:

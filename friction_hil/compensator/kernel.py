@@ -24,7 +24,9 @@ RESTING_S = 0.3  # without motion: time until the compensation fades out, and fa
 
 
 @inlined
-def _update_velocity(c: Any, r: Any, cycle: float, position: float, drive_velocity: float, torque: float) -> None:
+def _update_velocity(
+    c: Any, r: Any, cycle: float, position: float, drive_velocity: float, torque: float, load_torque: float
+) -> None:
     """Give fresh feedback to the velocity estimator, with the known torque on the inertia where that is used."""
     net = 0.0
     if c.uses_torque > 0.0 and r.reference.has_demand > 0.0:
@@ -34,7 +36,7 @@ def _update_velocity(c: Any, r: Any, cycle: float, position: float, drive_veloci
         # not reverse the axis.
         bound = c.level + 0.5 * c.inertia * abs(r.motion.velocity) / c.period_s
         friction = min(max(r.friction_torque, -bound), bound)
-        net = 0.5 * (torque + r.measured_torque) - friction - load.gravity(c, position)
+        net = 0.5 * (torque + r.measured_torque) - friction - load.weight(c, position, load_torque)
     velocity.update(c.motion, r.motion, cycle, position, drive_velocity, net)
     r.measured_torque = torque
 
@@ -64,6 +66,7 @@ def _estimate(
     velocity_demand: float,
     has_demand: bool,
     is_fresh: bool,
+    load_torque: float,
 ) -> float:
     """Take feedback and demand of a cycle; return the time since the last step, s."""
     demand = velocity_demand if math.isfinite(velocity_demand) else 0.0
@@ -75,7 +78,7 @@ def _estimate(
     else:
         reference.remember(r.reference, r.motion.velocity, demand, has_demand, elapsed)
         if is_fresh:
-            _update_velocity(c, r, cycle, position, drive_velocity, torque)
+            _update_velocity(c, r, cycle, position, drive_velocity, torque, load_torque)
         else:
             velocity.predict(c.motion, r.motion, cycle, 0.0)
     r.cycle = cycle
@@ -93,6 +96,7 @@ def _friction(
     acceleration: float,
     celsius: float,
     has_demand: bool,
+    load_torque: float,
     dt: float,
 ) -> tuple[float, float, float]:
     """Run the friction model; return its torque, the part that the motor feels, and the velocity of its level."""
@@ -100,7 +104,9 @@ def _friction(
         c, r.reference, r.motion.velocity, velocity_demand_ahead, dt
     )
     reached = position + c.lead_s * level_velocity  # position at which the torque will act
-    r.load_torque = load.transmitted_torque(c, reached, position_demand, velocity_demand_ahead, acceleration)
+    r.load_torque = load.transmitted_torque(
+        c, reached, position_demand, velocity_demand_ahead, acceleration, load_torque
+    )
     friction = kernel.step(
         int(c.kind),
         c.friction,
@@ -174,6 +180,7 @@ def whole_step(
     is_enabled: float,
     acceleration_demand_ahead: float,
     measured_temperature: float,
+    load_torque: float,
 ) -> float:
     """Compute one cycle; see `Compensator.step`."""
     c, r = settings[0], state[0]
@@ -196,14 +203,36 @@ def whole_step(
         motor_demand += offset.offset_now
         motor_velocity += offset.velocity_now
         motor_velocity_ahead += offset.velocity_ahead
-    dt = _estimate(c, r, cycle, position, velocity, torque, motor_demand, motor_velocity, has_demand, is_fresh > 0.0)
+    dt = _estimate(
+        c,
+        r,
+        cycle,
+        position,
+        velocity,
+        torque,
+        motor_demand,
+        motor_velocity,
+        has_demand,
+        is_fresh > 0.0,
+        load_torque,
+    )
     friction, felt, level_velocity = _friction(
-        c, r, position, position_demand, motor_velocity_ahead, acceleration_demand_ahead, celsius, has_demand, dt
+        c,
+        r,
+        position,
+        position_demand,
+        motor_velocity_ahead,
+        acceleration_demand_ahead,
+        celsius,
+        has_demand,
+        load_torque,
+        dt,
     )
     if c.heat_capacity > 0.0:
         temperature.observe(c, r.temperature, friction, level_velocity, torque, dt)
     if c.adaptation_s > 0.0 and is_fresh > 0.0:
-        adaptation.learn(c, r.adaptation, r.motion.velocity, friction, torque, load.gravity(c, position), dt)
+        weight = load.weight(c, position, load_torque)
+        adaptation.learn(c, r.adaptation, r.motion.velocity, friction, torque, weight, dt)
     wanted = _gain(c, r, position, felt, level_velocity, keeps_torque, is_enabled, dt) * felt
     r.is_faulty = 0.0 if math.isfinite(wanted) else 1.0
     wanted = bridge.cross(c, r.bridge, r.compensation, friction, wanted, dt)
@@ -227,6 +256,7 @@ def replay(
     is_enabled: Array,
     acceleration_demand_ahead: Array,
     measured_temperature: Array,
+    load_torque: Array,
     results: Array,
 ) -> None:
     """Run `whole_step` over recorded inputs, each (n,); fills ``results``, (5, n), in the order of `RESULTS`."""
@@ -246,6 +276,7 @@ def replay(
             is_enabled[k],
             acceleration_demand_ahead[k],
             measured_temperature[k],
+            load_torque[k],
         )
         results[1, k] = r.motion.velocity
         results[2, k] = r.load_torque

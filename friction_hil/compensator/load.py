@@ -2,7 +2,8 @@
 
 It is the load of load-dependent friction, and with the load's friction it tells gap and twist of the transmission. All
 of it comes from the demand: computed from the measured motion, the compensation would change what it is computed from.
-Without a demand only the weight is known, at the measured position.
+Without a demand only the weight is known, at the measured position. A caller that knows the load, such as that of a
+joint of an arm, gives it instead.
 """
 
 import math
@@ -36,15 +37,24 @@ def gravity(c: Any, position: float) -> float:
 
 
 @inlined
+def weight(c: Any, position: float, given: float) -> float:
+    """Return the load beside the inertia at a measured position, N m: the one that the caller gives, or `gravity`."""
+    return given if math.isfinite(given) else gravity(c, position)
+
+
+@inlined
 def transmitted_torque(
-    c: Any, reached: float, position_demand: float, velocity_ahead: float, acceleration: float
+    c: Any, reached: float, position_demand: float, velocity_ahead: float, acceleration: float, given: float
 ) -> float:
     """Return the torque of the load when this cycle's torque acts, N m, positive if it opposes positive motion.
 
     ``reached``: measured position, advanced to that moment; used where no position is demanded. ``position_demand`` is
-    that of now, ``velocity_ahead`` and ``acceleration`` are demanded at that moment; NaN where unknown.
+    that of now, ``velocity_ahead`` and ``acceleration`` are demanded at that moment; NaN where unknown. ``given``: the
+    load as the caller knows it, which then is all of it; NaN where it is that of the settings.
     """
+    if math.isfinite(given):
+        return given
     if math.isfinite(position_demand) and math.isfinite(velocity_ahead):
         reached = position_demand + c.lead_s * velocity_ahead
-    weight = gravity(c, reached)
-    return float(weight + c.load_inertia * acceleration) if math.isfinite(acceleration) else weight
+    held = gravity(c, reached)
+    return float(held + c.load_inertia * acceleration) if math.isfinite(acceleration) else held

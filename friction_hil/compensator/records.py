@@ -113,6 +113,16 @@ def begin(settings: StructuredArray, state: StructuredArray, initial_friction: A
     r["temperature"]["body"] = settings[0]["first_temperature"]
 
 
+def copy(settings: StructuredArray, target: StructuredArray) -> None:
+    """Copy settings, (1,), into others with at least as much room for the parameters of a model."""
+    room = settings[0]["friction"].size
+    for name in settings.dtype.names or ():
+        if name != "friction":
+            target[0][name] = settings[0][name]
+    target[0]["friction"] = 0.0
+    target[0]["friction"][:room] = settings[0]["friction"]
+
+
 def place(path: str) -> int:
     """Return the index of a field, such as ``bridge.left``, in the flat view of a state."""
     at, kind = 0, STATE

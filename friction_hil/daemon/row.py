@@ -18,6 +18,7 @@ _POSITION_DEMAND = columns.NAMES.index("position_demand")
 _VELOCITY_DEMAND = columns.NAMES.index("velocity_demand")
 _VELOCITY_DEMAND_AHEAD = columns.NAMES.index("velocity_demand_ahead")
 _ACCELERATION_DEMAND_AHEAD = columns.NAMES.index("acceleration_demand_ahead")
+_LOAD_TORQUE = columns.NAMES.index("load_torque")
 _TEMPERATURE = columns.NAMES.index("temperature")
 _IS_FRESH = columns.NAMES.index("is_fresh")
 _IS_ENABLED = columns.NAMES.index("is_enabled")
@@ -75,6 +76,7 @@ class AxisRow:
         cells[_VELOCITY_DEMAND] = inputs.velocity_demand
         cells[_VELOCITY_DEMAND_AHEAD] = inputs.velocity_demand_ahead
         cells[_ACCELERATION_DEMAND_AHEAD] = inputs.acceleration_demand_ahead
+        cells[_LOAD_TORQUE] = inputs.load_torque
         cells[_TEMPERATURE] = inputs.temperature
         cells[_IS_FRESH] = inputs.is_fresh
         cells[_IS_ENABLED] = inputs.is_enabled

@@ -34,6 +34,7 @@ _INPUTS = (
     ("{real}", "velocity_demand_ahead", "{angle}/s, when this cycle's torque will act"),
     ("{real}", "acceleration_demand_ahead", "{angle}/s^2, likewise"),
     ("{real}", "temperature", "deg C, measured"),
+    ("{real}", "load_torque", "{torque}, all of the load; NAN: by gravity and inertia of the model"),
     ("bool", "is_fresh", "the feedback is of this cycle"),
     ("bool", "is_enabled", "fade in; otherwise fade out"),
 )

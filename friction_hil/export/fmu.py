@@ -82,6 +82,7 @@ def _compensator(subject: Subject) -> Unit:
         "velocity_demand_ahead": (f"{angle}/s", "demanded velocity when this cycle's torque will act"),
         "acceleration_demand_ahead": (f"{angle}/s2", "demanded acceleration when this cycle's torque will act"),
         "temperature": ("degC", "temperature, measured"),
+        "load_torque": (torque, "all of the load; if it is not set, by gravity and inertia of the model"),
     }
     inputs = [Variable(name, unit, text, "input", is_optional=True) for name, (unit, text) in texts.items()]
     inputs.append(Variable("is_fresh", "", "the feedback is of this cycle", "input", kind="Boolean", start=1.0))

@@ -34,6 +34,7 @@ COMMENTS = {
         "velocity_demand_ahead": "{angle}/s, when this cycle's torque will act",
         "acceleration_demand_ahead": "{angle}/s^2, likewise",
         "temperature": "deg C, measured",
+        "load_torque": "{torque}, all of the load; else by gravity and inertia of the model",
         "is_fresh": "the feedback is of this cycle",
         "is_enabled": "fade in; otherwise fade out",
     },

@@ -69,7 +69,7 @@ def load_torque(mechanics: Mapping[str, float], load_inertia: float, position: A
 def _over_time(record: StructuredArray, position: Array, acceleration: Array) -> Array:
     found = np.empty_like(position)
     for i in range(len(position)):
-        found[i] = transmitted_torque(record[0], position[i], math.nan, math.nan, acceleration[i])
+        found[i] = transmitted_torque(record[0], position[i], math.nan, math.nan, acceleration[i], math.nan)
     return found
 
 

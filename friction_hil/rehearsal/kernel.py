@@ -107,6 +107,7 @@ def _decide(axis: Axis, k: int, row: Array, trace: Array) -> None:
         d.is_compensated,
         row[4],
         math.nan,
+        math.nan,
     )
     error = row[0] + r.transmission.offset_now - position
     target, own, loop.integral = _control(d, axis.own_controller, loop.integral, row, r, error)

@@ -64,7 +64,20 @@ def _run(moved: StructuredArray, settings: StructuredArray, state: StructuredArr
             measured = math.floor(x / c.resolution) * c.resolution
             # also needed without compensation, because the controller uses its velocity estimate
             torque = c.is_compensated * _compensate(
-                settings, state, float(k), measured, 0.0, 0.0, c.target, c.demand, c.demand, 1.0, 1.0, 0.0, math.nan
+                settings,
+                state,
+                float(k),
+                measured,
+                0.0,
+                0.0,
+                c.target,
+                c.demand,
+                c.demand,
+                1.0,
+                1.0,
+                0.0,
+                math.nan,
+                math.nan,
             )
             command = torque
             if math.isfinite(c.target):

@@ -325,7 +325,7 @@ def test_the_longest_delay_that_is_allowed_has_room_in_the_history(velocity):
 
 
 @given(
-    st.tuples(*[st.floats(allow_nan=False)] * 7, st.booleans(), st.booleans(), *[st.floats(allow_nan=False)] * 2),
+    st.tuples(*[st.floats(allow_nan=False)] * 7, st.booleans(), st.booleans(), *[st.floats(allow_nan=False)] * 3),
     st.integers(0, 8),
     st.integers(0, 63),
 )
@@ -335,3 +335,4 @@ def test_the_checksum_sees_every_single_bit(values, place, bit):
     (flipped,) = struct.unpack("<d", struct.pack("<Q", word ^ 1 << bit))
     assert len(values) == len(INPUTS)
     assert input_checksum(*values) != input_checksum(*values[:place], flipped, *values[place + 1 :])
+    assert input_checksum(*values[:11], math.nan) not in (input_checksum(*values), input_checksum(*values[:11], 0.0))

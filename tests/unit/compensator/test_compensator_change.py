@@ -22,7 +22,7 @@ def inputs_at(cycle):
 
     position = 30.0 / math.tau * (1.0 - math.cos(math.tau * t))
     now = (float(cycle), position, velocity(t), 0.0)
-    return (*now, position, velocity(t), velocity(t + PERIOD_S), 1.0, 1.0, 0.0, 20.0)
+    return (*now, position, velocity(t), velocity(t + PERIOD_S), 1.0, 1.0, 0.0, 20.0, math.nan)
 
 
 def torques(one, cycles, change=None, other=None):

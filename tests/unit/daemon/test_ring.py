@@ -171,7 +171,7 @@ def test_another_process_sees_only_whole_rows_while_it_is_overtaken() -> None:
 DEMANDS = {"position_demand": 4.5, "velocity_demand": 5.5, "velocity_demand_ahead": 6.5}
 INPUTS = CompensatorInputs(
     **{"cycle": 7.0, "position": 1.5, "velocity": 2.5, "torque": 3.5, **DEMANDS, "is_fresh": True, "is_enabled": False},
-    **{"acceleration_demand_ahead": 14.5, "temperature": 15.5},
+    **{"acceleration_demand_ahead": 14.5, "temperature": 15.5, "load_torque": 21.5},
 )
 OTHERS = {"velocity_estimate": 7.5, "compensation": 8.5, "command": 9.5, "state": 2, "drive_state": 5}
 
@@ -190,7 +190,7 @@ def test_every_value_stands_in_the_column_of_its_name():
     expected |= {"change": 19.0, "load_estimate": 16.5, "temperature_estimate": 17.5, "motor_offset": 18.5}
     expected |= {"velocity_offset": 20.5}
     expected |= {"checksum": input_checksum(*INPUTS)}
-    unknown = dict.fromkeys(("torque_demand", "load_torque", "load_position", "compensation_uncertainty"), math.nan)
+    unknown = dict.fromkeys(("torque_demand", "load_position", "compensation_uncertainty"), math.nan)
     written = dict(zip(columns.NAMES, one.values.tolist(), strict=True))
     np.testing.assert_equal(written, {name: float(value) for name, value in (expected | unknown).items()})
 

@@ -172,6 +172,7 @@ def run(
                 1.0,
                 acceleration_ahead[k],
                 math.nan,
+                math.nan,
             )
         pending[delay] = torque
         if k == int(c.settling_cycles):
