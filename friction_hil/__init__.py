@@ -13,10 +13,12 @@ if TYPE_CHECKING:
     from friction_hil.api.identification import Identified, identify
     from friction_hil.api.training import Trained, train
     from friction_hil.api.tuning import Tuned, tune
+    from friction_hil.own_loop import Compensator
 
 __version__ = "0.3.0.dev0"
 __all__ = [
     "Comparison",
+    "Compensator",
     "Identified",
     "Trained",
     "Tuned",
@@ -35,6 +37,7 @@ __all__ = [
 ]
 _MODULES = {  # of the functions and classes; the other names are modules
     "Comparison": "api.comparison",
+    "Compensator": "own_loop",
     "Identified": "api.identification",
     "Trained": "api.training",
     "Tuned": "api.tuning",

@@ -33,6 +33,7 @@ from friction_hil.checked_yaml.section import (
 )
 from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.config.drivers import DRIVERS, SIMULATED_DRIVES, driver_names, load_driver
+from friction_hil.config.own_loop import OWN_LOOP, without_driver
 from friction_hil.config.trajectories import AxisExperiment, Trajectory, peak_speed
 from friction_hil.errors import UsageError
 from friction_hil.models.model_file import ModelFile
@@ -207,7 +208,7 @@ class AxisConfig(Section):
     In a file, the driver's keys are on the same level as these; `split_options` moves them under ``options``.
     """
 
-    driver: str = key("driver for the drive")
+    driver: str = key("driver for the drive; without one, the axis is that of a loop of your own", default=OWN_LOOP)
     mode: Literal["csp", "csv", "cst"] = key(
         "command of each cycle: position (csp), velocity (csv), both with a torque offset, or torque (cst)"
     )
@@ -267,6 +268,7 @@ class AxisConfig(Section):
 
 def split_options(axis: Mapping[str, Any]) -> dict[str, Any]:
     """Move the keys of an axis that are not common to all drivers under ``options``."""
+    axis = without_driver(axis)
     common = {name: value for name, value in axis.items() if name in keys(AxisConfig)}
     return {**common, "options": {name: value for name, value in axis.items() if name not in common}}
 

@@ -6,6 +6,7 @@ from typing import Any, Final, Literal, overload
 
 from pydantic import BaseModel
 
+from friction_hil.config.own_loop import OWN_LOOP, OwnLoop
 from friction_hil.drive.driver import Driver, OptionChecks, SimulatedDriver, with_defaults
 from friction_hil.errors import UsageError, choices
 
@@ -29,6 +30,8 @@ def load_driver(name: str, group: str = DRIVERS) -> Any:
     Raises `UsageError`: no driver of this name is installed (the message lists the installed ones), or its `Options` is
     no pydantic model.
     """
+    if (name, group) == (OWN_LOOP, DRIVERS):
+        return OwnLoop
     for entry in entry_points(group=group):
         if entry.name == name:
             return _complete(name, entry.load(), group)

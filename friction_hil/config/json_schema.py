@@ -9,6 +9,7 @@ from pydantic import BaseModel
 from friction_hil import friction
 from friction_hil.config.axis import driver_options
 from friction_hil.config.drivers import DRIVERS, SIMULATED_DRIVES, driver_names
+from friction_hil.config.own_loop import DEFAULTS, OWN_LOOP
 from friction_hil.config.schema import Configuration
 from friction_hil.friction.modifiers import CURVES, HARMONIC, LOAD, MAX_HARMONICS, SIDES, TEMPERATURE, VISCOUS
 from friction_hil.friction.parameters import Choice, NumberList, Parameter, PointList
@@ -35,16 +36,17 @@ def json_schema() -> dict[str, Any]:
     shadow["properties"]["model"] = _PATH_OR_MODEL
     common["properties"]["shadows"]["items"] = {"anyOf": [{"type": "string"}, {"$ref": "#/$defs/Shadow"}]}
     definitions["Friction"] = _friction(definitions["Friction"])
-    names = driver_names()
+    names = [*driver_names(), OWN_LOOP]
+    schema["required"].remove("period_s")  # which the program of a loop of its own may give
     for name in names:
         definitions[f"AxisConfig_{name}"] = _axis(name, common, definitions)
     definitions["AxisConfig"] = {
         "type": "object",
-        "required": ["driver"],
         "properties": {"driver": {"description": common["properties"]["driver"]["description"], "enum": names}},
         "allOf": [
             {
-                "if": {"properties": {"driver": {"const": name}}, "required": ["driver"]},
+                # an absent key agrees with any constant: an axis without a driver is that of a loop of one's own
+                "if": {"properties": {"driver": {"const": name}}, "required": ["driver"] * (name != OWN_LOOP)},
                 "then": {"$ref": f"#/$defs/AxisConfig_{name}"},
             }
             for name in names
@@ -139,6 +141,10 @@ def _axis(driver: str, common: dict[str, Any], definitions: dict[str, Any]) -> d
     else:
         properties["simulation"] = {"type": "null", "description": "this driver has no simulated drive"}
     required = [*common["required"], *options.get("required", [])]
+    if driver == OWN_LOOP:
+        required = [name for name in required if name not in DEFAULTS]
+    elif "driver" not in required:
+        required.insert(0, "driver")
     return {**common, "title": f"Axis with driver {driver}", "properties": properties, "required": required}
 
 

@@ -15,8 +15,9 @@ from friction_hil.checked_yaml.files import Origins, read_kind, validated
 from friction_hil.checked_yaml.text import Document, FieldPath
 from friction_hil.config.axis import NAME_PATTERN, AxisConfig, split_options
 from friction_hil.config.drivers import load_driver
+from friction_hil.config.own_loop import NOMINAL_PERIOD_S, OWN_LOOP, REFUSAL, is_own_loop
 from friction_hil.config.schema import Configuration
-from friction_hil.errors import ConfigurationError, OptionError, Problem
+from friction_hil.errors import ConfigurationError, OptionError, Problem, UsageError
 
 # Model of an axis whose model file does not exist yet. The tiny inertia has no effect; it satisfies the options that
 # need an inertia above zero.
@@ -29,15 +30,17 @@ _HEAD_BYTES = 65536  # of a file, in which a model file has its key `friction`
 _KEYS_OF_A_MODEL = ("friction", "axis", "mechanics")
 
 
-def load(path: str | Path, *, needs_models: bool = True) -> Configuration:
+def load(path: str | Path, *, needs_models: bool = True, period_s: float | None = None) -> Configuration:
     """Read a configuration file and the model files that it refers to.
 
     Unless ``needs_models``, a missing model file is no mistake: the axis gets a model without friction whose
-    ``source_path`` is the path of the missing file, and whose kind of axis is ``experiment.axis``.
+    ``source_path`` is the path of the missing file, and whose kind of axis is ``experiment.axis``. ``period_s``: of the
+    loop, s, where the file has none.
 
     Raises `ConfigurationError`: the file cannot be read or has mistakes; ``problems`` lists them with their lines.
     """
-    configuration = _configuration(yaml_text.read(path), Path(path).parent, needs_models=needs_models)
+    document = yaml_text.read(path)
+    configuration = _configuration(document, Path(path).parent, needs_models=needs_models, period_s=period_s)
     configuration._source_path = Path(path).absolute()
     return configuration
 
@@ -66,9 +69,13 @@ def file_problems(path: str | Path, configuration: Configuration) -> list[Proble
     origins = _Origins(yaml_text.read(path))
     found: list[Problem] = []
     try:
-        only_driver(configuration)
+        if not all(axis.driver == OWN_LOOP for axis in configuration.axes.values()):
+            only_driver(configuration)
     except OptionError as mixed:
         found.append(origins.at_option(mixed))
+    except UsageError:
+        lacking = next(name for name, axis in configuration.axes.items() if axis.driver == OWN_LOOP)
+        found.append(origins.locate(("axes", lacking, "driver"), "is missing: other axes have one"))
     for driver in dict.fromkeys(axis.driver for axis in configuration.axes.values()):
         kind = load_driver(driver)
         if configuration.bus is not None:
@@ -101,8 +108,10 @@ def missing_models(path: str | Path, configuration: Configuration) -> list[Probl
 def only_driver(configuration: Configuration) -> str:
     """Return the name of the driver of all axes.
 
-    Raises `OptionError`: the axes have different drivers, which one run does not support.
+    Raises `OptionError`: the axes have different drivers, which one run does not support; `UsageError`: one has none.
     """
+    if configuration.is_own_loop:
+        raise UsageError(f"{configuration.source_path or 'the configuration'} {REFUSAL}")
     (first, axis), *others = configuration.axes.items()
     for name, other in others:
         if other.driver != axis.driver:
@@ -132,7 +141,12 @@ class _Origins(Origins):
 
 
 def _configuration(
-    document: Document, directory: Path, *, needs_models: bool = True, reads_files: bool = True
+    document: Document,
+    directory: Path,
+    *,
+    needs_models: bool = True,
+    reads_files: bool = True,
+    period_s: float | None = None,
 ) -> Configuration:
     origins = _Origins(document)
     problems = list(document.problems)
@@ -142,7 +156,14 @@ def _configuration(
     if isinstance(axes, dict):
         reader = _ModelReader(directory, origins, problems, files, needs_models, reads_files)
         value = {**value, "axes": {name: reader.axis(name, axis) for name, axis in axes.items()}}
+    lacks_period = is_own_loop(value) and "period_s" not in value
+    if lacks_period:
+        value = {**value, "period_s": NOMINAL_PERIOD_S if period_s is None else period_s}
+    elif period_s is not None and isinstance(value, dict) and value.get("period_s") != period_s:
+        text = f"is {value.get('period_s')}, but the program gives {period_s:g} as the period of its loop: remove one"
+        problems.append(origins.locate(("period_s",), text))
     configuration = validated(Configuration, value, origins, problems)
+    configuration._lacks_period = lacks_period and period_s is None
     axes = {name: _anchored(axis, directory.absolute()) for name, axis in configuration.axes.items()}
     configuration = configuration.model_copy(update={"axes": axes})
     for steps, path in files.items():

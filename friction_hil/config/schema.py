@@ -11,6 +11,7 @@ from friction_hil.checked_yaml.section import Section, key
 from friction_hil.config.axis import AxisConfig, Name
 from friction_hil.config.bus import BusConfig
 from friction_hil.config.live import LiveConfig
+from friction_hil.config.own_loop import OWN_LOOP
 from friction_hil.config.recording import RecordingConfig
 from friction_hil.config.simulation import SimulationConfig, mechanism_mistakes
 from friction_hil.drive.driver import OptionChecks
@@ -50,11 +51,22 @@ class Configuration(Section):
     simulation: SimulationConfig | None = key("what the simulated drives of several axes share", default=None)
 
     _source_path: Path | None = PrivateAttr(default=None)
+    _lacks_period: bool = PrivateAttr(default=False)
 
     @property
     def source_path(self) -> Path | None:
         """Path of the file from which this was loaded; relative paths of drivers start in its directory."""
         return self._source_path
+
+    @property
+    def lacks_period(self) -> bool:
+        """True if the file has no period, which the program with the loop then gives: ``period_s`` is a stand-in."""
+        return self._lacks_period
+
+    @property
+    def is_own_loop(self) -> bool:
+        """True if an axis has no driver: they are those of a loop of the user's own."""
+        return any(axis.driver == OWN_LOOP for axis in self.axes.values())
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -78,7 +90,7 @@ def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
         if is_sidecar and axis.trajectory.kind != "master":
             text = "must be 'master' with bus.role: sidecar, where another controller moves the axis"
             yield ("axes", name, "trajectory", "kind"), text
-        elif axis.trajectory.kind == "master" and not is_sidecar:
+        elif axis.trajectory.kind == "master" and not is_sidecar and axis.driver != OWN_LOOP:
             text = "'master' needs bus.role: sidecar; without it the daemon itself moves the axis"
             yield ("axes", name, "trajectory", "kind"), text
         highest = 0.5 / configuration.period_s

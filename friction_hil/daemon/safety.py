@@ -18,7 +18,8 @@ from friction_hil.drive.codes import FaultCode
 MAX_STALE_CYCLES = 10
 STANDSTILL_S = 0.05  # without motion; in a single cycle an axis seems to stand at each reversal
 SPEED_MARGIN = 1.5  # times the speed that a motion may reach: faster is a fault, overshoot is not
-_JUMP_MARGIN = 2.0
+JUMP_MARGIN = 2.0  # times the velocity limit; a position that moves faster is a glitch
+SLACK_STEPS = 10.0  # steps of the position that it may be off besides
 _STANDSTILL_RATIO = 1e-3  # of the velocity limit
 _HELD_S, _MOST_HELD = 0.5 * STANDSTILL_S, 10  # for so long, and cycles, one without usable feedback changes nothing
 _NOISE_STEPS = 2.0  # steps of the encoder by which the displacement over a period may be wrong
@@ -116,8 +117,8 @@ class Supervisor:
         self._name = name
         self._limits = limits
         self._unit = unit
-        self._jump = _JUMP_MARGIN * limits.velocity * period_s
-        self._slack = 10.0 * position_resolution
+        self._jump = JUMP_MARGIN * limits.velocity * period_s
+        self._slack = SLACK_STEPS * position_resolution
         self._noise = max(_NOISE_STEPS * position_resolution / period_s, velocity_resolution)
         self._allowed = math.nan  # speed of the motion that the user was told of
         self._fastest = limits.velocity

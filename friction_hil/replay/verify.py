@@ -58,7 +58,7 @@ def verify(recording: Recording, configuration: Configuration | None = None) -> 
             f"{recording.path}: only the daemon's own MCAP recording can be verified; this one has no states of the "
             "compensator"
         )
-    recording.require("compensation", "velocity_estimate", "checksum", "cycle", "position", "velocity")
+    recording.require("compensation", "velocity_estimate", "checksum", "cycle", "position")
     configuration = configuration or from_dict(
         metadata["configuration"], f"{recording.path} (configuration inside)", reads_files=False
     )

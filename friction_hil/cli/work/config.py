@@ -31,10 +31,12 @@ def check_files(files: Sequence[str], as_json: bool) -> int:
     """Print the mistakes of each configuration; return 2 if there is any."""
     reports: dict[str, tuple[Problem, ...]] = {}
     notes: dict[str, list[Problem]] = {}
+    purposes: dict[str, str] = {}
     for file in files:
         try:
             configuration = load(file, needs_models=False)
             reports[file] = tuple(file_problems(file, configuration))
+            purposes[file] = _purpose(configuration)
             notes[file] = [
                 *missing_models(file, configuration),
                 *_inert_adaptations(file, configuration),
@@ -52,10 +54,18 @@ def check_files(files: Sequence[str], as_json: bool) -> int:
         for file, problems in reports.items():
             echo_problems(problems)
             if not problems:
-                click.echo(f"{file}: ok")
+                click.echo(f"{file}: ok{purposes[file]}")
                 for note in notes[file]:
                     say(f"note: {note}", stderr=False)
     return 2 if any(reports.values()) else 0
+
+
+def _purpose(configuration: Configuration) -> str:
+    """Return what a configuration without drivers is for; empty for any other."""
+    if not configuration.is_own_loop:
+        return ""
+    period = ", which gives period_s" if configuration.lacks_period else ""
+    return f", for friction_hil.Compensator in a loop of your own{period}: it names no driver, which `run` would need"
 
 
 def _inert_adaptations(file: str, configuration: Configuration) -> list[Problem]:

@@ -11,6 +11,7 @@ import click
 
 from friction_hil.config import AxisConfig, Configuration, load
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
+from friction_hil.config.own_loop import REFUSAL
 from friction_hil.daemon.realtime import punctuality
 from friction_hil.drive import SimulatedDriver
 from friction_hil.errors import FrictionHilError, UsageError
@@ -23,6 +24,8 @@ _MASTER_STOP_S = 5.0
 def simulate(*, config: str, pace: str, master: bool, ready_fd: int | None, exit_with_stdin: bool) -> None:
     """Run the simulated drives of a configuration until a signal comes, or standard input is closed."""
     configuration = load(config, needs_models=False)
+    if configuration.is_own_loop:
+        raise UsageError(f"{config} {REFUSAL}")
     axes = {name: axis for name, axis in configuration.axes.items() if axis.simulation is not None}
     driver = _only_driver(config, configuration, axes)
     kind = load_driver(driver, SIMULATED_DRIVES)

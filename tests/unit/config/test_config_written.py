@@ -62,6 +62,8 @@ def test_an_example_is_accepted_again_as_it_is_shown_and_as_it_is_simulated(path
     again = written(configuration, tmp_path)
     assert self_contained(again) == self_contained(configuration)
     assert file_problems(tmp_path / "shown.yaml", again) == []
+    if configuration.is_own_loop:
+        return  # there are no drives
     (driver,) = {axis.driver for axis in configuration.axes.values()}
     make_private = load_driver(driver, SIMULATED_DRIVES).make_private
     given, _ = make_private(configuration, tmp_path)

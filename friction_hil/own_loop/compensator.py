@@ -1,0 +1,569 @@
+"""The object that a loop of the user's own calls once a cycle."""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from friction_hil.compensator import records
+from friction_hil.compensator.change import carry_over
+from friction_hil.config import Configuration, self_contained
+from friction_hil.config import load as load_configuration
+from friction_hil.daemon.control.message import AxisChange
+from friction_hil.daemon.control.prepare import entry_of, prepare
+from friction_hil.daemon.notices import AxisNotices
+from friction_hil.drive.codes import FaultCode
+from friction_hil.errors import UsageError, choices, internal_error
+from friction_hil.numerics.jit import Array, ready
+from friction_hil.numerics.readable import POSITION_UNITS
+from friction_hil.own_loop import kernel
+from friction_hil.own_loop.joints import make_joints
+from friction_hil.own_loop.kernel import GIVEN, REASONS, WRONG_SHAPE
+from friction_hil.own_loop.memory import Memory
+
+_DQ, _TAU = GIVEN.index("dq"), GIVEN.index("tau")
+_MOST_MISSED = 1000  # periods of a pause: from there on its length does not matter
+_LOOK_S = 0.25  # between two looks at what there is to be said
+_PATIENCE_S = 1.0  # for the first positions
+_WRONG_PERIOD = 0.1  # of the period, by which the mean of the measured ones may be off before it is told
+_LEAST_PERIOD = 0.5  # of the period: calls that come faster are a fault
+_MOST_NOTICES = 100
+_RECORD_S = 60.0
+
+
+class Compensator:
+    """Friction compensation of n joints in a loop of your own: one call a cycle, arrays over joints in and out.
+
+    It is the daemon's compensator: the same models, estimates, gains, limits and recording, without a bus. A joint is
+    an axis of the configuration, in which ``driver`` and ``bus`` may be absent. All values are in SI units: rad, rad/s,
+    N m; of a joint whose model is of a linear axis m, m/s, N.
+
+    Nothing raises in the loop after the first call of `step`: what is wrong then fades the output to zero, and `fault`
+    says what it was. `step` belongs to one thread; everything else may be called from another.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        As `load` reads it.
+    joints : sequence of str, optional
+        Names of the axes in the order of the loop's arrays; by default all, in the order of the file.
+    record_s : float, optional
+        How much of the past the recording in memory keeps, s; 0 for none. A joint takes 136 bytes a cycle.
+    clock : callable, optional
+        Monotonic time in nanoseconds, by which `step` measures the periods.
+
+    Raises
+    ------
+    UsageError
+        A joint has settings that a loop of your own cannot use, or a name in ``joints`` is wrong.
+
+    Examples
+    --------
+    >>> import friction_hil as fh
+    >>> comp = fh.Compensator.load("config/own_loop.yaml", period_s=0.004)
+    >>> comp.joints
+    ('shoulder', 'elbow')
+    >>> moving = comp.step([0.0, 0.0], dq_des=[0.5, -0.5])  # from here on it fades in
+    >>> for k in range(1, 200):
+    ...     q = [0.002 * k, -0.002 * k]
+    ...     ff = comp.step(q, q_des=q, dq_des=[0.5, -0.5], dt=0.004)
+    >>> ff.round(2), comp.fault
+    (array([ 0.42, -0.26]), None)
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        *,
+        joints: Sequence[str] | None = None,
+        record_s: float = _RECORD_S,
+        clock: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        if not 0.0 <= record_s <= 86_400.0:
+            raise UsageError(f"record_s = {record_s:g} must be a time, from 0 for none to a day")
+        made = self._joints = make_joints(configuration, joints)
+        n, self._period_s, self._clock = len(made.names), configuration.period_s, clock
+        self._nothing, self._all, self._out = np.full(n, math.nan), np.ones(n, np.bool_), np.zeros(n)
+        self._memory = Memory(made, record_s)
+        self._is_first, self._is_plain, self._is_busy, self._last_ns = True, False, False, 0
+        self._fault: str | None = None
+        self._missed = self._calls = self._invalid = 0
+        self._elapsed_s = 0.0  # of calls without a missed period, for their mean
+        self._looks = self._countdown = max(round(_LOOK_S / self._period_s), 1)
+        self._notices: deque[str] = deque(maxlen=_MOST_NOTICES)
+        self._told: set[str] = set()
+        self._is_period_told = False
+        units = [POSITION_UNITS[configuration.axes[name].model.axis] for name in made.names]
+        named = zip(made.names, units, made.compensators, strict=True)
+        self._tellers = [AxisNotices(name, unit, _LOOK_S, one) for name, unit, one in named]
+        self._values = self_contained(made.configuration)
+        self._number, self._models_of = 0, dict.fromkeys(made.names, 0)  # of the last change, of that of each model
+        self._pending: deque[tuple[int, list[AxisChange | None]]] = deque()
+        self._kernel: Any = ready(kernel.step)
+        arrays = (made.settings, made.state, made.limits, made.loop, self._out)
+        self._arrays = (*arrays, self._memory.rows, made.flat_state, self._memory.states)
+        self._compile()
+        self._tell_of_settings()
+
+    @classmethod
+    def load(
+        cls,
+        path: str | Path,
+        *,
+        period_s: float | None = None,
+        joints: Sequence[str] | None = None,
+        record_s: float = _RECORD_S,
+    ) -> "Compensator":
+        """Read a configuration, make its compensator, and compile it: the first call of `step` is as fast as any.
+
+        Parameters
+        ----------
+        path : str or Path
+            Configuration, YAML. Each axis needs ``model``, ``limits.torque``, ``limits.velocity`` and, without a
+            driver, ``position_resolution``.
+        period_s : float, optional
+            Period of the loop, s, where the file has none.
+        joints, record_s
+            As for `Compensator`.
+
+        Returns
+        -------
+        Compensator
+
+        Raises
+        ------
+        ConfigurationError
+            The file cannot be read or has mistakes, or gives another period; each mistake with its line.
+        UsageError
+            There is no period, or a name in ``joints`` is wrong.
+        """
+        configuration = load_configuration(path, period_s=period_s)
+        if configuration.lacks_period:
+            raise UsageError(f"{path} has no period_s: add it there, or give load(..., period_s=) that of your loop")
+        return cls(configuration, joints=joints, record_s=record_s)
+
+    def step(
+        self,
+        q: ArrayLike,
+        dq: ArrayLike | None = None,
+        tau: ArrayLike | None = None,
+        *,
+        q_des: ArrayLike | None = None,
+        dq_des: ArrayLike | None = None,
+        ddq_des: ArrayLike | None = None,
+        load: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
+        fresh: ArrayLike | None = None,
+        dt: float | None = None,
+    ) -> Array:
+        """Compute one cycle of all joints.
+
+        All arrays have the shape (n,), in the order of `joints`; numbers of any type. NaN stands for what is not known
+        of a single joint.
+
+        Parameters
+        ----------
+        q : array_like
+            Measured positions, rad or m.
+        dq : array_like, optional
+            Velocities that the robot reports, rad/s or m/s. Only ``compensation.velocity: drive`` needs them.
+        tau : array_like, optional
+            Torques that the robot reports, N m or N, positive if they drive in the positive direction. Adaptation and
+            ``velocity: kalman`` need them.
+        q_des, dq_des, ddq_des : array_like, optional
+            Demanded motion of this cycle. With ``q_des`` alone the velocity is its change since the last cycle. Without
+            ``q_des`` and ``dq_des`` the joint is guided by hand: friction follows from the measured velocity, and fades
+            out at rest.
+        load : array_like, optional
+            Torque that the arm puts on each joint, N m or N, positive if it opposes positive motion: what holds the
+            joint at rest. Friction that depends on load follows it; it is no part of the result.
+        temperature : array_like, optional
+            Measured temperatures, deg C, for models that depend on them.
+        fresh : array_like of bool, optional
+            False for a joint whose values are not of this cycle; by default all are.
+        dt : float, optional
+            Time since the last call, s; by default it is measured. The compensator counts in whole periods; one that is
+            not above zero counts as a period.
+
+        Returns
+        -------
+        (n,) array
+            Friction feed-forward, N m or N, within ``limits.torque`` and ``limits.torque_slew``; add it to your own.
+            The buffer is used again by the next call.
+
+        Raises
+        ------
+        UsageError
+            In the first call only: an array is of another shape or no numbers, or one that a setting needs is missing.
+        """
+        if self._is_busy:  # by another thread: its cycle counts
+            self._stop("step was called by two threads at once: it belongs to one")
+            return self._out
+        self._is_busy = True
+        try:
+            passed = self._passed(dt)
+            if self._pending:
+                self._adopt()
+            fault = WRONG_SHAPE
+            if self._is_plain:
+                nothing = self._nothing
+                try:
+                    fault = self._kernel(
+                        *self._arrays,
+                        passed,
+                        0.0 if dq is None else 1.0,
+                        0.0 if tau is None else 1.0,
+                        q,
+                        nothing if dq is None else dq,
+                        nothing if tau is None else tau,
+                        nothing if q_des is None else q_des,
+                        nothing if dq_des is None else dq_des,
+                        nothing if ddq_des is None else ddq_des,
+                        nothing if load is None else load,
+                        nothing if temperature is None else temperature,
+                        self._all if fresh is None else fresh,
+                    )
+                except (TypeError, ValueError):  # arrays of another type; nothing was done yet
+                    self._is_plain = False
+            if fault < 0:
+                given = (q, dq, tau, q_des, dq_des, ddq_des, load, temperature, fresh)
+                fault = self._kernel(*self._arrays, passed, *self._converted(given))
+            if fault > 0 and self._fault is None:
+                self._stop_joint(fault)
+            self._countdown -= 1
+            if self._countdown <= 0:
+                self._look()
+        except Exception as error:  # whatever it is, the user's loop must go on
+            if self._is_first:
+                raise
+            self._out.fill(0.0)
+            self._stop(f"the computation failed: {internal_error(error)}", FaultCode.COMPUTATION_FAILED)
+        finally:
+            self._is_busy = False
+        return self._out
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of the arrays."""
+        return self._joints.names
+
+    @property
+    def period_s(self) -> float:
+        """Period of the loop, s."""
+        return self._period_s
+
+    @property
+    def fault(self) -> str | None:
+        """Why the output fades to zero, or has faded; None if nothing is wrong. `fade_in` clears it."""
+        return self._fault
+
+    @property
+    def notices(self) -> list[str]:
+        """What there was to be said so far, oldest first; the last 100."""
+        return list(self._notices)
+
+    @property
+    def missed(self) -> int:
+        """Number of periods without a call of `step` so far."""
+        return self._missed
+
+    @property
+    def velocity_estimate(self) -> Array:
+        """Estimated velocities of the last cycle, (n,), rad/s or m/s, a copy."""
+        estimate: Array = self._joints.state["motion"]["velocity"][: len(self._out)].copy()
+        return estimate
+
+    @property
+    def is_faded_out(self) -> bool:
+        """True if no compensation of any joint is left."""
+        return all(one.is_faded_out for one in self._joints.compensators)
+
+    def fade_out(self, *joints: str) -> None:
+        """Fade the compensation of these joints out over ``compensation.fade_s``, by default of all.
+
+        Parameters
+        ----------
+        *joints : str
+            Names from `joints`.
+
+        Raises
+        ------
+        UsageError
+            There is no joint of such a name.
+        """
+        for k in self._places(joints):
+            self._joints.limits[k]["is_wanted"] = 0.0
+
+    def fade_in(self, *joints: str) -> None:
+        """Fade the compensation of these joints in again, by default of all, and clear a fault.
+
+        A fault whose cause is still there comes again.
+
+        Parameters
+        ----------
+        *joints : str
+            Names from `joints`.
+
+        Raises
+        ------
+        UsageError
+            There is no joint of such a name.
+        """
+        places = self._places(joints)
+        for name in ("stale_cycles", "fast_cycles", "reported_cycles"):
+            self._joints.limits[name] = 0.0
+        for k in places:
+            self._joints.limits[k]["is_wanted"] = 1.0
+        self._fault = None
+        self._joints.loop["is_on"] = 1.0
+
+    def set(self, joint: str, **values: Any) -> None:
+        """Change settings of a joint from the next call of `step` on, without a step of torque.
+
+        It takes some milliseconds: call it where the loop rests, or from another thread.
+
+        Parameters
+        ----------
+        joint : str
+            Name from `joints`.
+        **values
+            Keys of ``compensation`` with their new values, such as ``gain=0.8``, or ``model="elbow.yaml"``.
+
+        Raises
+        ------
+        UsageError
+            There is no such joint or key, or a value is wrong; nothing is changed then.
+        """
+        self._places((joint,))
+        given = {f"{joint}.{key}": value for key, value in values.items()}
+        has_network = any(one.model.network is not None for one in self._joints.compensators)
+        prepared = prepare(self._values, "set", given, self._joints.facts, {}, has_network=has_network)
+        number = self._number = self._number + 1
+        entry = entry_of(number, prepared, self._models_of, ", ".join(f"{key} = {each}" for key, each in given.items()))
+        self._models_of = {name: axis["model_of"] for name, axis in entry["axes"].items()}
+        self._values = prepared.configuration
+        self._memory.note_change(entry)
+        self._pending.append((number, prepared.axes))
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the recording of the last cycles as the daemon's own MCAP file, one axis a joint.
+
+        ``friction-hil replay --verify`` repeats it bit for bit, and ``identify`` and ``plot`` read it. Call it where
+        the loop rests, or from another thread. What is older than ``record_s`` has been dropped; `notices` says so.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write, ``.mcap``.
+        overwrite : bool, optional
+            Replace a file that exists.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        UsageError
+            Nothing was recorded, or the name does not end in ``.mcap``.
+        FileExistsError
+            The file exists, unless ``overwrite``.
+        OSError
+            It cannot be written.
+        """
+        path = Path(path)
+        if path.suffix != ".mcap":
+            raise UsageError(f"{path}: a recording of the compensator is an MCAP file: take the suffix .mcap")
+        written, dropped = self._memory.save(path, overwrite=overwrite)
+        if dropped:
+            self._tell(
+                f"{path} has the last {written * self._period_s:.4g} s; the {dropped} cycles before were dropped"
+            )
+        return path
+
+    def _places(self, joints: Sequence[str]) -> Sequence[int]:
+        names = self._joints.names
+        for name in joints:
+            if name not in names:
+                raise UsageError(f"there is no joint {name!r}; {choices(str(name), names)}")
+        return [names.index(name) for name in joints] or range(len(names))
+
+    def _tell(self, text: str) -> None:
+        """Give a notice, once."""
+        if text not in self._told:
+            self._told.add(text)
+            self._notices.append(text)
+            self._memory.note("notice", text)
+
+    def _compile(self) -> None:
+        """Compile a cycle, and see to it that no array of another type is compiled for in the loop."""
+        self._kernel.disable_compile(False)
+        for _ in range(2):
+            copies = (each[: 2 * len(self._out)].copy() for each in self._arrays)
+            self._kernel(*copies, 1.0, 0.0, 0.0, *[self._nothing] * (len(GIVEN) - 1), self._all)
+        self._kernel.disable_compile()
+
+    def _tell_of_settings(self) -> None:
+        for name, axis in self._joints.configuration.axes.items():
+            if axis.model.axis == "linear":
+                self._tell(f"{name}: its model is of a linear axis: positions in m, velocities in m/s, torques in N")
+            if axis.compensation.learning != "off":
+                self._tell(f"{name}: compensation.learning is a process of the daemon, and off in a loop of your own")
+            if axis.shadows:
+                self._tell(f"{name}: shadows are evaluated by the daemon alone")
+
+    def _stop(self, text: str, code: FaultCode | None = None) -> None:
+        """Let all joints fade out, and say why."""
+        self._joints.loop["is_on"] = 0.0
+        if self._fault is None:
+            self._fault = text if code is None else code.append_to(text)
+            self._memory.note("fault", self._fault)
+
+    def _stop_joint(self, fault: int) -> None:
+        """Stop for a fault that the kernel has found."""
+        k, reason = divmod(fault, REASONS)
+        name, j = self._joints.names[k], self._joints.limits[k]
+        axis = self._joints.configuration.axes[name]
+        unit = POSITION_UNITS[axis.model.axis]
+        if reason in (kernel.MISSING, kernel.JUMPS):
+            text = f"{name}: no usable feedback for more than {self._joints.loop['most_stale'].item():.0f} cycles"
+            if reason == kernel.MISSING:
+                return self._stop(f"{text}: stale, or not finite", FaultCode.FEEDBACK_MISSING)
+            text += f": its position jumps further than limits.velocity allows from {j['position']:.4g} {unit}"
+            return self._stop(text, FaultCode.POSITION_JUMPS)
+        if reason == kernel.FAST:
+            speed = self._joints.compensators[k].velocity_estimate
+            text = f"{name}: velocity {speed:.4g} {unit}/s is beyond its limit of "
+            return self._stop(f"{text}{j['velocity_limit']:g} {unit}/s", FaultCode.VELOCITY_LIMIT)
+        if reason == kernel.OUTSIDE:
+            text = f"{name}: position {j['position']:.4g} {unit} is outside the limits "
+            text += f"[{j['position_low']:g}, {j['position_high']:g}] {unit}"
+            return self._stop(text, FaultCode.POSITION_LIMIT)
+        if reason == kernel.FOLLOWING:
+            error = j["position_demand"] - j["position"]
+            text = f"{name}: following error {error:.4g} {unit} is beyond its limit of {j['following_error']:g} {unit}"
+            return self._stop(text, FaultCode.FOLLOWING_ERROR)
+        text = f"{name}: the friction model gave a torque that is not finite"
+        return self._stop(text, FaultCode.MODEL_NOT_FINITE)
+
+    def _converted(self, given: Sequence[Any]) -> list[Any]:
+        """Return the last arguments of the kernel from what is given, checked and converted.
+
+        Raises `UsageError` in the first call; later what is wrong is a fault, and neither feedback nor demand is used.
+        """
+        try:
+            arrays = [self._array(name, value) for name, value in zip(GIVEN, given, strict=True)]
+            if self._is_first:
+                self._check_first(given)
+                self._memory.begin()
+                self._is_first = False
+                self._is_plain = True
+        except Exception as error:
+            if self._is_first:
+                raise
+            self._stop(str(error) if isinstance(error, UsageError) else internal_error(error))
+            arrays = [self._nothing] * (len(GIVEN) - 1) + [~self._all]
+        return [float(given[_DQ] is not None), float(given[_TAU] is not None), *arrays]
+
+    def _array(self, name: str, value: Any) -> Any:
+        """Return one of `GIVEN` as an array (n,); a `UsageError`: it is none."""
+        kind, names = np.bool_ if name == "fresh" else np.float64, self._joints.names
+        if value is None:
+            return self._all if name == "fresh" else self._nothing
+        try:
+            array: NDArray[Any] = np.require(value, kind, ["C", "W"]) if np.ndim(value) else np.asarray(value, kind)
+        except (TypeError, ValueError) as error:
+            what = f"{name} must be {len(names)} numbers, one for each of {', '.join(names)}"
+            raise UsageError(f"{what}: {error}") from None
+        if name == "fresh" and array.shape == ():
+            return np.full(self._all.shape, bool(array))
+        if array.shape != self._all.shape:
+            wanted = f"it must be {self._all.shape}, a number for each of {', '.join(names)}"
+            raise UsageError(f"{name} has the shape {array.shape}: {wanted}")
+        return array
+
+    def _check_first(self, given: Sequence[Any]) -> None:
+        """Refuse a first call without what a setting needs, by a `UsageError`."""
+        needs = ((_DQ, "needs_velocity", "velocity: drive"), (_TAU, "needs_torque", "adaptation or kalman"))
+        for index, key, what in needs:
+            lacking = [name for name, j in zip(self.joints, self._joints.limits, strict=True) if j[key]]
+            if lacking and given[index] is None:
+                raise UsageError(f"{GIVEN[index]} is missing: compensation of {', '.join(lacking)} needs it ({what})")
+
+    def _passed(self, dt: Any) -> float:
+        """Return the number of periods since the last call, one at least."""
+        now, last = self._clock(), self._last_ns
+        self._last_ns = now
+        if dt is None:
+            if not last:
+                return 1.0
+            elapsed_s = (now - last) * 1e-9
+        else:
+            try:
+                elapsed_s = float(dt)
+            except (TypeError, ValueError):
+                elapsed_s = math.nan
+            if not 0.0 < elapsed_s < math.inf:
+                self._invalid += 1
+                elapsed_s = self._period_s
+        ratio = elapsed_s / self._period_s + 0.5
+        if ratio < 2.0:
+            self._calls += 1
+            self._elapsed_s += elapsed_s
+            return 1.0
+        passed = int(min(ratio, _MOST_MISSED + 1.0))
+        self._missed += passed - 1
+        return float(passed)
+
+    def _adopt(self) -> None:
+        """Take what `set` has prepared."""
+        settings, state, n = self._joints.settings, self._joints.state, len(self._out)
+        while self._pending:
+            number, changes = self._pending.popleft()
+            for k, change in enumerate(changes):
+                if change is None:
+                    continue
+                j = self._joints.limits[k]
+                if change.record is not None:
+                    if not j["is_changing"]:
+                        settings[n + k], state[n + k] = settings[k], state[k]
+                    new = np.zeros(1, settings.dtype)
+                    records.copy(change.record, new)
+                    carry_over(settings[k : k + 1], new, state[k : k + 1], change.friction)
+                    settings[k], j["is_changing"] = new[0], 1.0
+                if change.friction is not None:
+                    self._tellers[k].renew(self._joints.compensators[k])
+                if change.is_enabled is not None:
+                    j["is_wanted"] = float(change.is_enabled)
+            self._joints.loop["change"] = number
+
+    def _look(self) -> None:
+        """Give what notices there are; every quarter of a second."""
+        self._countdown = self._looks
+        estimates, given = self._joints.state["motion"]["velocity"], self._joints.state["temperature"]["given"]
+        for k, (teller, one) in enumerate(zip(self._tellers, self._joints.compensators, strict=True)):
+            if text := teller.next(one, estimates.item(k), given.item(k)):
+                self._tell(text)
+        if self._missed:
+            self._tell("the loop misses periods: `missed` counts them; the compensation goes on over them")
+        if self._invalid:
+            self._tell("dt is not above zero, or no number: a call without a time counts as a period")
+        if not self._joints.loop["has_begun"]:
+            if self._calls * self._period_s > _PATIENCE_S:
+                places = np.flatnonzero(np.isnan(self._joints.limits["position"]))
+                text = f"no position of {', '.join(self.joints[k] for k in places)} so far: nothing is compensated yet"
+                self._tell(FaultCode.FIRST_FEEDBACK_MISSING.append_to(text))
+        elif self._calls >= self._looks:
+            mean_s, self._calls, self._elapsed_s = self._elapsed_s / self._calls, 0, 0.0
+            ratio, text = mean_s / self._period_s, f"a call comes every {1e3 * mean_s:.3g} ms"
+            text += f", and period_s is {1e3 * self._period_s:g} ms"
+            if ratio < _LEAST_PERIOD:
+                self._stop(f"{text}: the velocities would be too low by as much")
+            elif abs(ratio - 1.0) > _WRONG_PERIOD and not self._is_period_told:
+                self._is_period_told = True
+                self._tell(f"{text}: the velocities are wrong by as much")

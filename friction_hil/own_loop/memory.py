@@ -1,0 +1,122 @@
+"""The recording of a loop in memory: of the last cycles, made into the daemon's own file when it is asked for."""
+
+import json
+import math
+import time
+from collections import deque
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from friction_hil.compensator import INPUTS, STATE, input_checksum
+from friction_hil.config import self_contained
+from friction_hil.daemon.safety import LoopState
+from friction_hil.drive import DriveState
+from friction_hil.errors import UsageError
+from friction_hil.numerics.jit import Array
+from friction_hil.own_loop.joints import Joints
+from friction_hil.own_loop.kernel import RESULTS
+from friction_hil.recordings import columns
+from friction_hil.recordings.fingerprint import fingerprint
+from friction_hil.recordings.mcap_writer import McapWriter
+from friction_hil.recordings.recording import CHANGE
+from friction_hil.recordings.source import new_file
+
+_STATE_S = 1.0  # between two states from which a replay can start
+_MOST_EVENTS = 1000
+_ROWS_AT_ONCE = 5000
+_WIDTH = STATE.itemsize // 8
+
+
+class Memory:
+    """Rows of the last cycles, and the events of the loop.
+
+    ``duration_s``: of the rows that are kept; 0 for none.
+    """
+
+    def __init__(self, joints: Joints, duration_s: float) -> None:
+        period_s, n = joints.configuration.period_s, len(joints.names)
+        every = max(round(_STATE_S / period_s), 1)
+        places = math.ceil(duration_s / period_s / every) + (
+            duration_s > 0.0
+        )  # the oldest are dropped a second at once
+        self._joints, self._every = joints, every
+        self.rows: Array = np.zeros((places * every, n, len(INPUTS) + len(RESULTS)))
+        self.states: Array = np.zeros((places, n, _WIDTH))
+        joints.loop["rows_between_states"] = every
+        self._events: deque[tuple[float, str, str]] = deque(maxlen=_MOST_EVENTS)
+        self._started_ns = 0
+
+    def begin(self) -> None:
+        """Note the wall-clock time of the first cycle."""
+        self._started_ns = time.time_ns()
+
+    def note(self, name: str, text: str) -> None:
+        """Keep an event of the present cycle: ``fault``, ``notice`` or a change of settings."""
+        self._events.append((self._joints.loop["cycle"].item(), name, text))
+
+    def note_change(self, entry: dict[str, Any]) -> None:
+        """Keep the settings after a change, as a replay needs them."""
+        self.note(CHANGE, json.dumps(entry))
+
+    def save(self, path: Path, *, overwrite: bool) -> tuple[int, int]:
+        """Write what is in memory; return the rows written and those before them that were dropped."""
+        capacity, every = len(self.rows), self._every
+        if not capacity:
+            raise UsageError("nothing was recorded: record_s is 0")
+        end = round(self._joints.loop["rows"].item())
+        kept, states, events = self.rows.copy(), self.states.copy(), list(self._events)
+        now = round(self._joints.loop["rows"].item())  # the loop may be another thread's
+        first = max(0, -(-(now + 1 - capacity) // every) * every)
+        if end <= first:
+            raise UsageError("nothing was recorded: no cycle had the positions of all joints")
+        with new_file(path, overwrite=overwrite) as part:
+            writer = McapWriter(
+                part,
+                self._joints.names,
+                columns.NAMES,
+                state_width=_WIDTH,
+                started_unix_ns=self._started_ns,
+                metadata=self._metadata(),
+                overwrite=True,
+            )
+            try:
+                for event in events:
+                    if event[1] == CHANGE:  # rows from before it are computed with what it has of the start
+                        writer.write_event(*event)
+                for begin in range(first, end, _ROWS_AT_ONCE):
+                    numbers = np.arange(begin, min(begin + _ROWS_AT_ONCE, end))
+                    has_state = numbers % every == 0
+                    known = states[numbers // every % len(states)]
+                    writer.write(self._table(kept[numbers % capacity], known), has_state)
+                for event in events:
+                    if event[1] != CHANGE:
+                        writer.write_event(*event)
+            finally:
+                writer.close()
+        return end - first, first
+
+    def _metadata(self) -> dict[str, Any]:
+        made = zip(self._joints.facts, self._joints.compensators, strict=True)
+        return {
+            "configuration": self_contained(self._joints.configuration),
+            "facts": [{**asdict(fact), "lead_s": one.settings.lead_s} for fact, one in made],
+            "fingerprint": fingerprint(),
+        }
+
+    def _table(self, rows: Array, states: Array) -> Array:
+        """Return rows as the daemon has them: (m, n * (columns + width))."""
+        m, n = rows.shape[:2]
+        table = np.full((m, n, len(columns.NAMES) + _WIDTH), math.nan)
+        named = dict(zip((*INPUTS, *RESULTS), np.moveaxis(rows, 2, 0), strict=True))
+        named[columns.TIME] = named[columns.CYCLE] * self._joints.configuration.period_s
+        named["command"] = named["compensation"]
+        inputs = rows[:, :, : len(INPUTS)].reshape(m * n, -1).tolist()
+        named["checksum"] = np.reshape([input_checksum(*each) for each in inputs], (m, n))
+        fixed = {"motor_offset": 0.0, "state": LoopState.RUNNING, "drive_state": DriveState.OPERATION_ENABLED}
+        for name, values in {**named, **fixed}.items():
+            table[:, :, columns.NAMES.index(name)] = values
+        table[:, :, len(columns.NAMES) :] = states
+        return table.reshape(m, -1)
