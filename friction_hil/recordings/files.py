@@ -2,6 +2,7 @@
 
 import importlib
 import re
+import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -48,6 +49,7 @@ _MODULES = {
 _READ_ONLY = (".txt", ".tsv", ".dat", ".lvm", ".npy", ".mdf", ".log", ".asc", ".blf", ".trc", ".bag", ".db3")
 _WRITERS = {suffix: name for suffix, name in _MODULES.items() if suffix not in _READ_ONLY} | {".mcap": "mcap_writer"}
 """Module by suffix, with `read(source)`, which returns recordings, and `write(path, recording, overwrite=)`."""
+_PICKLES = (".pkl", ".pickle")
 _HEAD = 4000  # bytes that show whether a log holds frames, as candump writes or prints them
 _SHARED = (".log", ".txt")  # no others are opened for that: what a pipe has given is gone
 _FRAME = (
@@ -271,6 +273,12 @@ def _by_content(source: Source) -> dict[str, str]:
 
 def _module(path: Path, known: Mapping[str, str]) -> Any:
     suffix = path.suffix.lower()
+    if suffix in _PICKLES and known is not _WRITERS:
+        code = f"import pandas; pandas.read_pickle({path.name!r}).to_parquet({path.with_suffix('.parquet').name!r})"
+        raise UsageError(
+            f"{path}: a pickle can run any code when it is read, so it is not read here. Where you trust it, convert "
+            f"it with python -c {shlex.quote(code)}, or give its data frame to friction_hil in Python"
+        )
     if suffix not in known and path.is_dir():
         raise UsageError(f"{path} is a folder; name a recording in it")
     if suffix not in known:

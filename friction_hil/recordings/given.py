@@ -26,8 +26,8 @@ def expanded(words: Iterable[str | Path]) -> list[str]:
     """Replace each pattern (``*``, ``?``, ``[..]``, ``**``) by the files that it matches, sorted by name.
 
     The shell does so unless a pattern is quoted. A file whose name looks like a pattern is taken as it is. A folder
-    stands for the recordings of the daemon in it. Of the files of one recording only the first remains: it is read with
-    those that follow.
+    stands for the recordings of the daemon in it, and that of a data set of LeRobot for its data. Of the files of one
+    recording only the first remains: it is read with those that follow.
 
     Raises `UsageError`: a pattern matches nothing, or a folder has no recording.
     """

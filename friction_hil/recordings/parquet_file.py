@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 
 from friction_hil.errors import RecordingError
-from friction_hil.recordings.recording import Recording
+from friction_hil.recordings import lerobot
+from friction_hil.recordings.bounds import check_columns
+from friction_hil.recordings.matrices import MOST_WIDE, column_indices
+from friction_hil.recordings.recording import Array, Recording
 from friction_hil.recordings.source import Source, as_column, damaged, needs_extra, open_new
 from friction_hil.recordings.units import known_unit
 
@@ -16,8 +19,9 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 def read(source: Source) -> list[Recording]:
-    """Read the numeric columns; missing values are NaN, times are seconds since the first.
+    """Read the numeric columns, and lists of numbers as matrices; missing values are NaN.
 
+    Times are seconds since the first. The data of LeRobot are read joint by joint (`friction_hil.recordings.lerobot`).
     Raises `RecordingError`: the file was cut off or is not Parquet; `UsageError`: pyarrow is not installed; `OSError`:
     the file cannot be opened.
     """
@@ -28,18 +32,23 @@ def read(source: Source) -> list[Recording]:
     with arrow.OSFile(str(source.path)) as file:
         try:
             content = parquet.ParquetFile(file, page_checksum_verification=True)
-            schema = content.schema_arrow
-            fields = {field.name: field for field in schema}
-            wanted, recording.others = source.split(fields)
+            fields = {field.name: field for field in content.schema_arrow}
+            check_columns(source.path, fields)
+            is_lerobot = lerobot.is_frames(name for name, each in fields.items() if is_list(arrow.types, each.type))
             names = []
-            for name in wanted:
-                if is_number(arrow.types, fields[name].type):
+            for name, each in fields.items():
+                if not (is_lerobot or source.wants_part_of(name)):
+                    recording.others += (name,)
+                elif is_number(arrow.types, each.type) or is_list(arrow.types, each.type):
                     names.append(name)
-                else:
-                    recording.problems.append(f"{name} holds {fields[name].type}, no numbers: left out")
-            groups = map(content.metadata.row_group, range(content.metadata.num_row_groups))
-            source.memory.take(sum(group.num_rows for group in groups) * len(names) * 8)
+                elif not is_lerobot:  # pictures are expected there
+                    recording.problems.append(f"{name} holds {each.type}, no numbers: left out")
+            source.memory.take(8 * _count(content.metadata, names))
+            matrices = {}
             for name, column in _columns(arrow, content, names, recording.problems):
+                if is_list(arrow.types, fields[name].type):
+                    matrices[name] = _matrix(arrow, name, column, recording.problems)
+                    continue
                 recording.columns[name] = values_of(arrow, column)
                 metadata = fields[name].metadata or {}
                 unit = next((metadata[key] for key in _UNIT_KEYS if key in metadata), b"")
@@ -47,7 +56,25 @@ def read(source: Source) -> list[Recording]:
                     recording.units[name] = unit.decode("utf-8", "replace")
         except (arrow.ArrowException, ValueError, OSError) as error:
             raise _damaged(source.path, error) from None
+    if is_lerobot:
+        return lerobot.joints(source, recording, matrices)
+    for name, values in matrices.items():
+        indices = column_indices(name, values.shape)
+        wanted, others = source.split(indices)
+        recording.others += others
+        recording.columns |= {each: as_column(values[indices[each]]) for each in wanted}
     return [recording]
+
+
+def _count(metadata: Any, names: list[str]) -> int:
+    """Return the number of values in columns, also in their lists, as the table of contents states it."""
+    count = 0
+    for group in map(metadata.row_group, range(metadata.num_row_groups)):
+        for column in map(group.column, range(group.num_columns)):
+            path = column.path_in_schema
+            if path in names or any(path.startswith(f"{name}.") for name in names):
+                count += column.num_values
+    return count
 
 
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
@@ -70,6 +97,7 @@ def library(path: Path) -> tuple[Any, Any]:
     """Return pyarrow and its module for Parquet. Raises `UsageError`: it is not installed."""
     try:  # imported here: an optional package
         import pyarrow
+        import pyarrow.compute
         import pyarrow.parquet
     except ImportError:
         raise needs_extra(path, "pyarrow") from None
@@ -100,6 +128,27 @@ def is_number(types: Any, kind: Any) -> bool:
         types.is_duration,
     )
     return any(test(kind) for test in tests)
+
+
+def is_list(types: Any, kind: Any) -> bool:
+    """True if a type of Arrow holds lists of numbers."""
+    tests = (types.is_list, types.is_large_list, types.is_fixed_size_list)
+    return any(test(kind) for test in tests) and is_number(types, kind.value_type)
+
+
+def _matrix(arrow: Any, name: str, column: Any, problems: list[str]) -> Array:
+    """Return a column of lists as a matrix (n, k), (n, 0) if they differ in length; a row without one is NaN."""
+    column = column.combine_chunks()
+    known = column.is_valid().to_numpy(zero_copy_only=False)
+    values = values_of(arrow, column.flatten())  # of the rows that have a list
+    width, rest = divmod(len(values), max(int(np.count_nonzero(known)), 1))
+    lengths = arrow.compute.list_value_length(column).drop_null().unique()
+    if rest or len(lengths) > 1 or width > MOST_WIDE:
+        problems.append(f"{name} holds lists of different lengths, or of more than {MOST_WIDE} values: left out")
+        return np.empty((len(known), 0))
+    found: Array = np.full((len(known), width), np.nan)
+    found[known] = values.reshape(-1, width)
+    return found
 
 
 def values_of(arrow: Any, column: Any) -> Any:

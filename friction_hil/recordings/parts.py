@@ -24,6 +24,7 @@ from mcap.writer import MCAP0_MAGIC
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings import json_text
 from friction_hil.recordings.columns import CYCLE, TIME
+from friction_hil.recordings.lerobot import data_files
 from friction_hil.recordings.mcap_format import IS_OF_FAULT, JSON_KEY, PART, RECORDING_METADATA, SERIES
 from friction_hil.recordings.recording import Recording
 
@@ -97,8 +98,10 @@ def _place(path: Path) -> tuple[tuple[Path, str, int], int] | None:
 def first_files(folder: Path) -> list[Path]:
     """Return the first file of each recording in a folder, by name; without those of faults.
 
-    Raises `UsageError`: there is none.
+    The folder may be a data set of LeRobot too. Raises `UsageError`: there is none.
     """
+    if data := data_files(folder):
+        return data
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() == SUFFIX and path.is_file())
     found = [Path(each) for each in without_later_parts(str(path) for path in files if not is_of_fault(path))]
     if not found:
