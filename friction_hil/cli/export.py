@@ -20,7 +20,7 @@ class _Format(click.Choice[str]):
 
 
 @click.command("export")
-@click.argument("model", metavar="MODEL", shell_complete=complete_model)
+@click.argument("model", metavar="[MODEL]", required=False, shell_complete=complete_model)
 @click.option("--to", type=_Format(list(FORMATS)), required=True, help="Language of the export.")
 @click.option(
     "--output",
@@ -70,6 +70,8 @@ def command(**options: Any) -> None:
 
     With --config the whole compensator is exported, with the settings of an axis of CONFIG: velocity estimate, lead,
     gain, limits, adaptation. MODEL takes the place of the axis's model.
+
+    Without MODEL, all axes of CONFIG are exported to c with their own models, as one struct for a loop of your own.
     """
     from friction_hil.cli.work.export import export  # imported here: --help must not wait for it
 

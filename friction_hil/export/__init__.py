@@ -8,7 +8,7 @@
 
 import importlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -55,7 +55,7 @@ _TAKEN = {
     "fmu": _C_HEADERS | {"fmu", "fmi2", "fmi3"},
 }
 
-__all__ = ["FORMATS", "INSTEAD", "LOSSLESS", "LOSSY", "convert", "files", "identifier", "save", "write"]
+__all__ = ["FORMATS", "INSTEAD", "LOSSLESS", "LOSSY", "convert", "files", "identifier", "joint_files", "save", "write"]
 
 
 def files(
@@ -90,6 +90,45 @@ def files(
     subject = _subject(model, to, name, compensator)
     content: dict[str, str | bytes] = importlib.import_module(f"friction_hil.export.{to}").files(subject)
     return content
+
+
+def joint_files(configuration: str | Path, *, name: str = "", joints: Sequence[str] | None = None) -> dict[str, str]:
+    """Return the compensators of the joints of a loop in C, by the names of their files: one struct for all of them.
+
+    Parameters
+    ----------
+    configuration : str or Path
+        Configuration as `friction_hil.Compensator.load` reads it, with ``period_s``.
+    name : str, optional
+        Name of the export, with which all names in it begin; by default that of the configuration.
+    joints : sequence of str, optional
+        Axes in the order of the arrays; by default all, in the order of the file.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration cannot be read or has mistakes.
+    UsageError
+        There is no period, the name is wrong, or a joint has settings that a loop of one's own cannot use.
+    TranslationError
+        Something in a model or compensator has no translation.
+    """
+    from friction_hil.config import load  # imported here: they are slow to load
+    from friction_hil.export import c_joints
+    from friction_hil.export.subject import Subject
+    from friction_hil.own_loop.joints import make_joints
+
+    path = Path(configuration)
+    read = load(path)
+    if read.lacks_period:
+        raise UsageError(f"{path} has no period_s: the export needs that of the loop")
+    made = make_joints(read, joints)
+    chosen = _checked(name or identifier(path.stem), "c")
+    subjects = [
+        Subject(_checked(f"{chosen}_{joint}", "c"), made.configuration.axes[joint].model, path.name, one)
+        for joint, one in zip(made.names, made.compensators, strict=True)
+    ]
+    return c_joints.files(chosen, subjects)
 
 
 def convert(

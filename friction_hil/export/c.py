@@ -185,7 +185,8 @@ def _cost_order(item: tuple[str, int]) -> tuple[bool, str]:
     return item[0] in FUNCTIONS, item[0]
 
 
-def _comment(lines: Sequence[str]) -> str:
+def comment(lines: Sequence[str]) -> str:
+    """Return lines as a comment, which none of them can end."""
     wrapped: list[str] = []
     for line in lines:
         indent = " " * (len(line) - len(line.lstrip()) + 2)
@@ -220,7 +221,7 @@ def _header(subject: Subject, parts: Sequence[_Part]) -> str:
     angle, torque = ("rad", "N m") if subject.model_file.axis == "rotary" else ("m", "N")
     macro = _macro(subject)
     lines = [
-        _comment(list(_about(subject, parts))),
+        comment(list(_about(subject, parts))),
         f"#ifndef {guard}\n#define {guard}\n",
         "#include <stdbool.h>\n#include <stdint.h>\n",
         f"#ifdef {macro}\ntypedef float {real};\n#else\ntypedef double {real};\n#endif\n",
@@ -258,7 +259,7 @@ def _explained(part: _Part, angle: str, torque: str) -> str:
             f"temperature, and dt is above zero; those beyond {LARGEST_INPUT:g} (position: {LARGEST_POSITION:g}) count "
             "as that, so that the friction is finite; those that this model does not depend on are ignored."
         )
-    return _comment([text])
+    return comment([text])
 
 
 def _source(subject: Subject, parts: Sequence[_Part], bodies: Sequence[str]) -> str:

@@ -74,6 +74,32 @@ def _within(value: float, most: float) -> float:
 
 
 @inlined
+def demand(
+    position: float,
+    velocity: float,
+    acceleration: float,
+    position_before: float,
+    velocity_before: float,
+    elapsed_s: float,
+    lead_s: float,
+) -> tuple[float, float]:
+    """Return the demanded velocity now and when this cycle's torque acts, from what is known of it; NaN for none.
+
+    ``position_before``, ``velocity_before``: of the cycle before, ``elapsed_s`` ago.
+    """
+    now = velocity
+    if math.isnan(now):
+        now = _within((position - position_before) / elapsed_s, MOST_VELOCITY)
+    slope = acceleration
+    if math.isnan(slope):
+        slope = _within((now - velocity_before) / elapsed_s, MOST_ACCELERATION)
+    ahead = now
+    if math.isfinite(slope):
+        ahead = _within(now + lead_s * slope, MOST_VELOCITY)
+    return now, ahead
+
+
+@inlined
 def _take(j: Any, loop: Any, position: float, velocity: float, torque: float, is_fresh: bool, passed: float) -> None:
     """Take one cycle's feedback as `Supervisor.take` does."""
     is_finite = is_fresh and math.isfinite(position)
@@ -179,14 +205,9 @@ def step(
         velocity_demand = _within(dq_des[k], MOST_VELOCITY)
         acceleration = _within(ddq_des[k], MOST_ACCELERATION)
         load, temperature = _within(loads[k], MOST_TORQUE), temperatures[k]
-        if math.isnan(velocity_demand):
-            velocity_demand = _within((position_demand - j.position_demand) / elapsed_s, MOST_VELOCITY)
-        slope = acceleration
-        if math.isnan(slope):
-            slope = _within((velocity_demand - j.velocity_demand) / elapsed_s, MOST_ACCELERATION)
-        ahead = velocity_demand
-        if math.isfinite(slope):
-            ahead = _within(velocity_demand + c.lead_s * slope, MOST_VELOCITY)
+        velocity_demand, ahead = demand(
+            position_demand, velocity_demand, acceleration, j.position_demand, j.velocity_demand, elapsed_s, c.lead_s
+        )
         j.position_demand, j.velocity_demand = position_demand, velocity_demand
         is_due = loop.cycle * loop.period_s >= j.baseline_s
         is_enabled = 1.0 if loop.is_on > 0.0 and j.is_wanted > 0.0 and is_due else 0.0

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from friction_hil.config import Configuration
+from friction_hil.config.load import only_driver
 from friction_hil.errors import FrictionHilError, RecordingError, UsageError, internal_error
 from friction_hil.identification.mechanics import Mechanics
 from friction_hil.identification.settings import chosen_families
@@ -87,6 +88,7 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
 
     An exception that is raised after motion has a note with the recordings that are kept, and how to go on from them.
     """
+    only_driver(configuration)
     if configuration.bus is not None and configuration.bus.role == "sidecar":
         raise UsageError(
             "with bus.role: sidecar another controller moves the axes, so 'tune' cannot: record its motion with 'run', "

@@ -172,6 +172,7 @@ ELSEWHERE = (
     ("./tools/bench serial", "test_cycles_without_time_for_a_rehearsal_are_measured_all_the_same"),
     ("./tools/bench latency", "test_the_benchmark_of_latency_compares_sleeping_and_spinning"),
     ("./tools/bench exchange", "test_the_benchmark_of_the_exchange_times_each_part"),
+    ("./tools/bench own_loop", "test_the_benchmark_of_the_call_has_every_figure"),
     ("./tools/bench loop", "test_the_benchmark_of_the_loop_starts_a_daemon"),
     ("./tools/bench neural", "test_the_benchmark_of_networks_measures_an_iteration"),
 )

@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
@@ -24,7 +25,7 @@ _FINEST = 1e-15  # rad or m: no encoder resolves this; what is finer is a mistak
 
 def export(
     *,
-    model: str,
+    model: str | None,
     to: str,
     output: str | None,
     config: Path | None,
@@ -37,6 +38,10 @@ def export(
     as_json: bool,
 ) -> None:
     """Write the files of an export and say what they hold."""
+    if model is None:
+        others = {"--resolution": resolution, "--delay": delay_s, "--recording": recording, "--speed": speed}
+        _export_joints(to, output, config, axis, others, force=force, as_json=as_json)
+        return
     file = given_model(model)
     if to in exports.LOSSY:
         for option, is_given in (
@@ -77,6 +82,33 @@ def export(
             f"Model and compensator, period {given.period_s:g} s. Its torque is computed for {given.lead_s:.6g} s "
             f"after the position was sampled: {begin_s:g} s (--delay), half a period{lag}."
         )
+
+
+def _export_joints(
+    to: str,
+    output: str | None,
+    config: Path | None,
+    axis: str | None,
+    given: Mapping[str, object],
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write the compensators of all axes of a configuration, with their own models."""
+    if config is None or to != "c":
+        raise click.UsageError("MODEL is missing; only --to c with --config CONFIG exports all axes with their models")
+    for option, value in given.items():
+        if value is not None:
+            raise click.UsageError(f"{option} belongs to a MODEL; the axes of CONFIG have their own")
+    folder, name = _place(output)
+    paths = exports.save(
+        exports.joint_files(config, name=name, joints=None if axis is None else [axis]), folder, overwrite=force
+    )
+    if as_json:
+        print_json({"written": [str(path) for path in paths], "has_compensator": True})
+        return
+    for path in paths:
+        click.echo(f"{path}: {path.stat().st_size} bytes")
 
 
 def _export_lossy(
