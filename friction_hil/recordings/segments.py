@@ -4,6 +4,7 @@ Replay, identification, training and tuning all use it: required columns, even g
 velocity, low-pass, derivatives. They differ in what they ask of it and in what they do with the segments.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -26,6 +27,8 @@ _LEAST_LOWPASS_RATIO = 0.01  # where the encoder is coarse
 _LOWPASS_STEP = 0.85
 NOISE_RATIO = 0.2  # of the acceleration, that counts may make: an inertia becomes too small by the square of it
 LEAST_KNOWN_FRACTION = 0.9  # of the rows: a slow input with fewer values is not used
+_FINER = 0.25  # of the counts' noise: a velocity with more is that of counts, or of less than two bits more
+_MOST_ROUNDING = 1.5  # of the noise of rounded positions: more is motion
 _FAST = 2.0  # counts per sample: from there on a count says no more about time than the sample itself
 _LEAST_FRACTION = 0.5  # of the samples that are slower: fewer, and the encoder is not coarse
 
@@ -160,9 +163,10 @@ def even_signals(
 ) -> EvenSignals:
     """Bring a recording to an even grid and decide where its velocity comes from.
 
-    The recorded velocity is used unless it is absent, so coarse that it mostly stands still, or a low-pass is asked
-    for. It is then derived from the low-passed position. Raises `RecordingError`: a column is missing, no part has
-    three rows, or the drive does not report its torque; `UsageError`: the low-pass does not fit the sampling rate.
+    The recorded velocity is used unless it is absent, so coarse that it mostly stands still, as noisy as the counts of
+    the position, or a low-pass is asked for. It is then derived from the low-passed position. Raises `RecordingError`:
+    a column is missing, no part has three rows, or the drive does not report its torque; `UsageError`: the low-pass
+    does not fit the sampling rate.
     """
     recording = with_position(recording)
     recording.require("torque")
@@ -170,6 +174,9 @@ def even_signals(
     has_velocity = lowpass_hz is None and not why_derived
     grid = even_grid(recording, ["position", "torque", *(["velocity"] if has_velocity else [])], held)
     problems = list(grid.problems)
+    if has_velocity and not is_position_integrated(recording) and _is_velocity_of_counts(grid):
+        has_velocity, why_derived = False, "velocity is as coarse as the counts of the position"
+        del grid.columns["velocity"]
     if has_velocity and not is_position_integrated(recording):
         problems += contradictions(recording)
     if text := unsigned_register([recording]):
@@ -213,6 +220,23 @@ def _why_velocity_is_derived(recording: Recording) -> str:
     if is_coarse(velocity):
         return f"velocity comes in steps of {resolution(velocity):.4g}, and mostly stands still"
     return ""
+
+
+def _is_velocity_of_counts(grid: EvenGrid) -> bool:
+    """Return True if the recorded velocity has the noise of the position's counts.
+
+    The drive has then made it of these counts: behind its low-pass their steps are no multiples of a count any more,
+    but they are nearly as large, and late.
+    """
+    rate, rows = grid.rate_hz, max(grid.segments, key=lambda each: each.stop - each.start)
+    position, velocity = grid.columns["position"][rows], grid.columns["velocity"][rows]
+    step = resolution(position)
+    if step is None or len(position) <= filtering.lowpass_padding():
+        return False
+    # higher differences remove the motion, and keep noise
+    counts, own = float(np.std(np.diff(position, 4))) * rate, float(np.std(np.diff(velocity, 3)))
+    rounding = step * rate * math.sqrt(70.0 / 12.0)  # of fourth differences with the coefficients 1 -4 6 -4 1
+    return counts < _MOST_ROUNDING * rounding and own > _FINER * counts
 
 
 def stated_torque_delay_s(recording: Recording) -> float | None:

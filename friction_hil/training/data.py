@@ -1,23 +1,19 @@
 """Samples to train on: friction in recordings, or friction of a model of the library."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
-from friction_hil.identification import fine
-from friction_hil.identification.data import RegressionSegment, prepare
+from friction_hil.identification.data import RegressionSegment
 from friction_hil.models.model_file import Mechanics
 from friction_hil.numerics.jit import Array
-from friction_hil.recordings import Recording
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples, join
 
 _BLOCKS = 20  # of the samples, of which every fourth is held out
 _HELD_OUT = 4
-_FINER = 0.25  # of the counts' noise: a velocity with more is that of counts, or of less than two bits more
 _TOP_STRIBECK = 10.0  # default top speed, in Stribeck velocities
 
 
@@ -40,29 +36,6 @@ def of_model(
     position = np.cumsum(velocity) * period_s
     torque = model.simulate(velocity, period_s, position=position)
     return Samples(period_s, velocity, torque, position=position)
-
-
-def without_counted_velocity(recordings: Sequence[Recording]) -> list[Recording]:
-    """Return the recordings without velocities that the drive has made of the same counts as the position.
-
-    Behind the drive's low-pass their steps are no multiples of a count any more, but they are as large, and late.
-    """
-    return [
-        replace(each, columns={name: values for name, values in each.columns.items() if name != "velocity"})
-        if "velocity" in each and "position" in each and any(map(_is_of_counts, prepare(each)))
-        else each
-        for each in recordings
-    ]
-
-
-def _is_of_counts(record: RegressionSegment) -> bool:
-    if record.lowpass_hz is not None or not fine.is_fine(record):
-        return False
-    # third differences remove the motion, and keep noise
-    own, counts = (
-        float(np.std(np.diff(values, 3))) for values in (record.velocity, np.diff(record.encoder) * record.rate_hz)
-    )
-    return own > _FINER * counts
 
 
 def of_records(records: Sequence[RegressionSegment], mechanics: Mechanics, base: FrictionModel | None) -> Samples:

@@ -100,8 +100,6 @@ def task_of_recordings(
     if lowpass_hz is None and is_static:
         lowpass_hz = _STATIC_LOWPASS * prepare(recordings[0])[0].rate_hz
     name = "the model of --base"
-    if lowpass_hz is None:
-        recordings, validation = map(data.without_counted_velocity, (recordings, validation))
     if known is None:
         known, name = _identify(recordings, is_linear, lowpass_hz)
         notes.append(f"inertia, offset and gravity as identified with {name}")
