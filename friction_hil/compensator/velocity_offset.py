@@ -6,6 +6,9 @@ is a step of v that vanishes with the time constant 1 / w, because the integral 
 
 I is what the offsets that were sent have left in the integral part. So what limit or slew cut is made up for later. The
 torque of a period is its mean.
+
+A drive that takes nothing but positions gets the offset by its set-point, which is shifted by p: its position loop and
+its feed-forward of the set-point's velocity and acceleration make v = Kp p + Kv p' + (Ja / k) p'' of it.
 """
 
 import math
@@ -53,6 +56,71 @@ def step(settings: StructuredArray, state: StructuredArray, cycle: float, torque
 def _replay(settings: StructuredArray, state: StructuredArray, cycle: Array, torque: Array, offset: Array) -> None:
     for k in range(cycle.shape[0]):
         offset[k] = step(settings, state, cycle[k], torque[k])
+
+
+SHIFT = np.dtype(
+    [
+        ("period_s", "f8"),  # of the loop
+        ("position_gain", "f8"),  # of the drive's position loop, 1/s; 0: the drive takes the velocity offset itself
+        ("velocity_feedforward", "f8"),  # gain of its feed-forward of the set-point's velocity
+        ("acceleration_s", "f8"),  # of its acceleration: torque over acceleration, over the gain of the velocity loop
+        ("position", "f8"),  # of the last period, rad; and its rate, rad/s
+        ("rate", "f8"),
+    ]
+)
+
+
+@compiled
+def shifted(shift: StructuredArray, velocity: float) -> float:
+    """Return the shift of the set-point of a period that makes a velocity offset, rad or m."""
+    s = shift[0]
+    late = s.acceleration_s / s.period_s
+    resisting = s.position_gain * s.period_s + s.velocity_feedforward + late
+    s.rate = (velocity - s.position_gain * s.position + late * s.rate) / resisting
+    s.position += s.period_s * s.rate
+    return float(s.position)
+
+
+class SetpointShift:
+    """Shift of the position set-point of one axis that makes its velocity offset.
+
+    ``position_gain``: of the drive's position loop, 1/s. ``velocity_feedforward``, ``inertia``: of its feed-forward of
+    the set-point, kg m^2. ``velocity_gain``: as for `VelocityOffset`. Raises `UsageError`: a value is out of range.
+    """
+
+    __slots__ = ("_step", "record")
+
+    def __init__(
+        self,
+        period_s: float,
+        velocity_gain: float,
+        position_gain: float,
+        velocity_feedforward: float = 1.0,
+        inertia: float = 0.0,
+    ) -> None:
+        if not 0.0 < position_gain < math.inf:
+            raise UsageError(f"position_gain = {position_gain:g} must be finite and above zero")
+        for name, value in {"velocity_feedforward": velocity_feedforward, "inertia": inertia}.items():
+            if not 0.0 <= value < math.inf:
+                raise UsageError(f"{name} = {value:g} must be finite, zero or above")
+        self.record = np.array(
+            [(period_s, position_gain, velocity_feedforward, inertia / velocity_gain, 0.0, 0.0)], SHIFT
+        )
+        self._step = shifted
+
+    def next(self, velocity: float) -> float:
+        """Return the shift of this period for a velocity offset, rad/s, as it is after limit and slew."""
+        return self._step(self.record, velocity)
+
+    def clear(self) -> None:
+        """Begin at no shift."""
+        self.record["position"] = self.record["rate"] = 0.0
+
+    def compile(self) -> None:
+        """Compile `next`."""
+        self._step = ready(shifted)
+        self.next(0.0)
+        self.clear()
 
 
 class VelocityOffset:

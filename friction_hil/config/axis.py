@@ -84,7 +84,7 @@ class MotorOffset(Section):
 
 
 class VelocityOffset(Section):
-    """Compensation by an offset of the demand of the drive's velocity loop, for a drive without a torque input."""
+    """Compensation by the demand of the drive's velocity loop, for a drive without a torque input."""
 
     velocity_gain: float = key(
         "gain of the drive's velocity loop, torque per velocity error", "N m s/rad or N s/m", gt=0, le=1e9
@@ -92,6 +92,24 @@ class VelocityOffset(Section):
     integral_hz: float = key("corner frequency of that loop's integral part; 0: it has none", "Hz", ge=0, le=5e3)
     limit: float = key("limit of abs(velocity offset)", VELOCITY, gt=0, le=MOST_VELOCITY)
     slew: float = key("limit of the slew rate of the velocity offset", f"{VELOCITY} per s", gt=0, le=MOST_ACCELERATION)
+    position_gain: float | None = key(
+        "gain of the drive's position loop: the offset is made by shifting the position set-point, for a drive that "
+        "takes nothing else (csp); by default the drive takes the velocity offset itself",
+        "1/s",
+        default=None,
+        gt=0,
+        le=1e6,
+    )
+    velocity_feedforward: float = key(
+        "with position_gain: gain of the drive's feed-forward of the set-point's velocity", "1", default=1.0, ge=0, le=2
+    )
+    inertia: float = key(
+        "with position_gain: inertia by which the drive feeds the set-point's acceleration forward; 0: it does not",
+        "kg m^2 or kg",
+        default=0.0,
+        ge=0,
+        le=1e9,
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -175,6 +193,16 @@ class Compensation(Section):
         "csv); by default off",
         default=None,
     )
+
+    @property
+    def is_by_velocity(self) -> bool:
+        """Return True if the drive is given a velocity offset in place of a torque."""
+        return self.velocity_offset is not None and not self.is_by_position
+
+    @property
+    def is_by_position(self) -> bool:
+        """Return True if the drive is given neither, but shifted position set-points."""
+        return self.velocity_offset is not None and self.velocity_offset.position_gain is not None
 
     @model_validator(mode="after")
     def _check_acceleration(self) -> "Compensation":
@@ -387,6 +415,8 @@ def _velocity_offset_obstacle(axis: AxisConfig) -> str:
             "is not possible beside a master (trajectory kind master), which may use the velocity offset itself: only "
             "the torque offset is this program's"
         )
+    if axis.compensation.is_by_position and axis.mode == "csv":
+        return "is not made by position_gain in mode csv, which has no position set-point: remove position_gain"
     return "is not needed in mode cst, where the torque itself is commanded: remove it" if axis.mode == "cst" else ""
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from friction_hil.compensator import Compensator, CompensatorSettings, ThermalObserver
-from friction_hil.compensator.velocity_offset import VelocityOffset
+from friction_hil.compensator.velocity_offset import SetpointShift, VelocityOffset
 from friction_hil.daemon.safety import SafetyLimits
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import OptionError
@@ -73,12 +73,22 @@ def make_velocity_offset(config: "AxisConfig", facts: AxisFacts, period_s: float
     given, step = config.compensation.velocity_offset, facts.velocity_resolution
     if given is None:
         return None
+    if config.compensation.is_by_position:
+        step = 0.0
     limit = math.floor(given.limit / step * (1.0 + 1e-12)) * step if step > 0.0 else given.limit
     if limit == 0.0:
         text = f"is {given.limit:g}, less than a step of the drive's velocity, {step:.3g}"
         raise OptionError(facts.name, "compensation.velocity_offset.limit", text)
     fade_s = config.compensation.fade_s
     return VelocityOffset(period_s, given.velocity_gain, given.integral_hz, limit, given.slew, fade_s)
+
+
+def make_setpoint_shift(config: "AxisConfig", period_s: float) -> SetpointShift | None:
+    """Return what makes the velocity offset of the position set-point, None where the drive takes the offset itself."""
+    given = config.compensation.velocity_offset
+    if given is None or given.position_gain is None:
+        return None
+    return SetpointShift(period_s, given.velocity_gain, given.position_gain, given.velocity_feedforward, given.inertia)
 
 
 def velocity_offset_shortage(config: "AxisConfig") -> str:

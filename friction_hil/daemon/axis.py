@@ -326,7 +326,7 @@ class AxisLoop:
 def check_velocity_offset(name: str, config: "AxisConfig", facts: AxisFacts) -> None:
     """Refuse a velocity offset that does not get to the drive."""
     given = config.compensation
-    if given.velocity_offset is not None and given.enabled and not facts.takes_velocity_offset:
+    if given.is_by_velocity and given.enabled and not facts.takes_velocity_offset:
         raise OptionError(name, "compensation.velocity_offset", "is not possible: this drive takes no velocity offset")
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from friction_hil.compensator.limiter import limit_torque
 from friction_hil.compensator.velocity_offset import VelocityOffset
-from friction_hil.daemon.assembly import make_controller
+from friction_hil.daemon.assembly import make_controller, make_setpoint_shift
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
 from friction_hil.daemon.static_torque import Fade, StaticTorque, static_torque
@@ -75,6 +75,7 @@ class CommandWriter:
         "_mode",
         "_motion",
         "_period_s",
+        "_shift",
         "_static",
         "_torque",
         "_velocity_offset",
@@ -105,6 +106,7 @@ class CommandWriter:
         self._error_left = 0.0  # following error with which it came to rest
         self._torque = LimitedOutput(limits.torque, limits.torque_slew * period_s)
         self._velocity_offset: LimitedOutput | None = None
+        self._shift = make_setpoint_shift(config, period_s)
         if velocity_offset is not None:
             self._velocity_offset = LimitedOutput(velocity_offset.limit, velocity_offset.slew * period_s)
         self.offset_sent = (0.0, 0.0)  # position and velocity that are added to the set-point that is sent, SI
@@ -118,6 +120,8 @@ class CommandWriter:
         self._control(Setpoint(0.0, 0.0, 0.0), 0.0, 0.0)
         self._integral = 0.0
         self._torque.next(0.0)
+        if self._shift is not None:
+            self._shift.compile()
 
     def adopt(self, static: StaticTorque, fade_s: float, lead_s: float) -> None:
         """Go on with another feed-forward of gravity and offset; what it differs by vanishes over ``fade_s``."""
@@ -208,7 +212,13 @@ class CommandWriter:
         assert output is not None
         output.begin(is_lost=feedback.is_setpoint_lost)
         is_acting = state in MOVING or (state is LoopState.FAULT_STOPPING and _has_power(feedback.state))
-        command.velocity_offset = output.next(wanted if is_acting else 0.0)
+        offset = output.next(wanted if is_acting else 0.0)
+        if self._shift is None:
+            command.velocity_offset = offset
+        elif state in MOVING:
+            command.position += self._shift.next(offset)
+        else:  # held where it is, or stopped by the drive itself
+            self._shift.clear()
 
     def _static_torque(self, position: float, velocity: float, now: Setpoint | None) -> float:
         """Return the feed-forward of gravity and offset, N m: on the demanded path, without one at the axis."""

@@ -60,6 +60,7 @@ class Axis(NamedTuple):
     # of a `friction_hil.compensator.velocity_offset.VelocityOffset`; a gain of 0: the drive is given the torque
     offset_settings: StructuredArray
     offset_state: StructuredArray
+    shift: StructuredArray  # of a `SetpointShift`; a position gain of 0: the drive takes the velocity offset
 
 
 @inlined
@@ -117,6 +118,9 @@ def _decide(axis: Axis, k: int, row: Array, trace: Array) -> None:
     velocity = 0.0
     if axis.offset_settings[0].gain > 0.0:
         velocity = velocity_offset.step(axis.offset_settings, axis.offset_state, float(k), compensation)
+        if axis.shift[0].position_gain > 0.0:
+            target += round(velocity_offset.shifted(axis.shift, velocity) / c.resolution) * c.resolution
+            velocity = 0.0
     else:
         own += compensation
     torque = limit_torque(own, loop.torques[0], d.torque_limit, d.torque_slew * d.period_s)

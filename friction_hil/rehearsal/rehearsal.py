@@ -9,7 +9,13 @@ import numpy as np
 from friction_hil import compensator as compensation
 from friction_hil.compensator import velocity_offset
 from friction_hil.config.external_torque import simulated_servo
-from friction_hil.daemon.assembly import lead_s, make_compensator, make_controller, make_velocity_offset
+from friction_hil.daemon.assembly import (
+    lead_s,
+    make_compensator,
+    make_controller,
+    make_setpoint_shift,
+    make_velocity_offset,
+)
 from friction_hil.daemon.figures import Figures, figures_of
 from friction_hil.daemon.static_torque import static_torque
 from friction_hil.motion.trajectory import Path, PathTime, Trajectory
@@ -94,7 +100,7 @@ class Rehearsal:
         axis = self._axis.model_copy(update={"model": model})
         facts, period_s = self._facts, self.period_s
         simulated.set_period(period_s)
-        compensator = make_compensator(axis, model, facts, period_s)
+        compensator, shift = make_compensator(axis, model, facts, period_s), make_setpoint_shift(axis, period_s)
         daemon = np.zeros(1, kernel.DAEMON)
         d = daemon[0]
         d["mode"], d["is_compensated"] = _MODES[axis.mode], is_compensated
@@ -114,6 +120,7 @@ class Rehearsal:
             compensator.record,
             compensator.state.view(compensation.STATE),
             *_records(make_velocity_offset(axis, facts, period_s)),
+            np.zeros(1, velocity_offset.SHIFT) if shift is None else shift.record,
         )
 
     def demand(self, model: "ModelFile", motion: Motion) -> Array:

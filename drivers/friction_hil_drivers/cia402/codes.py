@@ -67,7 +67,8 @@ EXPLANATIONS = {
     NO_TORQUE_OFFSET: Explanation(
         "... lacks object 60B2h torque offset, 60B1h velocity offset",
         "csp and csv are compensated by it",
-        "`compensation.velocity_offset` for a drive with 60B1h, mode `cst`, or `compensation: {enabled: false}`",
+        "`compensation.velocity_offset`, for a drive without 60B1h with its `position_gain` (csp), mode `cst`, or "
+        "`compensation: {enabled: false}`",
     ),
     UNITS_CONTRADICT: Explanation(
         "... says ..., but node ... says ...: a factor of ...",

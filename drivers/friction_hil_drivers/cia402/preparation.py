@@ -69,15 +69,25 @@ def feedback_objects(access: ObjectClient) -> tuple[list[Object], list[str]]:
 
 
 def command_objects(
-    access: ObjectClient, mode: Mode, *, is_compensated: bool, is_by_velocity: bool = False
+    access: ObjectClient,
+    mode: Mode,
+    *,
+    is_compensated: bool,
+    is_by_velocity: bool = False,
+    is_by_position: bool = False,
 ) -> tuple[list[Object], list[str]]:
     """Return the objects of a command; raises a `DriveError` if there is no offset to compensate by."""
     entries = command_entries(mode, is_by_velocity=is_by_velocity)
     offset = objects.VELOCITY_OFFSET if is_by_velocity else objects.TORQUE_OFFSET
     if mode is Mode.CST or _has(access, offset):
         return entries, []
+    if is_by_position:
+        entries.remove(offset)
+        return entries, []
     if is_compensated:
         others = "take mode cst, which compensates without it"
+        if mode is Mode.CSP:
+            others = f"give compensation.velocity_offset with position_gain, which needs no offset, {others}"
         if not is_by_velocity and _has(access, objects.VELOCITY_OFFSET):
             others = f"give compensation.velocity_offset, as it has {objects.VELOCITY_OFFSET}, {others}"
         text = (

@@ -79,6 +79,13 @@ class Commissioning:
                 has = ", ".join(description.modes)
                 text = f"{description.name} cannot be commanded in mode {config.mode}; its description has {has}"
                 raise OptionError(name, "mode", text)
+            given = config.compensation
+            if "torque_command" not in mode.commands and given.enabled and not given.is_by_position:
+                text = (
+                    f"{description.name} takes no torque in mode {config.mode}: give compensation.velocity_offset with "
+                    "position_gain, which shifts the set-point of the position, or compensation: {enabled: false}"
+                )
+                raise OptionError(name, "mode", text)
             self._check_watchdog(name, description)
             scales = make_scales(
                 name,
@@ -237,6 +244,7 @@ class Commissioning:
     ) -> AxisFacts:
         config, options = self._configs[axis.name], self._options[axis.name]
         scales, signals = axis.scales, description.units()
+        torque = next((name for name in ("torque_command", "torque") if name in signals), None)
         resolution = abs(scales.of["position"]) * signals["position"].step
         if options.counts_per_unit is not None:  # a position in revolutions has more digits than the encoder resolves
             resolution = max(resolution, 1.0 / options.counts_per_unit)
@@ -244,11 +252,13 @@ class Commissioning:
             name=axis.name,
             identity=f"{description.name}, {options.address} on {options.line.port}",
             position_resolution=resolution,
-            torque_resolution=abs(scales.of["torque_command"]) * signals["torque_command"].step,
+            torque_resolution=0.0 if torque is None else abs(scales.of[torque]) * signals[torque].step,
             setpoint_delay_s=_setpoint_delay_s(delay_s, config.mode, options.setpoint_delay_cycles, self._period_s),
             actuation_delay_s=delay_s,
             notes=(*notes, bus.rate) if bus.rate else tuple(notes),
             torque_delay_s=_torque_delay_s(bus.plan, self._period_s),
+            takes_torque="torque_command" in description.modes[config.mode].commands
+            or config.compensation.is_by_position,
         )
 
     def _arm_watchdog(self, bus: SerialBus, axis: SerialAxis, description: Description) -> str:

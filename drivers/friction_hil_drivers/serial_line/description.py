@@ -272,8 +272,9 @@ class Description(Part):
                 if name in signals and name not in protocol.COMMANDS:
                     text = f"commands {name}; possible commands are {', '.join(protocol.COMMANDS)}"
                     yield ("modes", mode), text
-            if "torque_command" not in part.commands:
-                yield ("modes", mode), "has no torque_command: friction could not be compensated"
+            needed = ("torque_command", "position_command") if mode == "csp" else ("torque_command",)
+            if not set(needed) & set(part.commands):
+                yield ("modes", mode), f"has no {' or '.join(needed)}: friction could not be compensated"
         if self.state_machine == "cia402":
             yield from (
                 (("signals",), f"cia402 needs the signal {n}") for n in ("control", "status") if n not in signals

@@ -205,6 +205,17 @@ def test_a_drive_without_a_torque_input_gets_the_velocity_offset(tmp_path, mode,
             driven.cycle(velocity_offset=math.nan)
 
 
+@pytest.mark.parametrize("lacks", [[], [0x60B1, 0x60B2]])
+def test_a_drive_that_takes_nothing_but_positions_gets_no_offset(tmp_path, lacks):
+    keys = {"compensation": {"velocity_offset": LOOP | {"position_gain": 100.0}}}
+    with OfVendor(tmp_path, VendorDrive(lacks=lacks), "csp", **keys) as driven:
+        driven.enable()
+        driven.cycle(count=3, position=0.01)
+        assert driven.bench.read(0x607A, 0, "i") == round(0.01 * 2**20 / math.tau)
+        assert (driven.facts.takes_torque, driven.facts.takes_velocity_offset) == (True, False)
+        assert "without compensation" not in driven.notes
+
+
 def test_a_velocity_offset_goes_beside_a_torque_offset_that_is_kept_at_zero(tmp_path):
     """A drive with a fixed mapping of both gets the one that is configured."""
     both = ([CONTROL, TO_POSITION, 0x60B20010], [CONTROL, 0x60B10020], [], [])
@@ -220,8 +231,8 @@ def test_a_velocity_offset_goes_beside_a_torque_offset_that_is_kept_at_zero(tmp_
     ("lacks", "keys", "told"),
     [
         ([0x60B2], {}, "lacks object 60B2h .*give compensation.velocity_offset, as it has 60B1h velocity offset"),
-        ([0x60B1, 0x60B2], {}, "lacks object 60B2h .*compensated: take mode cst"),
-        ([0x60B1], BY_VELOCITY, r"lacks object 60B1h .*\(compensation.velocity_offset\): take mode cst"),
+        ([0x60B1, 0x60B2], {}, "lacks object 60B2h .*compensated: give .* position_gain"),
+        ([0x60B1], BY_VELOCITY, r"lacks object 60B1h .*\(compensation.velocity_offset\): give .* position_gain"),
     ],
 )
 def test_what_there_is_beside_the_offset_that_a_drive_lacks_is_told(tmp_path, lacks, keys, told):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_hil.compensator.velocity_offset import VelocityOffset
+from friction_hil.compensator.velocity_offset import SetpointShift, VelocityOffset
 from friction_hil.config import Configuration
 from friction_hil.daemon.assembly import make_velocity_offset
 from friction_hil.daemon.axis import AxisLoop
@@ -32,8 +32,8 @@ def made(gain=GAIN, hz=HZ, limit=1e6, slew=1e9):
     return VelocityOffset(PERIOD_S, gain, hz, limit, slew, 0.5)
 
 
-def by_velocity(mode="csp", loops=(GAIN, HZ), **changes) -> Configuration:
-    loop = LOOP | {"velocity_gain": loops[0], "integral_hz": loops[1]}
+def by_velocity(mode="csp", loops=(GAIN, HZ), shift=None, **changes) -> Configuration:
+    loop = LOOP | {"velocity_gain": loops[0], "integral_hz": loops[1]} | (shift or {})
     own = {"controller": {"position_gain": 40.0}} if mode == "csv" else {}
     return configuration(
         x=axis_dict(mode=mode, compensation={"fade_s": 0.1, "velocity_offset": loop}, **own, **changes)
@@ -100,6 +100,34 @@ def test_gains_and_bounds_out_of_range_are_refused(changes):
         made(**changes)
 
 
+@thorough
+@given(
+    st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=60),
+    st.floats(1.0, 500.0),
+    st.floats(0.0, 1.5),
+    st.floats(0.0, 1e-2),
+)
+def test_a_drive_makes_of_a_shifted_set_point_the_velocity_that_was_asked_for(
+    wanted, position_gain, feedforward, inertia
+):
+    """Its loop and its feed-forward are computed from the set-points alone, by their differences."""
+    shift = SetpointShift(PERIOD_S, GAIN, position_gain, feedforward, inertia)
+    sent = np.array([0.0, 0.0, *map(shift.next, wanted)])
+    rate = np.diff(sent) / PERIOD_S
+    made = position_gain * sent[2:] + feedforward * rate[1:] + inertia / GAIN * np.diff(rate) / PERIOD_S
+    assert made == pytest.approx(wanted, abs=1e-6)
+    if inertia == 0.0:
+        assert np.abs(sent).max() <= np.abs(wanted).max() / position_gain * (1.0 + 1e-9)
+    shift.clear()
+    assert shift.next(0.0) == 0.0
+
+
+@pytest.mark.parametrize("given", [(0.0, 1.0, 0.0), (math.nan, 1.0, 0.0), (9.0, -1.0, 0.0), (9.0, 1.0, math.inf)])
+def test_a_shift_without_a_position_loop_is_refused(given):
+    with pytest.raises(UsageError):
+        SetpointShift(PERIOD_S, GAIN, *given)
+
+
 # --- in the loop
 
 
@@ -125,6 +153,35 @@ def test_it_lowers_the_error_threefold_and_is_never_worse_with_gains_30_percent_
         assert reduction(by_velocity(loops=(gain * of_gain, HZ * of_corner)), servo, motion) > 1.5
 
 
+@pytest.mark.parametrize("motion", MOTIONS, ids=["wide", "small"])
+@pytest.mark.parametrize("feeds_acceleration", [False, True])
+def test_a_drive_that_takes_nothing_but_positions_is_compensated_and_never_made_worse(feeds_acceleration, motion):
+    loops = Loops(position_gain=100.0, velocity_gain=0.2, integral_hz=HZ, inertia_feedforward=float(feeds_acceleration))
+    servo, inertia = ServoConfig(loops=loops), 2e-4 * feeds_acceleration
+
+    def lowered(position=1.0, velocity=1.0):
+        shift = {"position_gain": 100.0 * position, "inertia": inertia}
+        return reduction(by_velocity(loops=(0.2 * velocity, HZ), shift=shift), servo, motion)
+
+    assert lowered() > 3.0
+    for wrong in (0.7, 1.3):
+        assert lowered(position=wrong) > 1.0
+        assert lowered(velocity=wrong) > 1.0
+
+
+def test_the_loop_of_the_daemon_shifts_the_set_point_and_ends_without_a_shift():
+    config = by_velocity(shift={"position_gain": 50.0, "inertia": 2e-4})
+    servo = ServoConfig(loops=Loops(position_gain=50.0, velocity_gain=GAIN, integral_hz=HZ))
+    result, rows, _ = run(config, servo=servo, duration_s=3.0)
+    assert result.faults == []
+    assert not any(rows.column("x", "command"))
+    offset = np.array(rows.column("x", "velocity_offset"))
+    assert np.abs(offset).max() > 0.5
+    assert offset[-1] == pytest.approx(0.0, abs=1e-3)
+    with_, without = (np.array(rows.column("x", name)) for name in ("position", "position_demand"))
+    assert np.sqrt(np.mean((with_ - without)[1500:2500] ** 2)) < 1e-3
+
+
 @pytest.mark.parametrize("mode", ["csp", "csv"])
 def test_the_loop_of_the_daemon_sends_it_in_place_of_the_torque(mode):
     config, servo = by_velocity(mode), ServoConfig(loops=Loops(velocity_gain=GAIN, integral_hz=HZ))
@@ -142,6 +199,16 @@ def test_the_loop_of_the_daemon_sends_it_in_place_of_the_torque(mode):
     [
         ({"mode": "cst", "controller": {"position_gain": 9.0, "velocity_gain": 0.1}}, "velocity_offset", "mode cst"),
         ({"trajectory": {"kind": "master"}}, "velocity_offset", "beside a master"),
+        (
+            {
+                "mode": "csv",
+                "controller": {"position_gain": 9.0},
+                "compensation": {"velocity_offset": LOOP | {"position_gain": 9.0}},
+            },
+            "velocity_offset",
+            "remove position_gain",
+        ),
+        ({"compensation": {"velocity_offset": LOOP | {"position_gain": math.inf}}}, "position_gain", ""),
         ({"compensation": {"velocity_offset": LOOP | {"velocity_gain": None}}}, "velocity_offset", "identify RUN.mcap"),
         ({"compensation": {"velocity_offset": LOOP | {"limit": math.nan}}}, "limit", ""),
         ({"compensation": {"velocity_offset": LOOP | {"slew": 0.0}}}, "slew", ""),

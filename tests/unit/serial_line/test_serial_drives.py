@@ -18,7 +18,7 @@ from friction_hil_drivers.serial_line.simulated.port import PtyPort
 from pymodbus.framer import FramerRTU
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
-from friction_hil.errors import DriveError, UsageError
+from friction_hil.errors import DriveError, OptionError, UsageError
 from tests.peers.serial_processes import wait_until
 from tests.serial_rig import FAST_LINE, KINDS, Rig, port_of
 
@@ -185,6 +185,27 @@ def test_a_time_that_is_too_short_is_refused(tmp_path, kind, line, changes, word
     line = {"port": str(tmp_path / "line"), **line}
     with Rig(kind, tmp_path, line=line, **changes) as bench, pytest.raises(UsageError, match=words):
         bench.drives.connect()
+
+
+@pytest.mark.parametrize("is_by_position", [True, False])
+def test_a_drive_that_takes_nothing_but_positions_needs_to_be_compensated_by_them(tmp_path, is_by_position):
+    given = (Path(drives.__file__).parents[1] / "modbus" / "descriptions" / "generic_cia402.yaml").read_text()
+    mine = tmp_path / "positions.yaml"
+    mine.write_text(given.replace("[torque_command, position_command]", "[position_command]"))
+    loop = {"velocity_gain": 0.2, "integral_hz": 16.0, "limit": 2.0, "slew": 2e3, "position_gain": 200.0}
+    changes = {"velocity_offset": loop} if is_by_position else {}
+    keys = {"mode": "csp", "controller": None, "description": str(mine), "compensation": {"fade_s": 0.1, **changes}}
+    with Rig("rtu, function 23", tmp_path, **keys) as bench:
+        if not is_by_position:
+            with pytest.raises(OptionError, match="position_gain"):
+                bench.drives.connect()
+            return
+        bench.begin().enable()
+        assert bench.facts.takes_torque
+        assert bench.facts.torque_resolution > 0.0
+        bench.command.position = 0.01
+        bench.cycle(Request.ENABLE, count=5)
+        assert bench.there.servo.position_demand == pytest.approx(0.01, abs=2e-3)
 
 
 class Chain(Rig):

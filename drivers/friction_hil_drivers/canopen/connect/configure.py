@@ -83,9 +83,9 @@ def configure(
     identity = preparation.identify(access, options.identity)
     notes = preparation.check_mode(access, mode, is_required=options.is_mode_check_required)
     feedback, absent = preparation.feedback_objects(access)
-    is_by_velocity = axis.compensation.velocity_offset is not None
+    given, is_by_velocity = axis.compensation, axis.compensation.is_by_velocity
     commands, without = preparation.command_objects(
-        access, mode, is_compensated=axis.compensation.enabled, is_by_velocity=is_by_velocity
+        access, mode, is_compensated=given.enabled, is_by_velocity=is_by_velocity, is_by_position=given.is_by_position
     )
     notes += absent + without
     load_encoder = options.load_encoder

@@ -199,8 +199,8 @@ def compare_axis(path: Path, axis: "AxisConfig") -> list[tuple[str, str]]:
         dictionary,
         Mode[axis.mode.upper()],
         options,
-        is_compensated=axis.compensation.enabled,
-        is_by_velocity=axis.compensation.velocity_offset is not None,
+        is_compensated=axis.compensation.enabled and not axis.compensation.is_by_position,
+        is_by_velocity=axis.compensation.is_by_velocity,
     )
     found = [("eds", reason) for reason in reasons]
     return found if options.sidecar is not None else [*found, *necessary_keys(dictionary, options, axis.model.axis)]
