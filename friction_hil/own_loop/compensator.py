@@ -284,7 +284,28 @@ class Compensator:
         return all(one.is_faded_out for one in self._joints.compensators)
 
     def fade_out(self, *joints: str) -> None:
-        """Fade the compensation of these joints out over ``compensation.fade_s``, by default of all.
+        """Fade the compensation out over ``compensation.fade_s``: that of all joints, or of the ones that are named.
+
+        Parameters
+        ----------
+        *joints : str
+            Names from `joints`; each has a switch of its own beside that of all.
+
+        Raises
+        ------
+        UsageError
+            There is no joint of such a name.
+        """
+        for k in self._places(joints):
+            self._joints.limits[k]["is_wanted"] = 0.0
+        if not joints:
+            self._joints.loop["is_on"] = 0.0
+
+    def fade_in(self, *joints: str) -> None:
+        """Fade the compensation in again: that of all joints, which clears a fault, or of the ones that are named.
+
+        A fault whose cause is still there comes again. A joint that was faded out by its name, or whose
+        ``compensation.enabled`` is false, comes back by its name alone.
 
         Parameters
         ----------
@@ -297,30 +318,12 @@ class Compensator:
             There is no joint of such a name.
         """
         for k in self._places(joints):
-            self._joints.limits[k]["is_wanted"] = 0.0
-
-    def fade_in(self, *joints: str) -> None:
-        """Fade the compensation of these joints in again, by default of all, and clear a fault.
-
-        A fault whose cause is still there comes again.
-
-        Parameters
-        ----------
-        *joints : str
-            Names from `joints`.
-
-        Raises
-        ------
-        UsageError
-            There is no joint of such a name.
-        """
-        places = self._places(joints)
-        for name in ("stale_cycles", "fast_cycles", "reported_cycles"):
-            self._joints.limits[name] = 0.0
-        for k in places:
             self._joints.limits[k]["is_wanted"] = 1.0
-        self._fault = None
-        self._joints.loop["is_on"] = 1.0
+        if not joints:
+            for name in ("stale_cycles", "fast_cycles", "reported_cycles"):
+                self._joints.limits[name] = 0.0
+            self._fault = None
+            self._joints.loop["is_on"] = 1.0
 
     def set(self, joint: str, **values: Any) -> None:
         """Change settings of a joint from the next call of `step` on, without a step of torque.
@@ -391,7 +394,7 @@ class Compensator:
         for name in joints:
             if name not in names:
                 raise UsageError(f"there is no joint {name!r}; {choices(str(name), names)}")
-        return [names.index(name) for name in joints] or range(len(names))
+        return [names.index(name) for name in joints]
 
     def _tell(self, text: str) -> None:
         """Give a notice, once."""

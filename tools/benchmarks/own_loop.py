@@ -29,17 +29,19 @@ def run() -> list[Row]:
     q, dq = 0.5 * np.sin(t)[:, None] + np.zeros(JOINTS), 0.5 * np.cos(t)[:, None] + np.zeros(JOINTS)
     coulomb, rate, viscous = np.full(JOINTS, 0.4), np.full(JOINTS, 50.0), np.full(JOINTS, 0.05)
 
+    speeds = list(dq)  # a loop has its arrays at hand: to cut them out of larger ones is no part of the call
+
     def law(k: int) -> object:
-        speed = dq[k]
+        speed = speeds[k]
         return coulomb * np.tanh(rate * speed) + viscous * speed
 
     def stepped(comp: fh.Compensator, n: int) -> Callable[[int], object]:
-        place, speed, fresh = (np.ascontiguousarray(each[:, :n]) for each in (q, dq, np.ones((CALLS, n), bool)))
-        loads = 0.1 * place
+        place, speed, loads = (list(np.ascontiguousarray(each[:, :n])) for each in (q, dq, 0.1 * q))
+        fresh = np.ones(n, bool)
 
         def step(k: int) -> object:
             a, v = place[k], speed[k]
-            return comp.step(a, v, a, q_des=a, dq_des=v, load=loads[k], fresh=fresh[k], dt=PERIOD_S)
+            return comp.step(a, v, a, q_des=a, dq_des=v, load=loads[k], fresh=fresh, dt=PERIOD_S)
 
         return step
 

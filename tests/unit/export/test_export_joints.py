@@ -16,7 +16,7 @@ from friction_hil.cli import main
 from friction_hil.errors import UsageError
 from friction_hil.export import c_joints
 from tests.c_exports import shared
-from tests.unit.own_loop.test_own_loop import LIMITS, PERIOD_S, STRIBECK, axis, motion, steps
+from tests.own_loops import LIMITS, PERIOD_S, STRIBECK, axis, motion, steps
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 AXES = {"shoulder": axis(), "elbow": axis(STRIBECK), "wrist": axis(compensation={"velocity": "drive", "fade_s": 0.1})}

@@ -22,46 +22,7 @@ from friction_hil.own_loop.joints import make_joints
 from friction_hil.replay.verify import verify
 from tests.compensators import LUGRE, Axis, columns, compensator, resolution
 from tests.export_subjects import EVERY_MODEL
-
-PERIOD_S = 2e-3
-LIMITS = {"torque": 0.12, "torque_slew": 30.0, "velocity": 20.0}
-LOADED = {"load": {"motoring": 0.1, "driven": 0.05}}
-FRICTION = {"model": "lugre", "parameters": dict(fh.models.describe("lugre").example), "modifiers": LOADED}
-STRIBECK = {"model": "stribeck", "parameters": {"coulomb": 0.07, "static": 0.1, "stribeck_velocity": 0.2}}
-
-
-def axis(friction=FRICTION, **changes):
-    model = {"axis": "rotary", "friction": friction, "mechanics": {"inertia": 2e-4}}
-    common = {"position_resolution": 1e-5, "limits": LIMITS, "model": model, "compensation": {"fade_s": 0.05}}
-    return common | changes
-
-
-def configuration(*axes, **changes):
-    named = {f"j{k}": each for k, each in enumerate(axes or (axis(), axis(STRIBECK), axis()))}
-    return from_dict({"version": 1, "period_s": PERIOD_S, "axes": named, **changes}, "test")
-
-
-def loop(*axes, record_s=0.0, **changes):
-    return fh.Compensator(configuration(*axes, **changes), record_s=record_s)
-
-
-def motion(cycles, n, seed=0):
-    """Positions, velocities, torques and demands of joints that swing about, each by itself, by cycles (cycles, n)."""
-    random = np.random.default_rng(seed)
-    rate, phase = random.uniform(3.0, 9.0, (2, n))
-    t = np.arange(cycles)[:, None] * PERIOD_S
-    q_des, dq_des = 0.3 * np.sin(rate * t + phase), 0.3 * rate * np.cos(rate * t + phase)
-    ddq_des = -0.3 * rate**2 * np.sin(rate * t + phase)
-    q = np.round((q_des + 1e-3 * np.sin(70.0 * t)) / 1e-5) * 1e-5
-    tau = 0.05 * np.sign(dq_des) + 0.01 * random.normal(size=(cycles, n))
-    return {"q": q, "dq": dq_des.copy(), "tau": tau, "q_des": q_des, "dq_des": dq_des, "ddq_des": ddq_des,
-            "load": 0.2 * np.cos(t + phase)}  # fmt: skip
-
-
-def steps(one, cycles, **given):
-    """Outputs of the cycles, (cycles, n)."""
-    rows = (dict(zip(given, row, strict=True)) for row in zip(*given.values(), strict=True))
-    return np.array([one.step(**{"dt": PERIOD_S} | row).copy() for row, _ in zip(rows, range(cycles), strict=False)])
+from tests.own_loops import LIMITS, PERIOD_S, STRIBECK, axis, configuration, loop, motion, steps
 
 
 @pytest.mark.parametrize("velocity", ["difference", "drive", "kalman"])
@@ -318,8 +279,21 @@ def test_joints_fade_out_and_in_one_by_one():
     out = steps(one, 100, **{name: values[200:] for name, values in inputs.items()})
     assert not out[-1].any()
     one.fade_in()
-    out = steps(one, 100, **{name: values[300:] for name, values in inputs.items()})
+    out = steps(one, 50, **{name: values[300:] for name, values in inputs.items()})
+    assert out[-1].astype(bool).tolist() == [True, False, True]
+    one.fade_in("j1")
+    out = steps(one, 50, **{name: values[350:] for name, values in inputs.items()})
     assert out[-1].all()
+
+
+def test_what_the_configuration_leaves_off_stays_off_until_it_is_named():
+    one, inputs = loop(axis(compensation={"enabled": False, "fade_s": 0.05}), axis()), motion(300, 2)
+    one.fade_in()
+    out = steps(one, 200, **inputs)
+    assert not out[:, 0].any()
+    assert out[-1, 1] != 0.0
+    one.set("j0", enabled=True)
+    assert steps(one, 100, **{name: values[200:] for name, values in inputs.items()})[-1, 0] != 0.0
 
 
 def test_what_is_saved_is_verified_bit_for_bit_with_every_change(tmp_path):
@@ -328,7 +302,9 @@ def test_what_is_saved_is_verified_bit_for_bit_with_every_change(tmp_path):
     inputs["fresh"] = np.random.default_rng(2).random((2500, 3)) > 0.02
     inputs["ddq_des"][::3] = math.nan
     for begin in range(0, 2500, 500):
-        if begin:
+        if begin == 1500:
+            one.set("j0", model={"axis": "rotary", "friction": STRIBECK})
+        elif begin:
             one.set(f"j{begin // 500 % 3}", gain=0.9 - 1e-4 * begin)
         steps(one, 500, **{name: values[begin : begin + 500] for name, values in inputs.items()})
     path = one.save(tmp_path / "run.mcap")
