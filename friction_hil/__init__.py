@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from friction_hil import dynamics, errors, export, health, models, recordings
     from friction_hil.api.comparison import Comparison, Verified, compare, verify
     from friction_hil.api.identification import Identified, identify
+    from friction_hil.api.joints import IdentifiedJoints, identify_joints
     from friction_hil.api.training import Trained, train
     from friction_hil.api.tuning import Tuned, tune
     from friction_hil.own_loop import Compensator
@@ -20,6 +21,7 @@ __all__ = [
     "Comparison",
     "Compensator",
     "Identified",
+    "IdentifiedJoints",
     "Trained",
     "Tuned",
     "Verified",
@@ -29,6 +31,7 @@ __all__ = [
     "export",
     "health",
     "identify",
+    "identify_joints",
     "models",
     "recordings",
     "train",
@@ -39,11 +42,13 @@ _MODULES = {  # of the functions and classes; the other names are modules
     "Comparison": "api.comparison",
     "Compensator": "own_loop",
     "Identified": "api.identification",
+    "IdentifiedJoints": "api.joints",
     "Trained": "api.training",
     "Tuned": "api.tuning",
     "Verified": "api.comparison",
     "compare": "api.comparison",
     "identify": "api.identification",
+    "identify_joints": "api.joints",
     "train": "api.training",
     "tune": "api.tuning",
     "verify": "api.comparison",

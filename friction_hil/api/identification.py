@@ -1,7 +1,7 @@
 """`identify`: friction and mechanics of an axis from recordings; the work of ``friction-hil identify`` too."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -256,21 +256,39 @@ def identified(
         refine=refine,
         torque=torque_is,
     )
-    result = identified_from(
-        recordings,
-        settings,
-        validation=validation,
-        progress=lambda step: show(f"{step.stage}: {step.label}", step.number, step.count),
+    return identified_axis(recordings, validation, settings, show, _beside(recordings), controller)
+
+
+def identified_axis(
+    recordings: Sequence[Recording],
+    validation: Sequence[Recording],
+    settings: IdentificationSettings,
+    show: ShowStep,
+    beside: Mapping[str, Mapping[str, Recording]],  # recordings of other axes, by path and name
+    controller: Mapping[str, float],
+    *,
+    has_mechanics: bool = True,  # what is behind the motor is looked for
+    prefer: Callable[[Identification], Identification] = lambda found: found,
+) -> Identified:
+    """Identify an axis from recordings of it alone, and judge the result."""
+    result = prefer(
+        identified_from(
+            recordings,
+            settings,
+            validation=validation,
+            progress=lambda step: show(f"{step.stage}: {step.label}", step.number, step.count),
+        )
     )
-    disturbed = moving_beside(result, _beside(recordings))
+    disturbed = moving_beside(result, beside)
     findings = [*check_result(result, recordings), *([Finding(disturbed)] if disturbed else [])]
     texts = [each.text for each in findings]
     content = mechanics = None
     free: dict[str, Any] = {"relative_error": None, "reason": "no usable model"}
     if not any(each.is_fatal for each in findings):
-        mechanics = find_mechanics(
-            recordings, result, disturbed=disturbed, report=lambda step: show(f"mechanics: {step}")
-        )
+        if has_mechanics:
+            mechanics = find_mechanics(
+                recordings, result, disturbed=disturbed, report=lambda step: show(f"mechanics: {step}")
+            )
         free = _free_run(result, controller)
         content = as_model_file(result, signal=recordings[0].sources.get("torque", "torque"))
         content["fit"]["flags"] += texts

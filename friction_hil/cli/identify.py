@@ -26,6 +26,9 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
     return values
 
 
+_OF_JOINTS = ("joints", "torque", "velocity", "arm", "arm_joints", "signs")
+
+
 @click.command("identify")
 @click.argument("sources", metavar="RECORDING...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @option_families
@@ -88,6 +91,40 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
 )
 @recording_options
 @click.option(
+    "--joints",
+    metavar="PATTERN|NAMES",
+    help="All joints of one log at once: position columns by a pattern, e.g. 'q{}', or axes of the file by name, e.g. "
+    "shoulder,elbow; 'all' of them.",
+)
+@click.option(
+    "--torque",
+    metavar="PATTERN",
+    help="With --joints: torque columns, e.g. 'tau{}*0.5', or one for each joint, e.g. 'tau1*-1,tau2'.",
+)
+@click.option(
+    "--velocity",
+    metavar="PATTERN",
+    help="With --joints: velocity columns, e.g. 'dq{}'.  [default: from the positions]",
+)
+@click.option(
+    "--urdf",
+    "--arm",
+    "arm",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="With --joints: URDF or MJCF of the arm. Its own dynamics are refitted and told from the friction, also from "
+    "friction that grows with the load.",
+)
+@click.option(
+    "--urdf-joints",
+    "arm_joints",
+    metavar="NAMES",
+    help="Joints of that file in the order of the log, e.g. a,b,c.  [default: those of the same names, or all]",
+)
+@click.option(
+    "--signs", metavar="SIGNS", help="1 or -1 for each joint: -1 where the log counts against the file, e.g. 1,-1,1."
+)
+@click.option(
     "--lowpass",
     type=float,
     metavar="HZ",
@@ -126,6 +163,14 @@ def command(**options: Any) -> int:
     strokes of some speeds and blocks of time that are held out in turn. The simplest candidate within a standard error
     of the best is chosen.
     """
-    from friction_hil.cli.work.identify import identify_axis  # imported here: --help must not wait for numba
+    # imported here: --help must not wait for numba
+    of_joints = {name: options.pop(name) for name in _OF_JOINTS}
+    if of_joints["joints"] is None:
+        if given := [name for name, value in of_joints.items() if value is not None]:
+            raise click.UsageError(f"--{given[0].replace('arm', 'urdf').replace('_', '-')} needs --joints")
+        from friction_hil.cli.work.identify import identify_axis
 
-    return identify_axis(**options)
+        return identify_axis(**options)
+    from friction_hil.cli.work.identify_joints import identify_all
+
+    return identify_all(**options, **of_joints)

@@ -179,8 +179,8 @@ def _moving(
     found = []
     for each in segments:
         if sliding_s > 0.0:
-            segment, is_sliding, reach_s = _thinned(each, least_speed, sliding_s, distance)
-            is_moving, around = segment.kept_rows(is_sliding), f" there or within {1e3 * reach_s:.3g} ms"
+            segment, slides, reach_s = _thinned(each, least_speed, sliding_s, distance)
+            is_moving, around = segment.kept_rows(slides), f" there or within {1e3 * reach_s:.3g} ms"
         else:
             segment, is_moving, around = each, np.abs(each.reduce_smooth(each.velocity)) >= least_speed, ""
         around += f", or within {distance:.3g} of a reversal" if distance > 0.0 else ""
@@ -200,10 +200,10 @@ def _thinned(
     """
     segment, cut_hz, reach_s = replace(segment, is_thinned=True), segment.lowpass_hz, sliding_s
     if cut_hz is None:
-        return segment, _sliding(segment, least_speed, sliding_s, distance), sliding_s
+        return segment, is_sliding(segment, least_speed, sliding_s, distance), sliding_s
     velocity, acceleration = derivatives(segment.position, segment.dt)
     segment = replace(segment, velocity=velocity, acceleration=acceleration)
-    rows, least_hz = _sliding(segment, least_speed, reach_s, distance), _LEAST_CUT * cut_hz
+    rows, least_hz = is_sliding(segment, least_speed, reach_s, distance), _LEAST_CUT * cut_hz
     while rows.any() and cut_hz > least_hz:
         noise = acceleration_noise(segment.resolution or 0.0, cut_hz, segment.rate_hz)
         if noise <= NOISE_RATIO * np.std(segment.acceleration[rows]):
@@ -212,7 +212,7 @@ def _thinned(
         # is not correlated with the rest, and only adds to the residual
         cut_hz *= _CUT_STEP
         longer_s = max(sliding_s, _MIXED_PERIODS / cut_hz)
-        if not (left := _sliding(segment, least_speed, longer_s, distance)).any():
+        if not (left := is_sliding(segment, least_speed, longer_s, distance)).any():
             break
         rows, reach_s = left, longer_s
         smooth = filtering.lowpass(segment.position, cut_hz, segment.rate_hz)
@@ -220,20 +220,20 @@ def _thinned(
     return segment, rows, reach_s
 
 
-def _sliding(segment: RegressionSegment, least_speed: float, sliding_s: float, distance: float) -> Mask:
+def is_sliding(segment: RegressionSegment, least_speed: float, sliding_s: float, distance: float) -> Mask:
     """Return the rows (n,) about which the axis slides in one direction for ``sliding_s`` to either side.
 
     The axis has moved by ``distance`` or more since its last reversal.
     """
     reach = max(1, round(sliding_s * segment.rate_hz))
-    is_sliding = np.zeros(len(segment.velocity), dtype=np.bool_)
+    found = np.zeros(len(segment.velocity), dtype=np.bool_)
     for sign in (1.0, -1.0):
         # number of rows up to each one that are too slow: it stands still over a stretch without any
         slow = np.concatenate([[0], np.cumsum(sign * segment.velocity < least_speed)])
         rows = np.arange(len(segment.velocity))
         first, last = np.maximum(rows - reach, 0), np.minimum(rows + reach + 1, len(rows))
-        is_sliding |= slow[last] == slow[first]
-    return is_sliding & (moved_since_reversal(segment.velocity, segment.position) >= distance)
+        found |= slow[last] == slow[first]
+    return found & (moved_since_reversal(segment.velocity, segment.position) >= distance)
 
 
 def moved_since_reversal(velocity: Array, position: Array) -> Array:

@@ -66,7 +66,7 @@ def infer(estimate: Estimate, parts: Sequence[slice], *, lags: int | None = None
     inverse = (vectors[is_kept].T / singular[is_kept] ** 2) @ vectors[is_kept]
     # a parameter with a component in an undetermined direction has no finite error
     is_determined = is_seen & (np.sum(vectors[~is_kept] ** 2, axis=0) < _RANK)
-    lags = _lags(residual, parts) if lags is None else lags
+    lags = correlated_lags(residual, parts) if lags is None else lags
     scores = jacobian / size * residual[:, None]
     middle = np.zeros((count, count))
     for part in parts:
@@ -107,7 +107,7 @@ def _singular(matrix: Array) -> tuple[Array, Array]:
     return np.asarray(singular), np.asarray(vectors)
 
 
-def _lags(residual: Array, parts: Sequence[slice]) -> int:
+def correlated_lags(residual: Array, parts: Sequence[slice]) -> int:
     """Return the bandwidth for first-order residuals: D. W. K. Andrews, Econometrica 59(3), 1991, Bartlett kernel."""
     above = sum(float(residual[part][1:] @ residual[part][:-1]) for part in parts)
     below = sum(float(residual[part] @ residual[part]) for part in parts)

@@ -106,6 +106,13 @@ LOAD_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the load in inertia and friction
 WORSE = 3.0  # standard errors by which a pair has to explain less to be excluded
 INDEPENDENT = 0.02  # of the energy of the load's column, outside all others
 
+# the dynamics of an arm
+ARM_PRIOR = 0.25  # part by which inertial parameters of a file are wrong, one standard deviation
+ARM_LOAD = 0.05  # standard error of friction per load beyond which a log does not determine it, unless it is clear
+ARM_STILL = 50.0  # counts of its encoder: a joint with less travel is held still,
+ARM_STILL_RAD, ARM_STILL_M = 0.05, 0.005  # or less than this: its loop gives way, and its gear twists
+ARM_FOLDS = 5
+
 # the position of the load
 LOAD_SIDE_BAND = 0.08  # of the sampling rate
 STRETCH_S = 0.25  # over which residuals are taken to be correlated

@@ -120,6 +120,18 @@ ELSEWHERE = (
     ("./tools/bench health --axes --json", "test_the_benchmark_of_health_has_every_change"),
     ("friction-hil identify --linear", "test_emps_published_parameters_to_the_printed_digits"),
     ("friction-hil identify --where --group-by --unknown-gain", "test_servo_has_friction_that_grows_with_its_load"),
+    (
+        "friction-hil identify --joints --torque --urdf --models --output",
+        "test_identify_writes_a_model_file_of_each_joint_of_an_arm",
+    ),
+    (
+        "friction-hil identify --velocity",
+        "test_identify_reads_all_joints_of_a_wide_log_and_says_that_they_are_coupled",
+    ),
+    (
+        "friction-hil identify --urdf-joints --signs",
+        "test_names_and_signs_of_the_arm_s_joints_are_those_of_the_log",
+    ),
     ("friction-hil identify --rate --column", "test_commands_take_a_rate_and_a_file_beside"),
     ("friction-hil convert --rate --column", "test_commands_take_a_rate_and_a_file_beside"),
     ("friction-hil replay --scheduler", "test_a_worker_that_is_killed_costs_no_bit"),
@@ -171,6 +183,7 @@ ELSEWHERE = (
     ("./tools/bench recordings --json", "test_benchmark_of_recordings_has_every_format"),
     ("./tools/bench serial", "test_cycles_without_time_for_a_rehearsal_are_measured_all_the_same"),
     ("./tools/bench latency", "test_the_benchmark_of_latency_compares_sleeping_and_spinning"),
+    ("./tools/bench dynamics", "test_the_benchmark_of_dynamics_compares_with_mujoco"),
     ("./tools/bench exchange", "test_the_benchmark_of_the_exchange_times_each_part"),
     ("./tools/bench own_loop", "test_the_benchmark_of_the_call_has_every_figure"),
     ("./tools/bench loop", "test_the_benchmark_of_the_loop_starts_a_daemon"),

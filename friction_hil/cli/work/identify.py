@@ -53,17 +53,12 @@ def identify_axis(
         _tell_map(found, found.found, written, as_json=as_json)
         return 0
     result, findings, mechanics = found.found, found.findings, found.mechanics
-    free = found.facts["free_run"]
     if report is not None:
-        write_report(report, result, free, [each.text for each in findings], mechanics)
+        write_report(report, result, found.facts["free_run"], [each.text for each in findings], mechanics)
     if as_json:
         print_json({**found.facts, "output": written, "report": report})
     else:
-        if verbose:
-            _print_details(result, free, findings, mechanics)
-        _print_summary(result, findings, mechanics, written, report)
-        if free["relative_error"] is not None:
-            click.echo(f"Closed-loop simulation: relative_error of the torque {100.0 * free['relative_error']:.2f} %.")
+        print_result(found, written, report, verbose=verbose)
         if found.loops is not None:
             loops = found.loops
             say(
@@ -77,6 +72,17 @@ def identify_axis(
         if not found.is_usable and output is not None:
             say(f"{output} is not written.")
     return int(not found.is_usable)
+
+
+def print_result(found: Identified, written: Path | None, report: Path | None, *, verbose: bool) -> None:
+    """Print the summary of an axis; with ``verbose`` all candidates before it."""
+    result, free = found.found, found.facts["free_run"]
+    assert isinstance(result, Identification)
+    if verbose:
+        _print_details(result, free, found.findings, found.mechanics)
+    _print_summary(result, found.findings, found.mechanics, written, report)
+    if free["relative_error"] is not None:
+        click.echo(f"Closed-loop simulation: relative_error of the torque {100.0 * free['relative_error']:.2f} %.")
 
 
 def _print_summary(

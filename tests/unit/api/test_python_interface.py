@@ -97,14 +97,15 @@ def test_the_parameters_are_the_options_of_the_commands():
         "kept_apart",
     }
     only_commands = {"output", "report", "scheduler", "is_verifying", "yes"}
-    for command, function in (
-        ("identify", fh.identify),
+    for command, *functions in (
+        ("identify", fh.identify, fh.identify_joints),
         ("replay", fh.compare),
         ("train", fh.train),
         ("tune", fh.tune),
     ):
         options = {each.name for each in importlib.import_module(f"friction_hil.cli.{command}").command.params}
-        assert options - renamed - only_commands <= set(inspect.signature(function).parameters), command
+        parameters = {name for function in functions for name in inspect.signature(function).parameters}
+        assert options - renamed - only_commands <= parameters, command
 
 
 def test_identify_says_what_the_command_says(folder, swing, capsys):

@@ -12,6 +12,7 @@ import friction_hil as fh
 from friction_hil.errors import UsageError
 from friction_hil.servo.mechanisms import Link, TwoLinkArm, mechanism_record
 from tests import random_arms
+from tools.benchmarks import dynamics as benchmark
 
 PENDULUM = """<robot name="p"><link name="base"/><link name="arm"><inertial><origin xyz="0 0 -0.3"/><mass value="2"/>
 <inertia ixx="0.02" iyy="0.02" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -171,3 +172,12 @@ def test_wrong_shapes_are_refused(load, call, word):
     with pytest.raises(UsageError) as error:
         call(load(PENDULUM))
     assert word in str(error.value)
+
+
+def test_the_benchmark_of_dynamics_compares_with_mujoco(monkeypatch):
+    monkeypatch.setattr(benchmark, "ROUNDS", 2)
+    monkeypatch.setattr(benchmark, "CALLS", 100)
+    whole, gravity = benchmark.run()
+    assert "mj_inverse" in whole.name
+    assert gravity.value > 0.0
+    assert whole.ratio < 2.0  # on a busy machine; 0.4 on a quiet one
