@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests.processes import run
 
@@ -53,6 +54,19 @@ def test_the_first_axis_gives_the_log_of_the_second_and_the_configuration_of_the
     follow("in_ci.md")
     for program in blocks("in_ci.md", "python"):
         subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True, timeout=60)
+
+
+def test_the_log_of_an_arm_gives_a_model_of_each_joint(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    log, use = blocks("arm_log.md", "python")
+    subprocess.run([sys.executable, "-c", log], check=True, timeout=60)
+    follow("arm_log.md")
+    subprocess.run([sys.executable, "-c", use], check=True, timeout=60)
+    for joint, coulomb, factor in (("q1", 3.0, 0.1), ("q2", 1.5, 0.12)):
+        friction = yaml.safe_load((tmp_path / f"friction_{joint}.yaml").read_text())["friction"]
+        assert friction["modifiers"]["load"]["motoring"] == pytest.approx(factor, rel=0.15)
+        if friction["model"] == "coulomb":
+            assert friction["parameters"]["coulomb"] == pytest.approx(coulomb, rel=0.05)
 
 
 def test_the_sidecar_runs_beside_its_plc(tmp_path, monkeypatch):
