@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from friction_hil.api.joints import IdentifiedJoints, identify_joints
     from friction_hil.api.training import Trained, train
     from friction_hil.api.tuning import Tuned, tune
+    from friction_hil.models import library
     from friction_hil.own_loop import Compensator
 
 __version__ = "0.3.0.dev0"
@@ -32,13 +33,14 @@ __all__ = [
     "health",
     "identify",
     "identify_joints",
+    "library",
     "models",
     "recordings",
     "train",
     "tune",
     "verify",
 ]
-_MODULES = {  # of the functions and classes; the other names are modules
+_MODULES = {  # where the other names are, which are no modules of this package
     "Comparison": "api.comparison",
     "Compensator": "own_loop",
     "Identified": "api.identification",
@@ -49,6 +51,7 @@ _MODULES = {  # of the functions and classes; the other names are modules
     "compare": "api.comparison",
     "identify": "api.identification",
     "identify_joints": "api.joints",
+    "library": "models",
     "train": "api.training",
     "tune": "api.tuning",
     "verify": "api.comparison",

@@ -54,6 +54,12 @@ def command() -> None:
 @click.option(
     "--simulated", "is_simulated", is_flag=True, help="A simulated drive on this machine; nothing to fill in."
 )
+@click.option(
+    "--like",
+    metavar="ACTUATOR",
+    help="Begin with the friction of a known actuator ('friction-hil models --library'), marked as not identified on "
+    "this axis.",
+)
 @click.option("--example", metavar="NAME", help="Copy an example instead; 'friction-hil config examples' lists them.")
 @click.option("--force", is_flag=True, help="Overwrite FILE.")
 def new(driver: str | None, **options: Any) -> None:

@@ -41,12 +41,16 @@ from friction_hil.cli.options import option_json
     help="Export NAME, or without NAME all example model files and an example of each model, to every format into DIR, "
     "with plots and a page.",
 )
+@click.option(
+    "--library", "is_library", is_flag=True, help="List actuators whose friction is known, from published recordings."
+)
 @option_json
 def command(**options: Any) -> None:
     """List the friction models, or describe the model NAME: formula, parameters, source, example.
 
-    NAME may include values, as in lugre:sigma0=2000,coulomb=0.08,static=0.12,stribeck_velocity=0.2, or be a model file:
-    then its values are shown, and --draw draws them with their modifiers. Without values, the example is drawn.
+    NAME may be an actuator of --library, include values, as in
+    lugre:sigma0=2000,coulomb=0.08,static=0.12,stribeck_velocity=0.2, or be a model file: then its values are shown, and
+    --draw draws them with their modifiers. Without values, the example is drawn.
     """
     from friction_hil.cli.work.models import show_models  # imported here: --help must not wait for numba
 

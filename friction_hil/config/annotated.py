@@ -87,5 +87,7 @@ def _yaml(value: Any) -> str:
     """Write a value on one line."""
     if isinstance(value, Path):
         value = str(value)
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name}: {_yaml(each)}" for name, each in value.items()) + "}"
     text = dump([value]).strip()
     return " ".join(text.removeprefix("- ").removeprefix("[").removesuffix("]").split()) if text[0] == "[" else text[2:]

@@ -21,6 +21,8 @@ from friction_hil.config.schema import Configuration, Realtime
 from friction_hil.config.trajectories import AxisExperiment, Sine
 from friction_hil.errors import UsageError, choices
 from friction_hil.friction import describe
+from friction_hil.models import library
+from friction_hil.models.model_file import NOT_IDENTIFIED
 
 SCHEMA_FILE = "friction_hil.schema.json"
 _MODES = ("csp", "csv", "cst")
@@ -29,6 +31,8 @@ _EXPERIMENT_FRACTION = 0.6  # of the velocity limit, reached by `tune`
 _ERROR_FRACTIONS = (0.1, 0.5)  # of the travel, limit of the following error; loops over the bus (cst) are softer
 _HIGHEST_HZ = 0.5
 _MISSED_IN_SIMULATION = 20  # periods: nothing real moves meanwhile, and the drives compute on the same computer
+_OF_POSITION = ("ripple",)  # modifiers that belong to the other axis alone
+_FOREIGN_GAIN = 0.5  # of a model of another axis, whose friction may be much higher than that of this one
 _LOWER, _ASSUMED = ("coulomb", "static"), 0.9  # of the simulated friction, in the model of a simulated axis
 
 
@@ -48,6 +52,7 @@ class Wanted:
     is_linear: bool = False
     is_simulated: bool = False  # the drive is to be simulated on this machine: what is not known is chosen
     port: int = 43113  # UDP port of a simulated CAN bus
+    like: str | None = None  # actuator of `friction_hil.models.library` whose friction the model has to begin with
     path: Path = Path("machine.yaml")  # of the configuration; those in it are relative to its folder
 
     @property
@@ -71,10 +76,12 @@ class DriverKeys:
 def new_configuration(wanted: Wanted) -> str:
     """Return the text of a configuration of one axis.
 
-    Raises `UsageError`: there is no such driver, mode or description, or the driver has no such option.
+    Raises `UsageError`: there is no such driver, mode, description or actuator, or the driver has no such option.
     """
     if wanted.is_simulated and wanted.is_linear:
         raise UsageError("--simulated: the simulated drive is rotary; leave --linear out")
+    if wanted.like is not None:
+        _refuse_other_kind(wanted, wanted.like)
     driver = load_driver(wanted.driver)
     given = driver.new_keys(wanted) or _required_keys(driver.Options)
     if wanted.mode is not None and wanted.mode not in given.modes:
@@ -154,7 +161,8 @@ def _header(wanted: Wanted) -> list[str]:
     else:
         steps[f"doctor {file}"] = "what stands between this machine and the drive"
         steps[f"run {file} --dry-run --duration 5"] = "listen and compute, without commanding the drive"
-        steps[f"tune {file}"] = "identify the friction; writes the file that `model` names"
+        tune = "identify the friction; writes the file that `model` names"
+        steps[f"tune {file}" + (" --apply" if wanted.like else "")] = "identify the friction" if wanted.like else tune
         steps[f"run {file} --duration 20"] = "compensate"
     width = max(map(len, steps)) + 2
     what = (
@@ -189,12 +197,14 @@ def _motion(page: Page, wanted: Wanted, mode: str) -> None:
     page.blank()
     if wanted.is_simulated:
         _simulated_model(page)
+    elif wanted.like is not None:
+        _foreign_model(page, wanted.like)
     else:
         note = "friction model: a file beside this one; 'friction-hil tune' makes it"
         page.key(2, "model", f"{wanted.name}_x.yaml", note)
     page.blank()
     page.key(2, "compensation", None)
-    page.of(3, Compensation, "gain", 0.9)
+    page.of(3, Compensation, "gain", 0.9 if wanted.like is None else _FOREIGN_GAIN)
     page.of(3, Compensation, "baseline_s", 4.0)
     if mode == "cst":
         gains = (20.0, 0.03, 1.0) if wanted.is_simulated else (FILL_IN, FILL_IN, 0.0)
@@ -237,6 +247,28 @@ def _simulated_model(page: Page) -> None:
             value = _rounded(_ASSUMED * value)
         page.key(5, parameter.name, value, f"{parameter.unit}; {parameter.meaning}")
     page.key(3, "mechanics", {"inertia": 2e-4}, "kg m^2")
+
+
+def _refuse_other_kind(wanted: Wanted, like: str) -> None:
+    if wanted.is_simulated:
+        raise UsageError("--simulated: the simulated drive has a model of its own; leave --like out")
+    kind = library.load(like).axis
+    if (kind == "linear") != wanted.is_linear:
+        raise UsageError(f"--like {like}: that axis is {kind}; {'give' if kind == 'linear' else 'leave out'} --linear")
+
+
+def _foreign_model(page: Page, like: str) -> None:
+    """Write the friction of another axis, without its rig's mechanics, marked as such."""
+    actuator, friction = library.describe(like), library.load(like).friction
+    flag = f"{NOT_IDENTIFIED} on this axis: friction of {like}"
+    page.key(2, "model", None, f"{flag} ({actuator.what}); 'friction-hil tune' identifies that of this axis")
+    page.key(3, "axis", actuator.axis)
+    page.key(3, "friction", None)
+    page.key(4, "model", friction.model)
+    page.key(4, "parameters", friction.parameters)
+    if modifiers := {name: value for name, value in friction.modifiers.items() if name not in _OF_POSITION}:
+        page.key(4, "modifiers", modifiers)
+    page.key(3, "fit", {"flags": [flag]}, "remove it once the friction is that of this axis")
 
 
 def _or_fill_in(value: Any) -> Any:

@@ -21,6 +21,7 @@ from friction_hil.friction import (
     names,
     simulate_many,
 )
+from friction_hil.models import library
 from friction_hil.models.files import load
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "create",
     "describe",
     "describe_brief",
+    "library",
     "load",
     "names",
     "simulate_many",

@@ -48,16 +48,22 @@ def load_model_file(path: str | Path) -> ModelFile:
 def model_from_argument(argument: str) -> ModelFile:
     """Parse the argument of ``--model``: a model file, or ``NAME:coulomb=0.08,viscous=2e-3`` (a rotary axis).
 
+    It may also be an actuator of `friction_hil.models.library`.
+
     Raises `ConfigurationError`: the model file cannot be read or has mistakes; `UsageError`: the model or a parameter
     does not exist, or a value is invalid.
     """
     if argument.endswith((".yaml", ".yml")) or os.path.isfile(argument):
         return load_model_file(argument)
+    from friction_hil.models import library  # imported here: it needs this module
+
+    if argument in library.names():
+        return library.load(argument)
     name, _, rest = argument.partition(":")
     if name not in friction.names():
         raise UsageError(
             f"--model {argument}: neither a file nor a friction model of this name exists; "
-            f"{choices(name, friction.names())}"
+            f"{choices(name, (*friction.names(), *library.names()))}"
         )
     parameters: dict[str, Any] = {}
     for part in re.split(r",(?=\s*\w+\s*=)", rest) if rest else ():

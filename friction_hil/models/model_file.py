@@ -246,6 +246,9 @@ class TorqueSignal(Section):
     )
 
 
+NOT_IDENTIFIED = "not identified"  # beginning of a flag in `fit`: the friction is that of another axis
+
+
 class ModelFile(Section):
     """Friction model and mechanics of one axis."""
 
@@ -278,6 +281,12 @@ class ModelFile(Section):
         """Signal of the recordings and its gain: ``torque_signal``, or ``fit.drive`` of files before there was that."""
         drive = (self.fit or {}).get("drive")
         return TorqueSignal.model_validate(drive) if drive and self.torque_signal is None else self.torque_signal
+
+    @property
+    def is_of_other_axis(self) -> str:
+        """The flag that says so, if the friction was not identified on this axis; else empty."""
+        flags = (self.fit or {}).get("flags", ())
+        return next((each for each in flags if str(each).startswith(NOT_IDENTIFIED)), "")
 
     @property
     def source_path(self) -> Path | None:

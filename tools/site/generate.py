@@ -34,7 +34,8 @@ def interface() -> list[str]:
     for name in sorted(NAMES, key=str.lower):
         each = importlib.import_module("friction_hil.drive") if name == "drive" else getattr(friction_hil, name)
         kind = "module" if inspect.ismodule(each) else "class" if inspect.isclass(each) else "function"
-        lines += [f"## friction_hil.{name}", "", "```{eval-rst}", f".. auto{kind}:: friction_hil.{name}"]
+        target = each.__name__ if kind == "module" else f"friction_hil.{name}"
+        lines += [f"## friction_hil.{name}", "", "```{eval-rst}", f".. auto{kind}:: {target}"]
         if kind != "function":
             lines += ["   :members:", "   :imported-members:" if kind == "module" else "   :inherited-members:"]
         lines += ["```", ""]

@@ -41,6 +41,11 @@ def check_files(files: Sequence[str], as_json: bool) -> int:
                 *missing_models(file, configuration),
                 *_inert_adaptations(file, configuration),
                 *_short_limits(file, configuration),
+                *(
+                    Problem(file, None, f"axes.{name}.model", axis.model.is_of_other_axis)
+                    for name, axis in configuration.axes.items()
+                    if axis.model.is_of_other_axis
+                ),
             ]
         except ConfigurationError as error:
             reports[file] = error.problems

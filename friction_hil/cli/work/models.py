@@ -1,6 +1,7 @@
 """The work of ``friction-hil models``."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from friction_hil.checked_yaml.output import check_writable
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.given_model import given_model
 from friction_hil.cli.work.model_text import Page, default_text, in_units_of, unit_text, value_text
-from friction_hil.cli.work.tables import Table, new_table, number, print_files, prose
+from friction_hil.cli.work.tables import Table, new_table, number, print_files, print_table, prose, say
 from friction_hil.config.examples import example_models
 from friction_hil.errors import UsageError
 from friction_hil.export import identifier
@@ -21,6 +22,7 @@ from friction_hil.friction.parameters import Parameter
 from friction_hil.models import Family, FrictionModel
 from friction_hil.models.files import load_model_file
 from friction_hil.models.model_file import ModelFile
+from friction_hil.numerics.readable import FORCE_UNITS, POSITION_UNITS, brief
 from friction_hil.reports.export_gallery import INDEX, write_gallery
 from friction_hil.reports.model_motion import Motion, draw_motion, draw_steady, keys_of, make_motion
 from friction_hil.reports.model_picture import draw
@@ -33,9 +35,13 @@ def show_models(
     motion: str | None,
     beside: tuple[str, ...],
     gallery: Path | None,
+    is_library: bool,
     as_json: bool,
 ) -> None:
     """Print the list of models, describe one model and draw it, or export models to every format."""
+    if is_library:
+        _list_library(as_json)
+        return
     if picture is None and (motion is not None or beside):
         raise UsageError("--motion and --beside belong to --draw PICTURE")
     if picture is not None:
@@ -68,6 +74,33 @@ def show_models(
     _print(family, own, name)
     if picture is not None:
         click.echo(f"\npicture: {picture}")
+
+
+def _list_library(as_json: bool) -> None:
+    actuators = list(map(models.library.describe, models.library.names()))
+    if as_json:
+        print_json({"actuators": [asdict(each) for each in actuators]})
+        return
+    table = new_table("actuator", prose("model"), number("level"), *map(number, ("error", "held out", "speeds")))
+    for each in actuators:
+        unit = FORCE_UNITS[each.axis], f"{POSITION_UNITS[each.axis]}/s"
+        table.add_row(
+            each.name,
+            each.model,
+            f"{brief(each.level, 3)} {unit[0]}",
+            f"{100.0 * each.relative_error:.3g} %",
+            f"{100.0 * each.held_out:.3g} %",
+            f"{brief(each.velocity[0], 2)} to {brief(each.velocity[1], 2)} {unit[1]}",
+        )
+    print_table(table)
+    for each in actuators:
+        say(f"\n{each.name}: {each.what}. From {each.source} ({each.licence}).", stderr=False)
+        for flag in each.flags:
+            say(f"- {flag}", stderr=False)
+    say(
+        "\nYours has a friction of its own: 'friction-hil config new --like NAME' begins with one of these.",
+        stderr=False,
+    )
 
 
 def _export_all(name: str | None, folder: Path, as_json: bool) -> None:

@@ -359,7 +359,7 @@ def test_a_consumer_is_checked_by_mypy(tmp_path):
 
 
 @pytest.mark.deep
-def test_tune_says_what_the_command_says(tmp_path, monkeypatch, capsys, capfd):
+def test_tune_says_what_the_command_says(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     main(["config", "new", "trial.yaml", "--simulated"])
     Path("trial.yaml").write_text(
@@ -369,7 +369,7 @@ def test_tune_says_what_the_command_says(tmp_path, monkeypatch, capsys, capfd):
     found = fh.tune("trial.yaml", models="coulomb", simulate=True, pace="sync", output="python")
     assert capfd.readouterr() == ("", "")
     words = ("tune", "trial.yaml", "--models", "coulomb", "--simulate", "--pace", "sync", "--yes", "--output", "cli")
-    told, own = (each["axes"]["x"] for each in (said(capsys, *words), found.to_dict()))
+    told, own = (each["axes"]["x"] for each in (said(capfd, *words), found.to_dict()))
     assert own["parameters"] == pytest.approx(told["parameters"], rel=1e-6)
     assert own["left"] == pytest.approx(told["left"], rel=1e-6)
     assert own["flags"] == told["flags"]
