@@ -132,6 +132,7 @@ ELSEWHERE = (
         "friction-hil identify --urdf-joints --signs",
         "test_names_and_signs_of_the_arm_s_joints_are_those_of_the_log",
     ),
+    ("friction-hil identify --axis --column", "test_a_data_set_is_identified_joint_by_joint"),
     ("friction-hil identify --rate --column", "test_commands_take_a_rate_and_a_file_beside"),
     ("friction-hil convert --rate --column", "test_commands_take_a_rate_and_a_file_beside"),
     ("friction-hil replay --scheduler", "test_a_worker_that_is_killed_costs_no_bit"),
