@@ -18,7 +18,7 @@ position is frozen.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 WINDOWS_TO_FAULT = 2  # contradictory ones in a row
 _WINDOW_S = 0.02
@@ -46,6 +46,71 @@ class Window(NamedTuple):
         return math.copysign(math.inf, self.integral) if self.integral else math.nan
 
 
+# what `take` needs, as fields of a record or attributes of an object
+SETTINGS = [
+    ("period_s", "f8"),
+    ("cycles", "f8"),  # of a window, at least
+    ("floor", "f8"),  # tolerated difference, SI
+    ("lag_s", "f8"),
+]
+STATE = [
+    ("start", "f8"),  # position at the beginning of the window; NaN before the first
+    ("velocity", "f8"),  # of the last cycle
+    ("count", "f8"),  # cycles of the window so far
+    ("missing", "f8"),  # of these, without usable feedback
+    ("integral", "f8"),  # of the velocity, per period
+    ("low", "f8"),
+    ("high", "f8"),
+    ("contradictions", "f8"),  # windows in a row
+    ("displacement", "f8"),  # of the last window
+    ("way", "f8"),  # the same by the velocity
+    ("duration_s", "f8"),
+]
+NO_WINDOW, AGREES, CONTRADICTS = range(3)
+
+
+def take(c: Any, r: Any, position: float, velocity: float, is_usable: bool) -> int:
+    """Take one cycle's feedback; return what the window showed that ends with it.
+
+    One function for the daemon, which runs it as it is, and for the loops that compile it. ``c``, ``r``: have the
+    fields of `SETTINGS` and `STATE`.
+    """
+    is_usable = is_usable and math.isfinite(position) and math.isfinite(velocity)
+    verdict, is_beginning = NO_WINDOW, False
+    if not math.isfinite(r.start):
+        if is_usable:
+            r.start, r.velocity, is_beginning = position, velocity, True
+    else:
+        if is_usable:
+            r.integral += 0.5 * (r.velocity + velocity)
+            r.velocity = velocity
+            if velocity < r.low:
+                r.low = velocity
+            elif velocity > r.high:
+                r.high = velocity
+        else:
+            r.integral += r.velocity
+            r.missing += 1.0
+        r.count += 1.0
+        if r.count >= c.cycles:
+            is_void = r.missing > _MOST_MISSING * r.count
+            if is_usable:
+                displacement, way = position - r.start, r.integral * c.period_s
+                if not is_void:
+                    tolerance = c.floor + _RATIO * max(abs(displacement), abs(way)) + c.lag_s * (r.high - r.low)
+                    is_contradictory = abs(displacement - way) > tolerance
+                    verdict = CONTRADICTS if is_contradictory else AGREES
+                    r.contradictions = r.contradictions + 1.0 if is_contradictory else 0.0
+                    r.displacement, r.way, r.duration_s = displacement, way, r.count * c.period_s
+                r.start, is_beginning = position, True
+            elif is_void:  # otherwise the window ends with the next usable cycle
+                r.start, r.velocity, is_beginning = math.nan, 0.0, True
+    if is_beginning:
+        r.count = r.missing = r.integral = 0.0
+        r.low = r.high = r.velocity
+    return verdict
+
+
 class VelocityCheck:
     """Compare velocity and position of one axis over windows of 20 ms, at least 10 cycles.
 
@@ -53,47 +118,31 @@ class VelocityCheck:
     resolutions are the smallest steps of the position and of the reported velocity, SI.
     """
 
-    __slots__ = (
-        "_contradictions",
-        "_count",
-        "_cycles",
-        "_floor",
-        "_high",
-        "_integral",
-        "_lag_s",
-        "_low",
-        "_missing",
-        "_period_s",
-        "_start",
-        "_velocity",
-        "is_lasting",
-        "last",
-    )
+    __slots__ = (*(name for name, _ in (*SETTINGS, *STATE)), "is_lasting", "last")
+
+    count: float
+    missing: float
+    integral: float
+    low: float
+    high: float
 
     def __init__(
         self, period_s: float, velocity_limit: float, position_resolution: float, velocity_resolution: float = 0.0
     ) -> None:
-        self._period_s = period_s
-        self._cycles = max(_FEWEST_CYCLES, math.ceil(_WINDOW_S / period_s - 1e-9))
-        duration_s = self._cycles * period_s
+        self.period_s = period_s
+        self.cycles = float(max(_FEWEST_CYCLES, math.ceil(_WINDOW_S / period_s - 1e-9)))
         slowest = max(_FLOOR * velocity_limit, velocity_resolution)
-        self._floor = slowest * duration_s + _COUNTS * position_resolution
-        self._lag_s = _LAG_S + 2.0 * period_s
+        self.floor = slowest * self.cycles * period_s + _COUNTS * position_resolution
+        self.lag_s = _LAG_S + 2.0 * period_s
         self.last: Window | None = None  # result of the last window that was not void
         self.is_lasting = False  # the last `WINDOWS_TO_FAULT` windows were contradictory
-        self._contradictions = 0
+        self.contradictions = self.displacement = self.way = self.duration_s = 0.0
         self.restart()
 
     def restart(self) -> None:
         """Begin a new window at the next cycle, e.g. after the position was set anew."""
-        self._start = math.nan  # position at the beginning of the window
-        self._velocity = 0.0
-        self._begin_window()
-
-    def _begin_window(self) -> None:
-        self._count = self._missing = 0
-        self._integral = 0.0
-        self._low = self._high = self._velocity
+        self.start, self.velocity = math.nan, 0.0
+        self.count = self.missing = self.integral = self.low = self.high = 0.0
 
     def take(self, position: float, velocity: float, *, is_usable: bool = True) -> Window | None:
         """Take one cycle's feedback; return the result of the window that ends with it.
@@ -101,45 +150,15 @@ class VelocityCheck:
         ``position``, ``velocity``: as the drive reports them, SI. ``is_usable``: False for a cycle without feedback:
         the velocity before is taken for it.
         """
-        is_usable = is_usable and math.isfinite(position) and math.isfinite(velocity)
-        if not math.isfinite(self._start):
-            if is_usable:
-                self._start, self._velocity = position, velocity
-                self._begin_window()
+        verdict = take(self, self, position, velocity, is_usable)
+        if verdict == NO_WINDOW:
             return None
-        if is_usable:
-            self._integral += 0.5 * (self._velocity + velocity)
-            self._velocity = velocity
-            if velocity < self._low:
-                self._low = velocity
-            elif velocity > self._high:
-                self._high = velocity
-        else:
-            self._integral += self._velocity
-            self._missing += 1
-        self._count += 1
-        if self._count < self._cycles:
-            return None
-        if not is_usable:  # the window ends with the next usable cycle
-            if self._missing > _MOST_MISSING * self._count:
-                self.restart()
-            return None
-        return self._end_window(position)
+        self.last = Window(self.displacement, self.way, self.duration_s, verdict == CONTRADICTS)
+        self.is_lasting = self.contradictions >= WINDOWS_TO_FAULT
+        return self.last
 
-    def _end_window(self, position: float) -> Window | None:
-        """Judge the window that ends at ``position``; None if too much of it was missing."""
-        is_void = self._missing > _MOST_MISSING * self._count
-        displacement, integral = position - self._start, self._integral * self._period_s
-        tolerance = (
-            self._floor + _RATIO * max(abs(displacement), abs(integral)) + self._lag_s * (self._high - self._low)
-        )
-        is_contradictory = abs(displacement - integral) > tolerance
-        window = Window(displacement, integral, self._count * self._period_s, is_contradictory)
-        self._start = position
-        self._begin_window()
-        if is_void:
-            return None
-        self.last = window
-        self._contradictions = self._contradictions + 1 if is_contradictory else 0
-        self.is_lasting = self._contradictions >= WINDOWS_TO_FAULT
-        return window
+    @property
+    def fields(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Values of `SETTINGS` and `STATE`, for records."""
+        settings, state = (tuple(float(getattr(self, name)) for name, _ in each) for each in (SETTINGS, STATE))
+        return settings, state

@@ -322,6 +322,7 @@ class Compensator:
         if not joints:
             for name in ("stale_cycles", "fast_cycles", "reported_cycles"):
                 self._joints.limits[name] = 0.0
+            self._joints.limits["seen"]["contradictions"] = 0.0
             self._fault = None
             self._joints.loop["is_on"] = 1.0
 
@@ -443,6 +444,12 @@ class Compensator:
             speed = self._joints.compensators[k].velocity_estimate
             text = f"{name}: velocity {speed:.4g} {unit}/s is beyond its limit of "
             return self._stop(f"{text}{j['velocity_limit']:g} {unit}/s", FaultCode.VELOCITY_LIMIT)
+        if reason == kernel.CONTRADICTS:
+            seen = j["seen"]
+            moved, reported = seen["displacement"] / seen["duration_s"], seen["way"] / seen["duration_s"]
+            text = f"{name}: dq is {reported:.4g} {unit}/s, but q changes by {moved:.4g} {unit}/s: "
+            text += "another unit, sign or joint"
+            return self._stop(text, FaultCode.VELOCITY_CONTRADICTS)
         if reason == kernel.OUTSIDE:
             text = f"{name}: position {j['position']:.4g} {unit} is outside the limits "
             text += f"[{j['position_low']:g}, {j['position_high']:g}] {unit}"

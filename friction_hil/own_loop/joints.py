@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from friction_hil.config import AxisConfig, Configuration, located
 from friction_hil.daemon.assembly import make_compensator, make_limits
 from friction_hil.daemon.axis import check_torque
 from friction_hil.daemon.safety import JUMP_MARGIN, SLACK_STEPS
+from friction_hil.daemon.velocity_check import VelocityCheck
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import OptionError, UsageError, choices
 from friction_hil.numerics.jit import Array, StructuredArray
@@ -95,7 +97,7 @@ def _facts(configuration: Configuration, name: str) -> AxisFacts:
     return facts
 
 
-def _limits(axis: AxisConfig, facts: AxisFacts, period_s: float) -> tuple[float, ...]:
+def _limits(axis: AxisConfig, facts: AxisFacts, period_s: float) -> tuple[Any, ...]:
     """Return a `JOINT` before the first cycle."""
     limits, given = make_limits(axis), axis.compensation
     jump, slack = JUMP_MARGIN * limits.velocity * period_s, SLACK_STEPS * facts.position_resolution
@@ -103,4 +105,5 @@ def _limits(axis: AxisConfig, facts: AxisFacts, period_s: float) -> tuple[float,
     bounds = (limits.velocity, limits.position_low, limits.position_high, limits.following_error)
     fixed = (jump, slack, *bounds, given.velocity == "drive", needs_torque, given.baseline_s)
     unknown = (math.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.nan, math.nan)
-    return (*map(float, fixed), float(given.enabled), 0.0, *unknown)
+    check = VelocityCheck(period_s, limits.velocity, facts.position_resolution, facts.velocity_resolution)
+    return (*map(float, fixed), float(given.enabled), 0.0, *unknown, *check.fields)

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from friction_hil.checked_yaml.section import MOST_ACCELERATION, MOST_POSITION, MOST_TORQUE, MOST_VELOCITY
 from friction_hil.compensator.kernel import whole_step
+from friction_hil.daemon import velocity_check
 from friction_hil.daemon.fast_steps import MOST_FAST_CYCLES
 from friction_hil.numerics.jit import Array, StructuredArray, compiled_for_one_sample, inlined
 
 BoolArray = NDArray[np.bool_]
+_compare = inlined(velocity_check.take)
 
 # what the caller gives for each joint; NaN where nothing is given
 GIVEN = ("q", "dq", "tau", "q_des", "dq_des", "ddq_des", "load", "temperature", "fresh")
@@ -43,6 +45,8 @@ JOINT = np.dtype(
         ("reported_cycles", "f8"),  # the same, of the velocity that is given
         ("position_demand", "f8"),  # of the last cycle, NaN for none
         ("velocity_demand", "f8"),
+        ("check", velocity_check.SETTINGS),  # of the velocity that is given against the position
+        ("seen", velocity_check.STATE),
     ]
 )
 LOOP = np.dtype(
@@ -62,7 +66,7 @@ LOOP = np.dtype(
 # columns of a recorded row, behind the compensator's inputs
 RESULTS = ("compensation", "velocity_estimate", "load_estimate", "temperature_estimate", "change")
 
-NONE, MISSING, JUMPS, FAST, OUTSIDE, FOLLOWING, NOT_FINITE = range(7)  # why the compensation fades out
+NONE, MISSING, JUMPS, FAST, CONTRADICTS, OUTSIDE, FOLLOWING, NOT_FINITE = range(8)  # why the compensation fades out
 WRONG_SHAPE = -1
 REASONS = 8  # a fault is the number of its joint times this, and its reason
 
@@ -118,8 +122,15 @@ def _take(j: Any, loop: Any, position: float, velocity: float, torque: float, is
 
 
 @inlined
-def _fault(j: Any, loop: Any, velocity: float, reported: float, position_demand: float, is_faulty: float) -> int:
+def _fault(
+    j: Any, loop: Any, velocity: float, reported: float, position_demand: float, is_faulty: float, passed: float
+) -> int:
     """Return why the compensation of a joint must end, as `Supervisor.find_fault` judges; `NONE` if it need not."""
+    verdict = velocity_check.NO_WINDOW
+    if loop.has_velocity > 0.0:
+        for _ in range(int(passed) - 1):
+            _compare(j.check, j.seen, math.nan, math.nan, False)
+        verdict = _compare(j.check, j.seen, j.position, reported, j.is_usable > 0.0)
     j.fast_cycles = 0.0 if abs(velocity) <= j.velocity_limit else j.fast_cycles + 1.0
     if j.is_usable > 0.0:
         j.reported_cycles = j.reported_cycles + 1.0 if abs(reported) > j.velocity_limit else 0.0
@@ -130,6 +141,8 @@ def _fault(j: Any, loop: Any, velocity: float, reported: float, position_demand:
         return FAST
     if j.reported_cycles >= MOST_FAST_CYCLES:
         return FAST
+    if verdict == velocity_check.CONTRADICTS and j.seen.contradictions >= velocity_check.WINDOWS_TO_FAULT:
+        return CONTRADICTS
     if not j.position_low <= j.position <= j.position_high:
         return OUTSIDE
     if math.isfinite(position_demand) and not abs(position_demand - j.position) <= j.following_error:
@@ -247,7 +260,7 @@ def step(
             temperature,
             load,
         )
-        fault = _fault(j, loop, r.motion.velocity, reported, position_demand, r.is_faulty)
+        fault = _fault(j, loop, r.motion.velocity, reported, position_demand, r.is_faulty, passed)
         if fault > 0 and first_fault == 0:
             first_fault = k * REASONS + fault
         if capacity > 0:
