@@ -154,6 +154,11 @@ def _configuration(
     value = document.value
     axes = value.get("axes") if isinstance(value, dict) else None
     if isinstance(axes, dict):
+        if value.get("bus") is not None:  # an axis without a driver has none
+            lacking = [name for name, axis in axes.items() if isinstance(axis, dict) and "driver" not in axis]
+            text = "is missing: it finds the drive on the bus, and has keys of its own"
+            problems += [origins.locate(("axes", name, "driver"), text) for name in lacking]
+            origins.broken += [("axes", name) for name in lacking]
         reader = _ModelReader(directory, origins, problems, files, needs_models, reads_files)
         value = {**value, "axes": {name: reader.axis(name, axis) for name, axis in axes.items()}}
     lacks_period = is_own_loop(value) and "period_s" not in value

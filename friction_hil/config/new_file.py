@@ -16,6 +16,7 @@ from friction_hil.config.annotated import FILL_IN, Page
 from friction_hil.config.axis import AxisConfig, AxisLimits, Compensation, Controller
 from friction_hil.config.bus import MULTICAST, BusConfig
 from friction_hil.config.drivers import load_driver
+from friction_hil.config.own_loop import OWN_LOOP
 from friction_hil.config.recording import RecordingConfig
 from friction_hil.config.schema import Configuration, Realtime
 from friction_hil.config.trajectories import AxisExperiment, Sine
@@ -82,6 +83,11 @@ def new_configuration(wanted: Wanted) -> str:
         raise UsageError("--simulated: the simulated drive is rotary; leave --linear out")
     if wanted.like is not None:
         _refuse_other_kind(wanted, wanted.like)
+    if wanted.driver == OWN_LOOP:
+        raise UsageError(
+            "--driver own_loop: axes of a loop of your own have no drive; 'friction-hil config new --example own_loop' "
+            "copies a configuration of two"
+        )
     driver = load_driver(wanted.driver)
     given = driver.new_keys(wanted) or _required_keys(driver.Options)
     if wanted.mode is not None and wanted.mode not in given.modes:

@@ -11,13 +11,26 @@ import pytest
 
 from friction_hil import recordings
 from friction_hil.cli import main
-from friction_hil.config import load
+from friction_hil.config import file_problems, load
 from friction_hil.config.examples import examples
+from friction_hil.errors import ConfigurationError
 from friction_hil.replay.verify import verify
 from tools.benchmarks import own_loop
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "friction_hil/own_loop/README.md").read_text(encoding="utf-8")
+
+WITH_DRIVER = """
+  wrist:
+    driver: dynamixel
+    description: XL330
+    id: 1
+    line: {port: /dev/ttyUSB0}
+    mode: cst
+    limits: {torque: 0.1, velocity: 3.0}
+    model: {axis: rotary, friction: {model: coulomb, parameters: {coulomb: 0.1}}}
+    trajectory: {kind: none}
+"""
 
 
 @pytest.mark.deep  # of the tools, not of the product
@@ -44,6 +57,23 @@ def test_the_configuration_of_the_page_is_one(tmp_path, capsys):
     for words in (["run", "--duration", "1"], ["run", "--simulate"], ["simulate"], ["tune", "--yes"]):
         assert main([*words, str(tmp_path / "arm.yaml")]) == 2
         assert "loop of your own" in capsys.readouterr().err
+
+
+def test_an_axis_that_lacks_its_driver_is_told_so(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["config", "new", "--example", "own_loop"]) == 0
+    assert main(["config", "new", "arm.yaml", "--driver", "own_loop"]) == 2
+    assert "--example own_loop" in capsys.readouterr().err
+    path = tmp_path / "own_loop.yaml"
+    text = path.read_text()
+    path.write_text(text.replace("\naxes:", "\nperiod_s: 0.001\nbus: {interface: socketcan, channel: can0}\naxes:"))
+    with pytest.raises(ConfigurationError) as error:
+        load(path)
+    assert [each.field for each in error.value.problems] == ["axes.shoulder.driver", "axes.elbow.driver"]
+    path.write_text(text.replace("\naxes:", "\nperiod_s: 0.001\naxes:") + WITH_DRIVER)
+    problem, *_ = file_problems(path, load(path))
+    assert (problem.field, "other axes have one" in problem.message) == ("axes.shoulder.driver", True)
+    assert main(["run", str(path), "--dry-run", "--duration", "1"]) == 2
 
 
 def test_the_program_of_the_page_lowers_the_following_error_and_its_recording_verifies(tmp_path):
