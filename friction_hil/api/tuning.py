@@ -1,6 +1,7 @@
 """`tune`: commissioning on the drive; the work of ``friction-hil tune`` too."""
 
 import html
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
@@ -212,7 +213,8 @@ def tune(
     Raises
     ------
     UsageError
-        The motion is not confirmed, the configuration lacks a key that tuning needs, or the folder is not empty.
+        The motion is not confirmed, another thread than the main one calls this, the configuration lacks a key that
+        tuning needs, or the folder is not empty.
     DriveError, BusError
         A drive does not answer, or the bus cannot be opened.
     FrictionHilError
@@ -232,6 +234,8 @@ def tune(
         raise UsageError(
             "the machine moves: confirm=True says that the way is clear, simulate=True uses simulated drives instead"
         )
+    if threading.current_thread() is not threading.main_thread():
+        raise UsageError("tune is called in the main thread, which receives Ctrl-C: it brings the axes to rest")
     check_choice("pace", pace, ("real", "sync"))
     config = Path(configuration)
     settings = TuneSettings(

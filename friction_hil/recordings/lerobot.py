@@ -69,7 +69,8 @@ def joints(source: Source, frames: Recording, matrices: Mapping[str, Array]) -> 
                 own = known.get(kind, kind) if kind else _FEATURES.get(feature, feature)
                 axes.setdefault(joint, {}).setdefault(own, column)
     if not axes or len(axes) > MOST_AXES:
-        raise RecordingError(f"{source.path}: {_STATE} has {len(axes)} joints; 1 to {MOST_AXES} are read")
+        told = "; ".join(["", *frames.problems])
+        raise RecordingError(f"{source.path}: {_STATE} is read with 1 to {MOST_AXES} joints in each row{told}")
     rows = dict(frames.columns)
     if _STAMP in rows:
         rows = {TIME: _in_turn(rows.pop(_STAMP), rows.get(_EPISODE)), **rows}
@@ -89,7 +90,7 @@ def joints(source: Source, frames: Recording, matrices: Mapping[str, Array]) -> 
 
 def _in_turn(stamps: Array, episode: Array | None) -> Array:
     """Return times (n,), s, in which each episode begins after the one before, with a gap that separates them."""
-    if len(stamps) < 2:
+    if len(stamps) < 2 or not np.isfinite(stamps).all():
         return stamps
     is_new = np.diff(stamps) <= 0.0 if episode is None else np.diff(episode) != 0.0
     begins = [0, *(np.flatnonzero(is_new) + 1).tolist(), len(stamps)]

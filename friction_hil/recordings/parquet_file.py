@@ -140,14 +140,15 @@ def _matrix(arrow: Any, name: str, column: Any, problems: list[str]) -> Array:
     """Return a column of lists as a matrix (n, k), (n, 0) if they differ in length; a row without one is NaN."""
     column = column.combine_chunks()
     known = column.is_valid().to_numpy(zero_copy_only=False)
-    values = values_of(arrow, column.flatten())  # of the rows that have a list
+    values = values_of(arrow, arrow.chunked_array([column.flatten()]))  # of the rows that have a list
     width, rest = divmod(len(values), max(int(np.count_nonzero(known)), 1))
     lengths = arrow.compute.list_value_length(column).drop_null().unique()
     if rest or len(lengths) > 1 or width > MOST_WIDE:
         problems.append(f"{name} holds lists of different lengths, or of more than {MOST_WIDE} values: left out")
-        return np.empty((len(known), 0))
+        width = 0
     found: Array = np.full((len(known), width), np.nan)
-    found[known] = values.reshape(-1, width)
+    if width:
+        found[known] = values.reshape(-1, width)
     return found
 
 

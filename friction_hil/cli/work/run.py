@@ -57,6 +57,9 @@ def run(
     configuration = load(config, needs_models=not (dry_run or simulate))
     for note in missing_models(config, configuration) if dry_run or simulate else ():
         say(f"note: {note}; until then its friction counts as zero")
+    for axis_name, axis in configuration.axes.items():
+        if axis.model.is_of_other_axis:
+            say(f"note: {axis_name}: the model is {axis.model.is_of_other_axis}: 'tune' identifies that of this axis")
     with stop_on_signals() as stop, ExitStack() as stack:
         # a simulation or a dry run beside another one moves nothing: it takes the next free name
         control = control_socket(

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -67,6 +68,15 @@ def test_a_new_configuration_begins_with_the_friction_of_another_axis_and_says_s
     assert main(["config", "check", "machine.yaml", "--json"]) == 0
     (file,) = json.loads(capsys.readouterr().out)["files"]
     assert [each["field"] for each in file["notes"] if "not identified" in each["message"]] == ["axes.x.model"]
+
+
+def test_a_run_says_that_the_friction_is_that_of_another_axis(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["config", "new", "machine.yaml", "--like", "ak80-6", *LIMITS]) == 0
+    text = Path("machine.yaml").read_text()
+    Path("machine.yaml").write_text(text.replace("channel: can0", "channel: no_such_bus"))
+    assert main(["run", "machine.yaml", "--duration", "1"]) == 1
+    assert "note: x: the model is not identified on this axis: friction of ak80-6" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

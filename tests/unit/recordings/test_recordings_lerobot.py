@@ -145,6 +145,35 @@ def test_lists_of_other_files_are_matrices(tmp_path):
     assert list(few.columns) == ["time_s", "position"]
 
 
+LIST = pa.list_(pa.float64())
+
+
+@pytest.mark.parametrize(
+    ("state", "stamps", "text"),
+    [
+        ([], [], "1 to 256 joints in each row"),
+        ([None, None], [0.0, 1.0], "1 to 256 joints in each row"),
+        ([[], []], [0.0, 1.0], "1 to 256 joints in each row"),
+        ([[1.0], [1.0, 2.0]], [0.0, 1.0], "lists of different lengths"),
+        ([[0.0] * 300] * 2, [0.0, 1.0], "more than 256 values"),
+        ([[1.0], [2.0], [3.0]], [0.0, float("nan"), 1.0], r"time_s is not finite in 1 of 3 rows"),
+        ([[1.0], [2.0]], ["a", "b"], "no column time_s"),
+    ],
+)
+def test_frames_that_make_no_recording_are_refused_by_name(state, stamps, text, tmp_path):
+    columns = {"observation.state": pa.array(state, type=LIST), "timestamp": stamps}
+    parquet.write_table(pa.table(columns), tmp_path / "f.parquet")
+    with pytest.raises(fh.errors.RecordingError, match=text):
+        fh.recordings.read_all(tmp_path / "f.parquet")
+
+
+def test_what_is_missing_in_a_list_is_missing_in_its_joint(tmp_path):
+    columns = {"observation.state": pa.array([[1.0, None], [2.0, 3.0]], type=LIST), "timestamp": [0.0, 1.0]}
+    parquet.write_table(pa.table(columns), tmp_path / "f.parquet")
+    found = fh.recordings.read(tmp_path / "f.parquet", "joint_1")
+    np.testing.assert_array_equal(found["position"], [np.nan, 3.0])
+
+
 class Trap:
     def __reduce__(self):
         return (open, ("trap", "w"))
