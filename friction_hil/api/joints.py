@@ -400,5 +400,6 @@ def _facts(fit: ArmFit) -> dict[str, Any]:
         "determined": fit.determined,
         "combinations": fit.combinations,
         "error_of_file": list(fit.error_of_file),
+        "contradiction": fit.contradiction,
         "problems": list(fit.problems),
     }

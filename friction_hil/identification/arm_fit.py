@@ -34,6 +34,7 @@ from friction_hil.recordings.segments import between_counts, even_signals
 
 _MOST_DECIMATION = 5  # behind a low-pass at a tenth of the sampling rate: more would lose what it passes
 _STEPS_OF_FOLD = 4  # of the search, from the parameters of all rows
+_MOST_ROWS = 20_000  # of the regression, whose matrices are of rows, joints and parameters
 _MIXED_PERIODS = 1.5  # of the low-pass: time about a reversal that it mixes with it
 _LEAST_ROWS = 50  # in which a joint slides
 _RANK = 1e-8  # of the largest singular value
@@ -73,6 +74,8 @@ class ArmFit:
     determined: int  # combinations of inertial parameters that the log knows better than the file
     combinations: int  # that any motion could show
     error_of_file: tuple[float, ...]  # of each joint: RMS of file's less refitted rigid torque, over that of the latter
+    # how far the log pulls the inertial parameters from the file's, in what such files are off by: about 1, or less
+    contradiction: float
     problems: tuple[str, ...]
     lowpass_hz: float  # of the positions from which velocity and acceleration come
     decimation: int
@@ -92,6 +95,10 @@ def _together(recordings: Sequence[Recording], arm: Arm) -> list[Recording]:
     if any(len(each) != len(time) or not np.array_equal(each["time_s"], time) for each in plain):
         raise RecordingError(f"{plain[0].path}: the joints have different time stamps")
     known = np.all([np.isfinite(values) for each in plain for values in each.columns.values()], axis=0)
+    if not known.any():
+        empty = [each.axis for each in plain if not np.isfinite(each["position"] + each["torque"]).any()]
+        lacking = f"joint {', '.join(empty)} has none" if empty else "no row has them of all joints"
+        raise RecordingError(f"{plain[0].path}: position and torque must be finite numbers, and {lacking}")
     return [each.at(known) for each in plain]
 
 
@@ -157,7 +164,8 @@ def identify_arm(
     """
     together = [_together(log, arm) for log in logs]
     cut_hz = min(_lowpass_hz(each) for log in together for each in log) if lowpass_hz is None else lowpass_hz
-    decimation = max(1, min(_MOST_DECIMATION, sum(len(log[0]) for log in together) // 1000))
+    count = sum(len(log[0]) for log in together)
+    decimation = max(1, min(_MOST_DECIMATION, count // 1000), count // _MOST_ROWS)
     segments = _segments(together, cut_hz, decimation)
     tops, still = [], []
     for joint, is_linear in zip(segments, arm.is_linear, strict=True):
@@ -174,6 +182,9 @@ def identify_arm(
         raise RecordingError(f"{logs[0][0].path}: no joint slides in {_LEAST_ROWS} rows or more; record more motion")
     both = [bool(each) for each in (np.minimum(forward, backward) >= _LEAST_ROWS // 2) & moves]
     rows = replace(rows, slides=rows.slides & np.array(moves))
+    for k, name in enumerate(arm.joints):
+        if moves[k] and not np.any(rows.torque[rows.slides[:, k], k]):
+            raise RecordingError(f"{logs[0][k].path}: the torque of joint {name} is zero wherever it slides")
     used = {"rotor": moves, "coulomb": moves, "viscous": moves, "offset": both, "load": moves}
     search, covariance, information = _searched(rows, arm, used)
     for _ in range(_ROUNDS):
@@ -195,10 +206,13 @@ def identify_arm(
     )
     fitted = arm.with_parameters(search.values[: search.wide], search.values[search.wide : search.wide + len(arm)])
     problems = tuple(dict.fromkeys(text for joint in segments for each in joint for text in each.problems))
-    known = _determined(search, information)
+    every = combinations(arm)
+    known = min(_determined(search, information), every)
+    pulled = float(np.sum(((search.values[: search.wide] - search.prior) / search.spread) ** 2))
+    contradiction = math.sqrt(pulled / max(known, 1))
     off_by = tuple(map(float, off))
     return ArmFit(
-        fitted, joints, known, combinations(arm), off_by, problems, cut_hz, decimation, _MIXED_PERIODS / cut_hz
+        fitted, joints, known, every, off_by, contradiction, problems, cut_hz, decimation, _MIXED_PERIODS / cut_hz
     )
 
 
@@ -254,7 +268,7 @@ def _result(
         for each in ("coulomb", "viscous")
         if each in values and errors[each] > th.VAGUE * abs(values[each])
     ]
-    if held_out > alone:
+    if held_out > th.ARM_WORSE * alone:
         flags.append(
             f"the arm explains its torque less well ({100 * held_out:.1f} % on held-out data) than the joint alone "
             f"({100 * alone:.1f} %): check order, signs and units of the joints, and the file"

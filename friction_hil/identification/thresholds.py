@@ -112,6 +112,8 @@ ARM_LOAD = 0.05  # standard error of friction per load beyond which a log does n
 ARM_STILL = 50.0  # counts of its encoder: a joint with less travel is held still,
 ARM_STILL_RAD, ARM_STILL_M = 0.05, 0.005  # or less than this: its loop gives way, and its gear twists
 ARM_FOLDS = 5
+ARM_WORSE = 1.05  # times the error of a joint alone, from which on the arm is told to explain it less well
+ARM_CONTRADICTED = 1.5  # times what files are off by, from which on a file does not go with the log
 
 # the position of the load
 LOAD_SIDE_BAND = 0.08  # of the sampling rate

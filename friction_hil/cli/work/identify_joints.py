@@ -13,6 +13,7 @@ from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.result_files import check_result_files
 from friction_hil.cli.work.tables import new_table, number, print_files, print_table, say
 from friction_hil.identification import Identification
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.arm_fit import ArmFit
 from friction_hil.numerics.readable import brief
 from friction_hil.reports.identification_report import write_report
@@ -116,6 +117,12 @@ def _print_arm(fit: ArmFit) -> None:
         "file does; the others are the file's",
         stderr=False,
     )
+    if fit.contradiction > th.ARM_CONTRADICTED:
+        say(
+            f"! the log contradicts the file: its masses, centres and inertias would be off by {fit.contradiction:.1f} "
+            "times what is usual: check units (rad, N m), signs and order of the joints, and the direction of gravity.",
+            stderr=False,
+        )
     for joint in fit.joints:
         for flag in joint.flags if joint.is_known else ():
             say(f"! {joint.name}: {flag}.", stderr=False)

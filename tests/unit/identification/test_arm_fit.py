@@ -1,10 +1,13 @@
 """Friction of an arm's joints from one log, with MuJoCo as the arm: levels, load, intervals, and what a log lacks."""
 
 import json
+import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from scipy import signal
 
 import friction_hil as fh
 from friction_hil.cli import main
@@ -13,6 +16,8 @@ from friction_hil.identification.arm_fit import combinations, identify_arm
 from friction_hil.recordings import Recording
 from tests import simulated_arm as simulated
 
+PENDULUMS = Path(__file__).parents[4] / "shared" / "data" / "ak80_6"
+needs_pendulums = pytest.mark.skipif(not PENDULUMS.exists(), reason="the shared data are not here")
 N = len(simulated.NAMES)
 HEADER = ",".join(["time_s", *(f"{name}{k}" for name in ("q", "dq", "tau") for k in range(N))])
 
@@ -53,6 +58,7 @@ def test_levels_load_and_intervals_of_a_simulated_arm(log, wrong):
         weight = fh.dynamics.load(truth).gravity(q)
         off, was = (np.abs(one.gravity(q) - weight).max() for one in (fit.arm, arm))
         assert off < 0.2 * was
+        assert fit.contradiction < 1.0
     assert np.mean(inside) >= 0.8  # of intervals of 90 %: 36 of them
 
 
@@ -79,6 +85,7 @@ def test_joints_in_another_order_or_with_the_sign_turned_are_told(log, wrong):
     assert all(any("sign" in flag for flag in joint.flags) for joint in turned.joints)
     mixed = identify_arm([recordings(log, order=(1, 0, 2, 3, 4, 5))], arm)
     assert any("less well" in flag for joint in mixed.joints[:2] for flag in joint.flags)
+    assert min(turned.contradiction, mixed.contradiction) > 1.5
     negative = recordings(log)
     negative[3] = Recording(
         "log.csv",
@@ -98,6 +105,13 @@ def test_logs_that_do_not_go_with_the_arm_are_refused(log, wrong):
     other[1] = other[1].at(slice(1, None))
     with pytest.raises(RecordingError, match="time stamps"):
         identify_arm([other], arm)
+    silent = recordings(log)
+    silent[4].columns["torque"] = 0.0 * log.time_s
+    with pytest.raises(RecordingError, match="joint5 is zero"):
+        identify_arm([silent], arm)
+    silent[4].columns["torque"] = np.full(len(log.time_s), np.inf)
+    with pytest.raises(RecordingError, match="joint q4 has none"):
+        identify_arm([silent], arm)
     resting = [
         Recording("x", each.axis, each.columns | {"position": 0.0 * each["position"]}) for each in recordings(log)
     ]
@@ -157,6 +171,70 @@ def test_names_and_signs_of_the_arm_s_joints_are_those_of_the_log(folder, capsys
     assert second["values"]["coulomb"] == pytest.approx(simulated.COULOMB[1], rel=0.05)
     assert second["values"]["load"] == pytest.approx(simulated.LOAD[1], rel=0.15)
     assert first["values"]["coulomb"] == pytest.approx(simulated.COULOMB[0], rel=0.05)
+
+
+def test_joints_of_ros_are_read_by_name(tmp_path, log, wrong):
+    """Joint states, in which the order of the joints changes; the arm's joints have the same names."""
+    from mcap.writer import Writer
+
+    from friction_hil.recordings.joint_state import SCHEMA, TEXT, TOPIC, JointStates
+
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        schema = writer.register_schema(SCHEMA, "ros2msg", TEXT.encode())
+        channel = writer.register_channel(TOPIC, "cdr", schema)
+        orders = [list(range(N)), [5, 4, 3, 2, 1, 0]]
+        states = [JointStates([simulated.NAMES[k] for k in order]) for order in orders]
+        for row in range(5000):
+            order, time_ns = orders[row % 2], round(1e9 * log.time_s[row]) + 1_700_000_000_000_000_000
+            values = [log.position[row, order], log.velocity[row, order], log.torque[row, order]]
+            data = states[row % 2].message(time_ns, values)
+            writer.add_message(channel, log_time=time_ns, data=data, publish_time=time_ns)
+        writer.finish()
+    found = fh.identify_joints(path, ", ".join(reversed(simulated.NAMES)), arm=wrong, models="coulomb")
+    assert list(found.joints) == list(reversed(simulated.NAMES))
+    assert found.fit.arm.joints == tuple(reversed(simulated.NAMES))
+    for name, coulomb in zip(simulated.NAMES, simulated.COULOMB, strict=True):
+        assert found.joints[name].model.friction.parameters["coulomb"] == pytest.approx(coulomb, rel=0.05)
+
+
+@needs_pendulums
+@pytest.mark.parametrize(
+    ("file", "cut_hz", "words"),
+    [
+        ("ak80-6_simple_pendulum_sysid.csv", 30.0, ["--joints", "position", "--torque", "torque"]),
+        ("ak80-6_double_pendulum_sysid_500Hz.csv", 50.0, ["--joints", "pos{}", "--torque", "tau1*-1,tau2"]),
+    ],
+)
+def test_real_pendulums_are_no_worse_than_coulomb_and_viscous_friction(file, cut_hz, words, capsys):
+    words = ["identify", str(PENDULUMS / file), *words, "--column", "time_s=time", "--json"]
+    main([*words, "--lowpass", str(cut_hz), "--models", "coulomb,stribeck,power_law"])
+    found = json.loads(capsys.readouterr().out)["joints"]
+    table = np.loadtxt(PENDULUMS / file, delimiter=",", skiprows=1)
+    count = len(found)
+    for k, each in enumerate(found.values()):
+        own = coulomb_and_viscous(table[:, 0], table[:, 1 + k], table[:, 1 + 2 * count + k], cut_hz)
+        assert each["fits"][0]["cross_validation"]["relative_error"] <= own
+    coupled = [any("the motion of pos" in text for text in each["findings"]) for each in found.values()]
+    assert coupled[0] == (count == 2)
+
+
+def coulomb_and_viscous(time, position, torque, cut_hz):
+    """Error of 5-fold cross-validation: inertia, Coulomb and viscous friction, offset, in blocks of time."""
+    period = float(np.median(np.diff(time)))
+    even = np.arange(time[0], time[-1], period)
+    sections = signal.butter(4, cut_hz, fs=1.0 / period, output="sos")
+    q, tau = (signal.sosfiltfilt(sections, np.interp(even, time, each)) for each in (position, torque))
+    v = np.gradient(q, period)
+    matrix = np.column_stack([np.gradient(v, period), np.sign(v), v, np.ones_like(v)])
+    fold, square = 5 * np.arange(len(tau)) // len(tau), 0.0
+    for number in range(5):
+        kept = fold != number
+        factors = np.linalg.lstsq(matrix[kept], tau[kept])[0]
+        square += float(np.sum((tau[~kept] - matrix[~kept] @ factors) ** 2))
+    return math.sqrt(square / float(tau @ tau))
 
 
 def test_identify_reads_all_joints_of_a_wide_log_and_says_that_they_are_coupled(folder, capsys):
