@@ -6,7 +6,7 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from friction_hil import models
+from friction_hil import Compensator, models
 from friction_hil.friction import kernel
 from friction_hil.numerics import jit
 from tests.launcher import load_kernels
@@ -32,6 +32,7 @@ def compile_kernels(workers: int) -> None:
 def _compile(name: str) -> None:
     if name == _ANY_MODEL:
         load_kernels()
+        Compensator.load(Path(__file__).parents[1] / "config/own_loop.yaml", period_s=1e-3)
         models.create("coulomb", coulomb=0.1).start()
         kernel.prepare(jit.ready(kernel.step_with_network), 6)
         return

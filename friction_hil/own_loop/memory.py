@@ -43,8 +43,9 @@ class Memory:
             duration_s > 0.0
         )  # the oldest are dropped a second at once
         self._joints, self._every = joints, every
-        self.rows: Array = np.zeros((places * every, n, len(INPUTS) + len(RESULTS)))
-        self.states: Array = np.zeros((places, n, _WIDTH))
+        # filled, so that no page of it is first touched in the loop
+        self.rows: Array = np.full((places * every, n, len(INPUTS) + len(RESULTS)), math.nan)
+        self.states: Array = np.full((places, n, _WIDTH), math.nan)
         joints.loop["rows_between_states"] = every
         self._events: deque[tuple[float, str, str]] = deque(maxlen=_MOST_EVENTS)
         self._started_ns = 0

@@ -298,6 +298,12 @@ def test_joints_fade_out_and_in_one_by_one():
     assert out[-1].all()
 
 
+def test_the_time_without_compensation_at_the_start_comes_first():
+    out = steps(loop(axis(compensation={"baseline_s": 0.2, "fade_s": 0.05})), 200, **motion(200, 1))[:, 0]
+    assert not out[:100].any()
+    assert np.abs(out[150:]).max() > 0.03
+
+
 def test_what_the_configuration_leaves_off_stays_off_until_it_is_named():
     one, inputs = loop(axis(compensation={"enabled": False, "fade_s": 0.05}), axis()), motion(300, 2)
     one.fade_in()
