@@ -8,25 +8,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from friction_hil.compensator import records
-from friction_hil.compensator.change import carry_over
 from friction_hil.config import Configuration, self_contained
 from friction_hil.config import load as load_configuration
 from friction_hil.daemon.control.message import AxisChange
 from friction_hil.daemon.control.prepare import entry_of, prepare
 from friction_hil.daemon.notices import AxisNotices
 from friction_hil.drive.codes import FaultCode
-from friction_hil.errors import UsageError, choices, internal_error
+from friction_hil.errors import UsageError, internal_error
 from friction_hil.numerics.jit import Array, ready
 from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.own_loop import kernel
-from friction_hil.own_loop.joints import make_joints
-from friction_hil.own_loop.kernel import GIVEN, REASONS, WRONG_SHAPE
+from friction_hil.own_loop.faults import as_array, check_first, fault_of
+from friction_hil.own_loop.joints import adopt, make_joints, remarks
+from friction_hil.own_loop.kernel import DQ, GIVEN, TAU, WRONG_SHAPE
 from friction_hil.own_loop.memory import Memory
 
-_DQ, _TAU = GIVEN.index("dq"), GIVEN.index("tau")
 _MOST_MISSED = 1000  # periods of a pause: from there on its length does not matter
 _LOOK_S = 0.25  # between two looks at what there is to be said
 _PATIENCE_S = 1.0  # for the first positions
@@ -108,7 +106,8 @@ class Compensator:
         arrays = (made.settings, made.state, made.limits, made.loop, self._out)
         self._arrays = (*arrays, self._memory.rows, made.flat_state, self._memory.states)
         self._compile()
-        self._tell_of_settings()
+        for text in remarks(made.configuration):
+            self._tell(text)
 
     @classmethod
     def load(
@@ -234,7 +233,7 @@ class Compensator:
                 given = (q, dq, tau, q_des, dq_des, ddq_des, load, temperature, fresh)
                 fault = self._kernel(*self._arrays, passed, *self._converted(given))
             if fault > 0 and self._fault is None:
-                self._stop_joint(fault)
+                self._stop(fault_of(self._joints, fault))
             self._countdown -= 1
             if self._countdown <= 0:
                 self._look()
@@ -296,7 +295,7 @@ class Compensator:
         UsageError
             There is no joint of such a name.
         """
-        for k in self._places(joints):
+        for k in self._joints.places(joints):
             self._joints.limits[k]["is_wanted"] = 0.0
         if not joints:
             self._joints.loop["is_on"] = 0.0
@@ -317,7 +316,7 @@ class Compensator:
         UsageError
             There is no joint of such a name.
         """
-        for k in self._places(joints):
+        for k in self._joints.places(joints):
             self._joints.limits[k]["is_wanted"] = 1.0
         if not joints:
             for name in ("stale_cycles", "fast_cycles", "reported_cycles"):
@@ -343,10 +342,13 @@ class Compensator:
         UsageError
             There is no such joint or key, or a value is wrong; nothing is changed then.
         """
-        self._places((joint,))
+        self._joints.places((joint,))
         given = {f"{joint}.{key}": value for key, value in values.items()}
         has_network = any(one.model.network is not None for one in self._joints.compensators)
         prepared = prepare(self._values, "set", given, self._joints.facts, {}, has_network=has_network)
+        room = self._joints.settings.itemsize
+        if any(change and change.record is not None and change.record.itemsize > room for change in prepared.axes):
+            raise UsageError(f"{joint}.model has more parameters than there is room for: load it from the start")
         number = self._number = self._number + 1
         entry = entry_of(number, prepared, self._models_of, ", ".join(f"{key} = {each}" for key, each in given.items()))
         self._models_of = {name: axis["model_of"] for name, axis in entry["axes"].items()}
@@ -390,13 +392,6 @@ class Compensator:
             )
         return path
 
-    def _places(self, joints: Sequence[str]) -> Sequence[int]:
-        names = self._joints.names
-        for name in joints:
-            if name not in names:
-                raise UsageError(f"there is no joint {name!r}; {choices(str(name), names)}")
-        return [names.index(name) for name in joints]
-
     def _tell(self, text: str) -> None:
         """Give a notice, once."""
         if text not in self._told:
@@ -412,15 +407,6 @@ class Compensator:
             self._kernel(*copies, 1.0, 0.0, 0.0, *[self._nothing] * (len(GIVEN) - 1), self._all)
         self._kernel.disable_compile()
 
-    def _tell_of_settings(self) -> None:
-        for name, axis in self._joints.configuration.axes.items():
-            if axis.model.axis == "linear":
-                self._tell(f"{name}: its model is of a linear axis: positions in m, velocities in m/s, torques in N")
-            if axis.compensation.learning != "off":
-                self._tell(f"{name}: compensation.learning is a process of the daemon, and off in a loop of your own")
-            if axis.shadows:
-                self._tell(f"{name}: shadows are evaluated by the daemon alone")
-
     def _stop(self, text: str, code: FaultCode | None = None) -> None:
         """Let all joints fade out, and say why."""
         self._joints.loop["is_on"] = 0.0
@@ -428,48 +414,19 @@ class Compensator:
             self._fault = text if code is None else code.append_to(text)
             self._memory.note("fault", self._fault)
 
-    def _stop_joint(self, fault: int) -> None:
-        """Stop for a fault that the kernel has found."""
-        k, reason = divmod(fault, REASONS)
-        name, j = self._joints.names[k], self._joints.limits[k]
-        axis = self._joints.configuration.axes[name]
-        unit = POSITION_UNITS[axis.model.axis]
-        if reason in (kernel.MISSING, kernel.JUMPS):
-            text = f"{name}: no usable feedback for more than {self._joints.loop['most_stale'].item():.0f} cycles"
-            if reason == kernel.MISSING:
-                return self._stop(f"{text}: stale, or not finite", FaultCode.FEEDBACK_MISSING)
-            text += f": its position jumps further than limits.velocity allows from {j['position']:.4g} {unit}"
-            return self._stop(text, FaultCode.POSITION_JUMPS)
-        if reason == kernel.FAST:
-            speed = self._joints.compensators[k].velocity_estimate
-            text = f"{name}: velocity {speed:.4g} {unit}/s is beyond its limit of "
-            return self._stop(f"{text}{j['velocity_limit']:g} {unit}/s", FaultCode.VELOCITY_LIMIT)
-        if reason == kernel.CONTRADICTS:
-            seen = j["seen"]
-            moved, reported = seen["displacement"] / seen["duration_s"], seen["way"] / seen["duration_s"]
-            text = f"{name}: dq is {reported:.4g} {unit}/s, but q changes by {moved:.4g} {unit}/s: "
-            text += "another unit, sign or joint"
-            return self._stop(text, FaultCode.VELOCITY_CONTRADICTS)
-        if reason == kernel.OUTSIDE:
-            text = f"{name}: position {j['position']:.4g} {unit} is outside the limits "
-            text += f"[{j['position_low']:g}, {j['position_high']:g}] {unit}"
-            return self._stop(text, FaultCode.POSITION_LIMIT)
-        if reason == kernel.FOLLOWING:
-            error = j["position_demand"] - j["position"]
-            text = f"{name}: following error {error:.4g} {unit} is beyond its limit of {j['following_error']:g} {unit}"
-            return self._stop(text, FaultCode.FOLLOWING_ERROR)
-        text = f"{name}: the friction model gave a torque that is not finite"
-        return self._stop(text, FaultCode.MODEL_NOT_FINITE)
-
     def _converted(self, given: Sequence[Any]) -> list[Any]:
         """Return the last arguments of the kernel from what is given, checked and converted.
 
         Raises `UsageError` in the first call; later what is wrong is a fault, and neither feedback nor demand is used.
         """
         try:
-            arrays = [self._array(name, value) for name, value in zip(GIVEN, given, strict=True)]
+            nothing = [*[self._nothing] * (len(GIVEN) - 1), self._all]
+            arrays = [
+                usual if value is None else as_array(name, value, self.joints)
+                for name, value, usual in zip(GIVEN, given, nothing, strict=True)
+            ]
             if self._is_first:
-                self._check_first(given)
+                check_first(self._joints, given)
                 self._memory.begin()
                 self._is_first = False
                 self._is_plain = True
@@ -478,32 +435,7 @@ class Compensator:
                 raise
             self._stop(str(error) if isinstance(error, UsageError) else internal_error(error))
             arrays = [self._nothing] * (len(GIVEN) - 1) + [~self._all]
-        return [float(given[_DQ] is not None), float(given[_TAU] is not None), *arrays]
-
-    def _array(self, name: str, value: Any) -> Any:
-        """Return one of `GIVEN` as an array (n,); a `UsageError`: it is none."""
-        kind, names = np.bool_ if name == "fresh" else np.float64, self._joints.names
-        if value is None:
-            return self._all if name == "fresh" else self._nothing
-        try:
-            array: NDArray[Any] = np.require(value, kind, ["C", "W"]) if np.ndim(value) else np.asarray(value, kind)
-        except (TypeError, ValueError) as error:
-            what = f"{name} must be {len(names)} numbers, one for each of {', '.join(names)}"
-            raise UsageError(f"{what}: {error}") from None
-        if name == "fresh" and array.shape == ():
-            return np.full(self._all.shape, bool(array))
-        if array.shape != self._all.shape:
-            wanted = f"it must be {self._all.shape}, a number for each of {', '.join(names)}"
-            raise UsageError(f"{name} has the shape {array.shape}: {wanted}")
-        return array
-
-    def _check_first(self, given: Sequence[Any]) -> None:
-        """Refuse a first call without what a setting needs, by a `UsageError`."""
-        needs = ((_DQ, "needs_velocity", "velocity: drive"), (_TAU, "needs_torque", "adaptation or kalman"))
-        for index, key, what in needs:
-            lacking = [name for name, j in zip(self.joints, self._joints.limits, strict=True) if j[key]]
-            if lacking and given[index] is None:
-                raise UsageError(f"{GIVEN[index]} is missing: compensation of {', '.join(lacking)} needs it ({what})")
+        return [float(given[DQ] is not None), float(given[TAU] is not None), *arrays]
 
     def _passed(self, dt: Any) -> float:
         """Return the number of periods since the last call, one at least."""
@@ -532,30 +464,17 @@ class Compensator:
 
     def _adopt(self) -> None:
         """Take what `set` has prepared."""
-        settings, state, n = self._joints.settings, self._joints.state, len(self._out)
         while self._pending:
             number, changes = self._pending.popleft()
+            adopt(self._joints, number, changes)
             for k, change in enumerate(changes):
-                if change is None:
-                    continue
-                j = self._joints.limits[k]
-                if change.record is not None:
-                    if not j["is_changing"]:
-                        settings[n + k], state[n + k] = settings[k], state[k]
-                    new = np.zeros(1, settings.dtype)
-                    records.copy(change.record, new)
-                    carry_over(settings[k : k + 1], new, state[k : k + 1], change.friction)
-                    settings[k], j["is_changing"] = new[0], 1.0
-                if change.friction is not None:
+                if change is not None and change.friction is not None:
                     self._tellers[k].renew(self._joints.compensators[k])
-                if change.is_enabled is not None:
-                    j["is_wanted"] = float(change.is_enabled)
-            self._joints.loop["change"] = number
 
     def _look(self) -> None:
         """Give what notices there are; every quarter of a second."""
         self._countdown = self._looks
-        estimates, given = self._joints.state["motion"]["velocity"], self._joints.state["temperature"]["given"]
+        estimates, given = self._joints.state["motion"]["velocity"], self._joints.limits["temperature"]
         for k, (teller, one) in enumerate(zip(self._tellers, self._joints.compensators, strict=True)):
             if text := teller.next(one, estimates.item(k), given.item(k)):
                 self._tell(text)

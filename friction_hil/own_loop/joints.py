@@ -1,18 +1,20 @@
 """Joints of a configuration: facts and compensators, and the arrays in which one compiled call steps all of them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from friction_hil.compensator import STATE
+from friction_hil.compensator import STATE, records
 from friction_hil.compensator import Compensator as JointCompensator
+from friction_hil.compensator.change import carry_over
 from friction_hil.config import AxisConfig, Configuration, located
 from friction_hil.daemon.assembly import make_compensator, make_limits
 from friction_hil.daemon.axis import check_torque
+from friction_hil.daemon.control.message import AxisChange
 from friction_hil.daemon.safety import JUMP_MARGIN, SLACK_STEPS
 from friction_hil.daemon.velocity_check import VelocityCheck
 from friction_hil.drive import AxisFacts
@@ -34,6 +36,13 @@ class Joints:
     flat_state: Array  # (2 n, width), the same memory
     limits: StructuredArray  # (n,) `JOINT`
     loop: StructuredArray  # (1,) `LOOP`
+
+    def places(self, names: Sequence[str]) -> list[int]:
+        """Return the places of joints in the arrays; a `UsageError`: there is none of a name."""
+        for name in names:
+            if name not in self.names:
+                raise UsageError(f"there is no joint {name!r}; {choices(str(name), self.names)}")
+        return [self.names.index(name) for name in names]
 
 
 def make_joints(configuration: Configuration, names: Sequence[str] | None) -> Joints:
@@ -106,4 +115,34 @@ def _limits(axis: AxisConfig, facts: AxisFacts, period_s: float) -> tuple[Any, .
     fixed = (jump, slack, *bounds, given.velocity == "drive", needs_torque, given.baseline_s)
     unknown = (math.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.nan, math.nan)
     check = VelocityCheck(period_s, limits.velocity, facts.position_resolution, facts.velocity_resolution)
-    return (*map(float, fixed), float(given.enabled), 0.0, *unknown, *check.fields)
+    return (*map(float, fixed), float(given.enabled), 0.0, *unknown, math.nan, *check.fields)
+
+
+def adopt(joints: Joints, number: int, changes: Sequence[AxisChange | None]) -> None:
+    """Take changed settings of each joint between two cycles; the kernel makes one step more with the former ones."""
+    settings, state, n = joints.settings, joints.state, len(joints.names)
+    for k, change in enumerate(changes):
+        if change is None:
+            continue
+        j = joints.limits[k]
+        if change.record is not None:
+            if not j["is_changing"]:
+                settings[n + k], state[n + k] = settings[k], state[k]
+            new = np.zeros(1, settings.dtype)
+            records.copy(change.record, new)
+            carry_over(settings[k : k + 1], new, state[k : k + 1], change.friction)
+            settings[k], j["is_changing"] = new[0], 1.0
+        if change.is_enabled is not None:
+            j["is_wanted"] = float(change.is_enabled)
+    joints.loop["change"] = number
+
+
+def remarks(configuration: Configuration) -> Iterator[str]:
+    """Yield what the user should know of settings: units, and what is left to the daemon."""
+    for name, axis in configuration.axes.items():
+        if axis.model.axis == "linear":
+            yield f"{name}: its model is of a linear axis: positions in m, velocities in m/s, torques in N"
+        if axis.compensation.learning != "off":
+            yield f"{name}: compensation.learning is a process of the daemon, and off in a loop of your own"
+        if axis.shadows:
+            yield f"{name}: shadows are evaluated by the daemon alone"

@@ -20,6 +20,7 @@ _compare = inlined(velocity_check.take)
 
 # what the caller gives for each joint; NaN where nothing is given
 GIVEN = ("q", "dq", "tau", "q_des", "dq_des", "ddq_des", "load", "temperature", "fresh")
+DQ, TAU = GIVEN.index("dq"), GIVEN.index("tau")
 
 JOINT = np.dtype(
     [
@@ -45,6 +46,7 @@ JOINT = np.dtype(
         ("reported_cycles", "f8"),  # the same, of the velocity that is given
         ("position_demand", "f8"),  # of the last cycle, NaN for none
         ("velocity_demand", "f8"),
+        ("temperature", "f8"),  # measured, deg C
         ("check", velocity_check.SETTINGS),  # of the velocity that is given against the position
         ("seen", velocity_check.STATE),
     ]
@@ -221,7 +223,7 @@ def step(
         velocity_demand, ahead = demand(
             position_demand, velocity_demand, acceleration, j.position_demand, j.velocity_demand, elapsed_s, c.lead_s
         )
-        j.position_demand, j.velocity_demand = position_demand, velocity_demand
+        j.position_demand, j.velocity_demand, j.temperature = position_demand, velocity_demand, temperature
         is_due = loop.cycle * loop.period_s >= j.baseline_s
         is_enabled = 1.0 if loop.is_on > 0.0 and j.is_wanted > 0.0 and is_due else 0.0
         if j.is_changing > 0.0:

@@ -19,10 +19,11 @@ from friction_hil.drive import DriveState, Feedback
 from friction_hil.drive.codes import code_of
 from friction_hil.errors import ConfigurationError, UsageError
 from friction_hil.own_loop.joints import make_joints
+from friction_hil.own_loop.kernel import RESULTS
 from friction_hil.replay.verify import verify
 from tests.compensators import LUGRE, Axis, columns, compensator, resolution
 from tests.export_subjects import EVERY_MODEL
-from tests.own_loops import LIMITS, PERIOD_S, STRIBECK, axis, configuration, loop, motion, steps
+from tests.own_loops import FRICTION, LIMITS, PERIOD_S, STRIBECK, axis, configuration, loop, motion, steps
 
 
 @pytest.mark.parametrize("velocity", ["difference", "drive", "kalman"])
@@ -296,6 +297,18 @@ def test_joints_fade_out_and_in_one_by_one():
     one.fade_in("j1")
     out = steps(one, 50, **{name: values[350:] for name, values in inputs.items()})
     assert out[-1].all()
+
+
+def test_a_model_that_depends_on_temperature_says_that_it_is_given_none():
+    warm = {"temperature": {"reference": 40.0, "coefficient": -0.004}}
+    one = loop(axis(FRICTION | {"modifiers": warm}), axis(), record_s=10.0)
+    steps(one, 1500, **motion(1500, 2))
+    (notice,) = one.notices
+    assert notice.startswith("j0: the drive reports no temperature: the friction model is evaluated at its reference")
+    steps(one, 1, **motion(1, 2), temperature=np.full((1, 2), 55.0))
+    row = dict(zip((*INPUTS, *RESULTS), one._memory.rows[1500, 0], strict=True))
+    assert row["temperature"] == 55.0
+    assert row["temperature_estimate"] == pytest.approx(40.0, abs=0.01)  # it follows slowly
 
 
 def test_the_time_without_compensation_at_the_start_comes_first():
