@@ -401,5 +401,6 @@ def _facts(fit: ArmFit) -> dict[str, Any]:
         "combinations": fit.combinations,
         "error_of_file": list(fit.error_of_file),
         "contradiction": fit.contradiction,
+        "is_physical": fit.is_physical,
         "problems": list(fit.problems),
     }

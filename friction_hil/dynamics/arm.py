@@ -113,13 +113,6 @@ class Arm:
         ------
         UsageError
             The shapes differ, or are not those of this arm's joints.
-
-        Examples
-        --------
-        >>> import friction_hil as fh
-        >>> arm = fh.dynamics.load("pendulum.urdf")  # doctest: +SKIP
-        >>> arm.inverse_dynamics([0.5], [0.0], [1.0])  # doctest: +SKIP
-        array([2.35])
         """
         q, dq, ddq = _as_array(q, _FLOAT), _as_array(dq, _FLOAT), _as_array(ddq, _FLOAT)
         tau = _empty_like(q) if out is None else out

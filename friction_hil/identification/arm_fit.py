@@ -37,6 +37,7 @@ _STEPS_OF_FOLD = 4  # of the search, from the parameters of all rows
 _MOST_ROWS = 20_000  # of the regression, whose matrices are of rows, joints and parameters
 _MIXED_PERIODS = 1.5  # of the low-pass: time about a reversal that it mixes with it
 _LEAST_ROWS = 50  # in which a joint slides
+_POSITIONS = 500  # at which the inertia matrix is looked at
 _RANK = 1e-8  # of the largest singular value
 _NOISE_RATIO = 0.05  # of the acceleration, that counts may make: an inertia becomes too small by the square of it
 _LEAST_LOWPASS_RATIO, _LOWPASS_STEP = 0.02, 0.85  # of the sampling rate; of the cut-off
@@ -76,6 +77,7 @@ class ArmFit:
     error_of_file: tuple[float, ...]  # of each joint: RMS of file's less refitted rigid torque, over that of the latter
     # how far the log pulls the inertial parameters from the file's, in what such files are off by: about 1, or less
     contradiction: float
+    is_physical: bool  # the refitted inertia matrix is positive wherever the log was: it may be simulated
     problems: tuple[str, ...]
     lowpass_hz: float  # of the positions from which velocity and acceleration come
     decimation: int
@@ -205,14 +207,25 @@ def identify_arm(
         for k in range(len(arm))
     )
     fitted = arm.with_parameters(search.values[: search.wide], search.values[search.wide : search.wide + len(arm)])
+    some = rows.position[:: 1 + len(rows.position) // _POSITIONS]
+    is_physical = bool(np.min(np.linalg.eigvalsh(fitted.inertia_matrix(some))) > 0.0)
     problems = tuple(dict.fromkeys(text for joint in segments for each in joint for text in each.problems))
     every = combinations(arm)
     known = min(_determined(search, information), every)
     pulled = float(np.sum(((search.values[: search.wide] - search.prior) / search.spread) ** 2))
     contradiction = math.sqrt(pulled / max(known, 1))
-    off_by = tuple(map(float, off))
     return ArmFit(
-        fitted, joints, known, every, off_by, contradiction, problems, cut_hz, decimation, _MIXED_PERIODS / cut_hz
+        fitted,
+        joints,
+        known,
+        every,
+        tuple(map(float, off)),
+        contradiction,
+        is_physical,
+        problems,
+        cut_hz,
+        decimation,
+        _MIXED_PERIODS / cut_hz,
     )
 
 

@@ -123,6 +123,12 @@ def _print_arm(fit: ArmFit) -> None:
             "times what is usual: check units (rad, N m), signs and order of the joints, and the direction of gravity.",
             stderr=False,
         )
+    if not fit.is_physical:
+        say(
+            "! the refitted inertia matrix is not positive everywhere: the refitted arm is right about the torques of "
+            "motions such as this one, and not to be simulated; a log with harder acceleration shows more of it.",
+            stderr=False,
+        )
     for joint in fit.joints:
         for flag in joint.flags if joint.is_known else ():
             say(f"! {joint.name}: {flag}.", stderr=False)

@@ -59,6 +59,7 @@ def test_levels_load_and_intervals_of_a_simulated_arm(log, wrong):
         off, was = (np.abs(one.gravity(q) - weight).max() for one in (fit.arm, arm))
         assert off < 0.2 * was
         assert fit.contradiction < 1.0
+        assert fit.is_physical
     assert np.mean(inside) >= 0.8  # of intervals of 90 %: 36 of them
 
 
