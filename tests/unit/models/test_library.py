@@ -2,6 +2,7 @@
 
 import json
 import math
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,8 +13,10 @@ import yaml
 import friction_hil as fh
 from friction_hil.cli import main
 from friction_hil.config import load
+from friction_hil.models.files import load_model_file
 from friction_hil.models.library import FOLDER
 
+DATA = Path(__file__).parents[4] / "shared" / "data"
 LIMITS = ("--bus", "can0", "--node", "1", "--torque", "1", "--velocity", "5", "--travel", "1")
 
 
@@ -34,6 +37,23 @@ def test_a_file_states_origin_error_and_validity_and_holds_no_recording(name):
     torque = model.friction_model.steady_state(speeds, load_torque=0.0)
     assert np.all(torque * speeds >= 0.0)  # friction is passive
     assert 0.0 < actuator.level < math.inf
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("name", fh.library.names())
+def test_the_command_in_a_file_gives_its_parameters(name, tmp_path, monkeypatch):
+    actuator = fh.library.describe(name)
+    words = shlex.split(actuator.command)[1:]
+    folders = [path.parent for path in DATA.rglob(words[1])]
+    if not folders:
+        pytest.skip("the shared recordings are not here")
+    monkeypatch.chdir(folders[0])
+    assert main([*words, "--output", str(tmp_path / "again.yaml")]) == 0
+    again, known = load_model_file(tmp_path / "again.yaml"), fh.library.load(name)
+    assert again.friction.model == known.friction.model
+    speeds = np.linspace(*actuator.velocity, 50)
+    torques = [each.friction_model.steady_state(speeds, load_torque=1.0) for each in (again, known)]
+    np.testing.assert_allclose(*torques, rtol=1e-3)
 
 
 def test_the_list_is_that_of_python(capsys):
