@@ -99,6 +99,13 @@ def test_a_data_set_is_identified_joint_by_joint(third, capsys):
         fh.identify(third, models="coulomb")
 
 
+def test_all_joints_are_identified_at_once(third):
+    scaled = {name: f"{name}*pi/180" for name in ("position", "velocity", "position_demand")}
+    found = fh.identify_joints(third, joints="shoulder,elbow", column=scaled, models="coulomb")
+    levels = {name: each.model.friction.parameters["coulomb"] for name, each in found.joints.items()}
+    assert levels == pytest.approx({"shoulder": 0.3, "elbow": 0.3}, rel=0.02)
+
+
 @pytest.mark.parametrize("kind", ["fixed", "list", "large"])
 def test_an_older_data_set_has_a_file_an_episode_and_lists_by_quantity(kind, tmp_path):
     def columns(episodes):
