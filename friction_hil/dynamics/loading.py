@@ -94,7 +94,10 @@ def load(
     names = bodies.choose(stated, joints)
     if payload is not None:
         stated = _with_payload(stated, names, payload)
-    links = bodies.reduce(stated, names, bodies.positions(stated, names, locked or {}))
+    with np.errstate(over="ignore", invalid="ignore"):
+        links = bodies.reduce(stated, names, bodies.positions(stated, names, locked or {}))
+    if not all(np.isfinite(links[field]).all() for field in ("origin", "parameters", "armature")):
+        raise UsageError(f"{stated.path}: its lengths, masses or inertias are too large for a number")
     for index, sign in enumerate(_signs(signs, len(names))):
         links["sign"][links["order"] == index] = sign
     for name, ratio in (gear or {}).items():

@@ -136,6 +136,13 @@ def test_other_files_are_refused(tmp_path, content):
         fh.dynamics.load(tmp_path / "absent.urdf")
 
 
+def test_numbers_whose_products_are_too_large_are_refused(load):
+    text = URDF.replace('<parent link="one"/>', '<parent link="one"/><origin xyz="1e200 0 0"/>')
+    text = text.replace('type="prismatic"', 'type="fixed"')
+    with pytest.raises(UsageError, match="too large"):
+        load(text)
+
+
 def test_a_mimic_joint_is_locked_with_the_joint_that_it_follows(load):
     follower = URDF.replace('"prismatic">', '"prismatic"><mimic joint="first" multiplier="0.5" offset="0.1"/>')
     grown = follower.replace("</robot>", f'<link name="three">{INERTIAL}</link><joint name="third" type="continuous">'
