@@ -154,6 +154,8 @@ ELSEWHERE = (
         "friction-hil live --port --foxglove",
         "test_a_port_that_is_in_use_and_extras_that_are_missing_are_named_with_what_to_do",
     ),
+    ("friction-hil models --library", "test_the_list_is_that_of_python"),
+    ("friction-hil config new --like", "test_a_new_configuration_begins_with_the_friction_of_another_axis_and_says_so"),
     ("friction-hil models --beside", "test_the_command_draws_models_beside_each_other"),
     ("friction-hil models --motion", "test_the_command_draws_models_beside_each_other"),
     ("friction-hil models --export-all", "test_the_page_links_every_export_of_a_model"),
