@@ -14,6 +14,7 @@ from friction_hil.identification.prediction_errors import PredictionError
 from friction_hil.identification.quantities import Quantity
 from friction_hil.identification.regression import BACK_EMF
 from friction_hil.models.model_file import ModelFile
+from friction_hil.numerics.readable import named_constants
 
 _DIGITS = 10  # significant digits in a model file: far more than any standard error justifies, and still readable
 
@@ -171,7 +172,7 @@ def as_json(identification: Identification) -> dict[str, Any]:
         "problems": list(dict.fromkeys(problem for record in identification.records for problem in record.problems)),
         "notes": list(identification.notes),
         "fits": [_fit(each, identification) for each in identification.fits],
-        "thresholds": {name.lower(): value for name, value in vars(thresholds).items() if name.isupper()},
+        "thresholds": named_constants(thresholds),
     }
 
 

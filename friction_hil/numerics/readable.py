@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Iterable
-from typing import Protocol
+from types import ModuleType
+from typing import Any, Protocol
 
 POSITION_UNITS = {"rotary": "rad", "linear": "m"}
 FORCE_UNITS = {"rotary": "N m", "linear": "N"}
@@ -98,3 +99,8 @@ def without_negative_zero(text: str) -> str:
     """Return a formatted number, and for a zero with a sign the same without: ``-0.00`` becomes ``0.00``."""
     is_zero = text.startswith("-") and not any(digit in text for digit in "123456789")
     return text.removeprefix("-") if is_zero else text
+
+
+def named_constants(module: ModuleType) -> dict[str, Any]:
+    """Return the constants of a module of thresholds, by their names in small letters, for results."""
+    return {name.lower(): value for name, value in vars(module).items() if name.isupper()}

@@ -16,15 +16,11 @@ from friction_hil.friction import NetworkStructure, network
 from friction_hil.identification.data import Mask
 from friction_hil.numerics.jit import Array
 from friction_hil.training import levenberg
+from friction_hil.training import thresholds as th
 from friction_hil.training.constraints import CONTRACTIONS, Constraint
 from friction_hil.training.first_weights import first_weights
 from friction_hil.training.layout import Samples, empty
 from friction_hil.training.objective import NetworkRun, Objective
-
-_DECAYS = (1e-4, 1e-3, 1e-2)  # of the squared weights, where a network whose output is 0 has a mean squared error of 1
-_ITERATIONS = 40
-_PATIENCE = 8  # iterations without a smaller error on the part left out before a search ends
-_SEEN = 0.99  # of the torques: the output never exceeds the largest of these
 
 
 def fit(structure: NetworkStructure, samples: Samples, parts: Sequence[Mask], *, seed: int = 0) -> Array:
@@ -38,7 +34,7 @@ def fit(structure: NetworkStructure, samples: Samples, parts: Sequence[Mask], *,
     if not np.any(used):  # nothing to learn from: a network whose torque is zero
         return mean(structure, [empty(structure, samples.weighted(np.ones(len(samples))))])
     header = empty(structure, samples)
-    largest = float(np.quantile(np.abs(samples.torque[used]), _SEEN)) or 1.0
+    largest = float(np.quantile(np.abs(samples.torque[used]), th.SEEN)) or 1.0
     header[network.BOUND] = largest / header[network.TORQUE_SCALE]
     members = []
     for number, part in enumerate(parts):
@@ -57,7 +53,7 @@ def _member(
     constraint = Constraint(structure, CONTRACTIONS["static"])
     best = header.copy()  # weights of zero: leaves the physical model alone
     lowest = stopping.simulate(best, is_free=True)
-    for decay in _DECAYS:
+    for decay in th.MEAN_DECAYS:
         objective = Objective(header, training, constraint, decay, is_free=True)
         stale, smallest = 0, math.inf
 
@@ -69,13 +65,13 @@ def _member(
             smallest = min(smallest, error)
             if error < lowest:
                 lowest, best = error, p
-            return stale < _PATIENCE
+            return stale < th.MEAN_PATIENCE
 
         levenberg.minimise_unbounded(
             objective.cost,
             objective.normal_equations,
             first_weights(header, structure, inner, random),
-            iterations=_ITERATIONS,
+            iterations=th.MEAN_ITERATIONS,
             goes_on=judge,
         )
     return best

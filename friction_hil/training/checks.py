@@ -7,12 +7,9 @@ import numpy as np
 
 from friction_hil.friction import NetworkStructure, network, network_runs
 from friction_hil.numerics.jit import Array
+from friction_hil.training import thresholds as th
 
 REST_S = 600.0
-_LEAST_SAMPLES = 60
-_STEADY = 1e-3  # of the torque scale: a smaller change is none
-_DITHER = 1e-3  # of the speed limit: amplitude of the dithering velocity
-_APPROACHES = (1.0, -0.03)  # velocities before the rest, of the speed limit
 
 
 def simulate(
@@ -56,14 +53,14 @@ class Rest:
 
 def at_rest(structure: NetworkStructure, p: Array, dt: float, *, seconds: float = REST_S) -> Rest:
     """Simulate a network that comes to rest and stays there for ``seconds``."""
-    samples = max(_LEAST_SAMPLES, round(seconds / dt))
+    samples = max(th.LEAST_SAMPLES, round(seconds / dt))
     limit, scale = p[network.SPEED_LIMIT], p[network.TORQUE_SCALE]
     still = np.zeros(samples)
     # velocity of an encoder that toggles between two counts: the mean position stays, and so must the torque
-    dither = _DITHER * limit * np.diff(np.random.default_rng(0).choice([0.0, 1.0], samples), prepend=0.0)
+    dither = th.DITHER * limit * np.diff(np.random.default_rng(0).choice([0.0, 1.0], samples), prepend=0.0)
     tenth = samples // 10
     rise = late = growth = 0.0
-    for approach in _APPROACHES:
+    for approach in th.APPROACHES:
         state = np.zeros(structure.state_room)
         arrival = simulate(structure, p, approach * limit * np.linspace(1.0, 0.0, 200), dt, state=state)
         shaken = simulate(structure, p, dither, dt, state=state.copy())
@@ -73,5 +70,5 @@ def at_rest(structure: NetworkStructure, p: Array, dt: float, *, seconds: float 
         rise = max(rise, float(np.max(np.abs(held))) - begin)
         late = max(late, float(np.ptp(held[-tenth:])))
         growth = max(growth, float(np.max(np.abs(shaken[-tenth:])) - np.max(np.abs(shaken[:tenth]))))
-    is_steady = bool(max(rise, late, growth) <= _STEADY * scale)
+    is_steady = bool(max(rise, late, growth) <= th.STEADY * scale)
     return Rest(rise, late, growth, is_steady)

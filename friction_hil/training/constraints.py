@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from friction_hil.friction import NetworkStructure
 from friction_hil.numerics.jit import Array
+from friction_hil.training import thresholds as th
 
 CONTRACTIONS = {"gated": 0.8, "narx": 4.0, "static": 1.0}  # with 0.98 errors at other sampling periods double
-_SHARPNESS = 4.0  # of the transition at the bound: the larger, the less weights below it are changed
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +93,8 @@ class Constraint:
         change = np.zeros((indices.size, w.size))
         if self.structure.states:
             gain, gradient = self._gain(w)
-            excess = (gain / self.contraction) ** _SHARPNESS
-            scale = (1.0 + excess) ** (-1.0 / _SHARPNESS)
+            excess = (gain / self.contraction) ** th.SHARPNESS
+            scale = (1.0 + excess) ** (-1.0 / th.SHARPNESS)
             weights[indices] = scale * w[indices]
             if gain > 0.0:
                 change -= np.outer(w[indices], scale * excess / (1.0 + excess) / gain * gradient)

@@ -9,12 +9,9 @@ from friction_hil.friction import FrictionModel
 from friction_hil.identification.data import RegressionSegment
 from friction_hil.models.model_file import Mechanics
 from friction_hil.numerics.jit import Array
+from friction_hil.training import thresholds as th
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples, join
-
-_BLOCKS = 20  # of the samples, of which every fourth is held out
-_HELD_OUT = 4
-_TOP_STRIBECK = 10.0  # default top speed, in Stribeck velocities
 
 
 def of_model(
@@ -29,7 +26,7 @@ def of_model(
         stribeck_velocity = model.parameters.get("stribeck_velocity")
         if stribeck_velocity is None:
             raise UsageError(f"{model.name} has no stribeck_velocity, which sets the range of speeds: give --speed")
-        top_speed = _TOP_STRIBECK * stribeck_velocity
+        top_speed = th.TOP_STRIBECK * stribeck_velocity
     if "load" in model.modifiers:
         raise UsageError("a model that depends on load cannot be learned from motion alone: train on recordings")
     velocity = excitation(top_speed, period_s, samples, seed=seed)
@@ -82,8 +79,8 @@ def held_out(samples: Samples) -> tuple[Samples, Samples]:
 
     Both contain the whole motion, so that states evolve alike, and differ in their weights.
     """
-    block = np.arange(len(samples)) * _BLOCKS // len(samples)
-    is_held = block % _HELD_OUT == _HELD_OUT - 1
+    block = np.arange(len(samples)) * th.BLOCKS // len(samples)
+    is_held = block % th.HELD_OUT == th.HELD_OUT - 1
     return (
         samples.weighted(np.where(is_held, 0.0, samples.weight)),
         samples.weighted(np.where(is_held, samples.weight, 0.0)),

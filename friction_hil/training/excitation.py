@@ -8,14 +8,8 @@ import numpy as np
 
 from friction_hil.errors import UsageError
 from friction_hil.numerics.jit import Array
+from friction_hil.training import thresholds as th
 
-_DECADES = 3.0  # of amplitude below the top speed
-_SEGMENT_S = (0.25, 0.8)
-_EDGES_S = (0.002, 0.2)
-_RAMPS_S = (0.005, 0.4)
-_RESTS_S = (0.01, 0.3)
-_HERTZ = (0.5, 30.0)
-_EDGE_FRACTION = 0.1  # of a multi-sine, over which it fades in and out
 _KINDS = ("multisine", "ramps", "multisine", "pulses")
 
 Draw = Callable[[float, float], float]
@@ -36,9 +30,9 @@ def excitation(top_speed: float, dt: float, samples: int, *, seed: int = 0) -> A
             "an excitation needs a top speed, a period and a number of samples above zero, all finite, "
             f"not {top_speed}, {dt}, {samples}"
         )
-    slowest = top_speed / 10.0**_DECADES
+    slowest = top_speed / 10.0**th.DECADES
     random = np.random.default_rng(seed)
-    mean_length = max(2, round(sum(_SEGMENT_S) / 2.0 / dt))
+    mean_length = max(2, round(sum(th.SEGMENT_S) / 2.0 / dt))
     count = -(-samples // mean_length)
     # stratified samples of the logarithmic range, in which large amplitudes are more frequent
     exponents = np.sqrt((np.arange(count) + random.uniform(size=count)) / count)
@@ -61,7 +55,7 @@ def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
 
 
 def _segment(kind: str, amplitude: float, slowest: float, dt: float, random: np.random.Generator, draw: Draw) -> Array:
-    length = max(2, round(random.uniform(*_SEGMENT_S) / dt))
+    length = max(2, round(random.uniform(*th.SEGMENT_S) / dt))
     if kind == "multisine":
         return _multisine(amplitude, length, dt, random, draw)
     if kind == "ramps":
@@ -72,14 +66,14 @@ def _segment(kind: str, amplitude: float, slowest: float, dt: float, random: np.
 def _multisine(amplitude: float, length: int, dt: float, random: np.random.Generator, draw: Draw) -> Array:
     """Return a sum of three to six sines with random phases, scaled to ``amplitude``."""
     t = np.arange(length) * dt
-    fastest = min(_HERTZ[1], 0.1 / dt)
-    slow = min(_HERTZ[0], fastest)
+    fastest = min(th.HERTZ[1], 0.1 / dt)
+    slow = min(th.HERTZ[0], fastest)
     sines = [
         random.uniform(0.3, 1.0) * np.sin(2.0 * math.pi * draw(slow, fastest) * t + random.uniform(0.0, 2.0 * math.pi))
         for _ in range(random.integers(3, 7))
     ]
     total = np.sum(sines, axis=0)
-    edge = np.clip(np.minimum(np.arange(length), np.arange(length)[::-1]) / (_EDGE_FRACTION * length), 0.0, 1.0)
+    edge = np.clip(np.minimum(np.arange(length), np.arange(length)[::-1]) / (th.EDGE_FRACTION * length), 0.0, 1.0)
     total *= 0.5 - 0.5 * np.cos(math.pi * edge)
     return np.asarray(total * (amplitude / max(float(np.max(np.abs(total))), 1e-12)))
 
@@ -89,10 +83,10 @@ def _ramps(amplitude: float, slowest: float, length: int, dt: float, random: np.
     times, levels = [0.0], [0.0]
     sign = 1.0 if random.uniform() < 0.5 else -1.0
     while times[-1] < length * dt:
-        times.append(times[-1] + draw(*_RAMPS_S))
+        times.append(times[-1] + draw(*th.RAMPS_S))
         levels.append(sign * draw(min(slowest, 0.5 * amplitude), amplitude))
         sign = -sign if random.uniform() < 0.7 else sign
-    times.append(times[-1] + draw(*_RAMPS_S))
+    times.append(times[-1] + draw(*th.RAMPS_S))
     levels.append(0.0)
     return np.asarray(np.interp(np.arange(round(times[-1] / dt) + 1) * dt, times, levels))
 
@@ -101,10 +95,10 @@ def _pulses(amplitude: float, slowest: float, length: int, dt: float, random: np
     """Return pulses with rounded edges of random steepness and rests between them."""
     parts: list[Array] = []
     while sum(part.size for part in parts) < length:
-        rise = np.arange(1, max(2, round(draw(*_EDGES_S) / dt)))
+        rise = np.arange(1, max(2, round(draw(*th.EDGES_S) / dt)))
         edge = 0.5 - 0.5 * np.cos(math.pi * rise / (rise.size + 1))
         height = draw(max(slowest, 0.1 * amplitude), amplitude) if amplitude > slowest else amplitude
         height *= 1.0 if random.uniform() < 0.5 else -1.0
-        flat = np.ones(round(draw(*_RESTS_S) / dt))
-        parts += [height * np.concatenate([edge, flat, edge[::-1]]), np.zeros(max(1, round(draw(*_RESTS_S) / dt)))]
+        flat = np.ones(round(draw(*th.RESTS_S) / dt))
+        parts += [height * np.concatenate([edge, flat, edge[::-1]]), np.zeros(max(1, round(draw(*th.RESTS_S) / dt)))]
     return np.concatenate(parts)

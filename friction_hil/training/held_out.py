@@ -13,10 +13,9 @@ from friction_hil.identification.prediction_errors import blocks, speed_groups
 from friction_hil.identification.regression import Regression
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
+from friction_hil.training import thresholds as th
 
 SPEEDS, BLOCKS, OTHERS = "strokes of other speeds", "blocks of time", "other recordings"
-_LEAST_GAIN = 0.04  # of the mean square error: an error that is lower by less than 2 % is not worth a network
-_MARGIN = 5  # rows on either side of a held-out block, which share samples with it through the filters
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +28,7 @@ class Gain:
     @property
     def is_clear(self) -> bool:
         """True if the decrease exceeds its standard error, and is large enough to matter."""
-        return self.mean > max(self.error, _LEAST_GAIN)
+        return self.mean > max(self.error, th.LEAST_GAIN)
 
     @property
     def words(self) -> str:
@@ -65,7 +64,7 @@ def kinds(data: Data, check: Data | None) -> dict[str, list[Mask]]:
 
 def beside(mask: Mask) -> Mask:
     """Return the rows that may be used for training while those of a mask are held out."""
-    return np.convolve(mask, np.ones(2 * _MARGIN + 1), mode="same") == 0.0
+    return np.convolve(mask, np.ones(2 * th.MARGIN + 1), mode="same") == 0.0
 
 
 class Physical(Protocol):

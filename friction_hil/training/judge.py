@@ -10,14 +10,11 @@ from friction_hil.identification.data import Data, Mask
 from friction_hil.identification.prediction_errors import PredictionError, prediction_error
 from friction_hil.numerics.jit import Array
 from friction_hil.training import averaged, checks, held_out
+from friction_hil.training import thresholds as th
 from friction_hil.training.contenders import Contender
 from friction_hil.training.held_out import Physical
 from friction_hil.training.layout import Samples
 from friction_hil.training.visited import least_speed, visited
-
-_UNITS = 4  # of each member of the mean
-_LARGEST_LEAST = 0.5  # of the top speed: largest speed below which a network may fade out
-_SLOW = 0.25  # of the rows, the slowest ones: in these a network must not be worse than the physical model
 
 
 class Judge:
@@ -26,7 +23,7 @@ class Judge:
     def __init__(self, data: Data, check: Data | None, physical: Physical, seed: int) -> None:
         self._data, self._check, self._physical, self._seed = data, check, physical, seed
         top = float(np.max(np.abs(data.motion("velocity"))))
-        self._slowest = min(least_speed(data.records), _LARGEST_LEAST * top)
+        self._slowest = min(least_speed(data.records), th.LARGEST_LEAST * top)
         self.samples = self._samples_of(data, physical.left(data))
         self._kinds = held_out.kinds(data, check)
         self._parts = next(iter(held_out.kinds(data, None).values()))
@@ -95,7 +92,7 @@ class Judge:
 
     def _as_residual(self, p: Array) -> Array:
         p[network.IS_RESIDUAL] = 1.0
-        p[network.LEAST_SPEED] = min(self._slowest, _LARGEST_LEAST * p[network.SPEED_LIMIT])
+        p[network.LEAST_SPEED] = min(self._slowest, th.LARGEST_LEAST * p[network.SPEED_LIMIT])
         return p
 
     def _samples_of(self, data: Data, left: Array) -> Samples:
@@ -121,12 +118,12 @@ class Judge:
         moving = speed > 0.5 * self._slowest
         if not np.any(moving):
             return 0.0
-        return float(np.mean(left[moving & (speed <= np.quantile(speed[moving], _SLOW))] ** 2))
+        return float(np.mean(left[moving & (speed <= np.quantile(speed[moving], th.SLOW_ROWS))] ** 2))
 
 
 def _structure(inputs: tuple[str, ...]) -> NetworkStructure:
     has_position, has_load, has_temperature = (name in inputs for name in INPUTS)
-    return NetworkStructure("static", (_UNITS,), 0, 0, has_position, has_load, has_temperature)
+    return NetworkStructure("static", (th.MEAN_UNITS,), 0, 0, has_position, has_load, has_temperature)
 
 
 def output(p: Array, samples: Samples) -> Array:

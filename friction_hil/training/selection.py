@@ -21,15 +21,14 @@ from friction_hil.identification.prediction_errors import PredictionError
 from friction_hil.identification.settings import FitStep
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import named_constants
 from friction_hil.recordings import Recording
 from friction_hil.training import export, held_out
+from friction_hil.training import thresholds as th
 from friction_hil.training.contenders import Contender, choose
 from friction_hil.training.held_out import Given, Physical, Refitted
 from friction_hil.training.judge import Judge, output
 from friction_hil.training.layout import Samples
-
-_MOST_INPUTS = 2  # besides the velocity
-_COMPARED = 3  # physical models that are listed besides the one that is used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +87,7 @@ class Selection:
             "structure": self.structure,
             "model": self.chosen.label,
             "reason": self.reason,
+            "thresholds": named_constants(th),
             "inputs": None if self.chosen.inputs is None else ["velocity", *self.chosen.inputs],
             "weights": 0 if self.network is None else int(self.network.weights.size),
             **{name: dict.fromkeys(("one_step", "free_run"), each.rmse / spread) for name, each in errors.items()},
@@ -146,7 +146,7 @@ def select(
         attempt(required)
     else:
         now = attempt(())
-        for _ in range(_MOST_INPUTS):
+        for _ in range(th.MOST_INPUTS):
             assert now.inputs is not None
             further = [attempt((*now.inputs, name)) for name in there if name not in now.inputs and goes_on()]
             best = min(further, key=lambda each: each.first.rmse, default=None)
@@ -221,7 +221,7 @@ def _others(found: Identification) -> list[Contender]:
     listed: list[Contender] = []
     for each in found.fits[1:]:
         is_plainest = each.structure.family == "coulomb" and tuple(each.structure.modifiers) == ("direction",)
-        if each.is_refined or not (is_plainest or len(listed) < _COMPARED):
+        if each.is_refined or not (is_plainest or len(listed) < th.LISTED):
             continue
         errors = {held_out.OTHERS: each.validation} if each.validation else {held_out.SPEEDS: each.across_speeds}
         errors |= {} if each.validation else {held_out.BLOCKS: each.cross_validation}

@@ -14,11 +14,11 @@ from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.training import data
+from friction_hil.training import thresholds as th
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples
 from friction_hil.training.visited import least_speed
 
-_STATIC_LOWPASS = 0.04  # of the sampling rate
 _UNSEEN_SEED = 1_000_003  # added to the seed of the training for signals that it has not seen
 
 
@@ -98,7 +98,7 @@ def task_of_recordings(
     notes: list[str] = []
     asked_hz = lowpass_hz
     if lowpass_hz is None and is_static:
-        lowpass_hz = _STATIC_LOWPASS * prepare(recordings[0])[0].rate_hz
+        lowpass_hz = th.STATIC_LOWPASS * prepare(recordings[0])[0].rate_hz
     name = "the model of --base"
     if known is None:
         known, name = _identify(recordings, is_linear, lowpass_hz)

@@ -11,18 +11,12 @@ from friction_hil.errors import UsageError
 from friction_hil.friction import NetworkStructure, network
 from friction_hil.numerics.jit import Array
 from friction_hil.training import constraints, levenberg
+from friction_hil.training import thresholds as th
 from friction_hil.training.checks import Rest, at_rest
 from friction_hil.training.constraints import Constraint
 from friction_hil.training.first_weights import first_weights
 from friction_hil.training.layout import Samples, empty
 from friction_hil.training.objective import NetworkRun, Objective
-
-# of the squared weights; the starts use them in turn. A network whose output is 0 has a mean squared error of 1
-_DECAYS = (1e-9, 1e-8, 1e-6)
-_SPEED_FACTORS = (0.3, 1.0, 0.1)
-_PATIENCE = 40  # iterations without a better free run on validation before a search ends
-_BAD = 0.1  # NRMSE in free run above which a network has not learned
-_GOOD = 0.02  # NRMSE on validation below which a much smaller one on the training set is no overfitting
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +85,8 @@ class _Start:
         structure, samples = training.structure, training.samples
         random = np.random.default_rng((training.seed, number))
         self.number = number
-        self.decay = _DECAYS[number % len(_DECAYS)]
-        self.p = empty(structure, samples, _SPEED_FACTORS[number // len(_DECAYS) % len(_SPEED_FACTORS)])
+        self.decay = th.DECAYS[number % len(th.DECAYS)]
+        self.p = empty(structure, samples, th.SPEED_FACTORS[number // len(th.DECAYS) % len(th.SPEED_FACTORS)])
         if structure.kind == "gated":
             self.p[network.STROKE] *= random.uniform(1.2, 2.5)  # the stop explains the middle of several strokes
         self.constraint = Constraint(structure, constraints.CONTRACTIONS[structure.kind])
@@ -158,7 +152,7 @@ class _Training:
             self.history.append(step)
             if not self._goes_on(step):
                 raise _StoppedError
-            return stale < _PATIENCE
+            return stale < th.PATIENCE
 
         levenberg.minimise_unbounded(
             objective.cost,
@@ -240,9 +234,9 @@ def train(
 def _flags(errors: list[Errors], rest: Rest, is_stopped: bool) -> list[str]:
     train, validation = errors
     flags = ["stopped before the search was over"] if is_stopped else []
-    if validation.free_run > _BAD:
+    if validation.free_run > th.BAD:
         flags.append(f"free-run error on validation is {validation.free_run:.3g}: it has not learned this axis")
-    if validation.free_run > max(3.0 * train.free_run, _GOOD):
+    if validation.free_run > max(3.0 * train.free_run, th.GOOD):
         flags.append(
             "free-run error on validation is above three times that on training: too many weights or too little data"
         )

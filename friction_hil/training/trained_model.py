@@ -13,21 +13,17 @@ from friction_hil.errors import UsageError, choices
 from friction_hil.friction import FrictionModel, Network, NetworkStructure
 from friction_hil.friction.network_model import INPUTS
 from friction_hil.numerics.jit import Array
-from friction_hil.numerics.readable import POSITION_UNITS
+from friction_hil.numerics.readable import POSITION_UNITS, named_constants
 from friction_hil.training import export, physical
+from friction_hil.training import thresholds as th
 from friction_hil.training.held_out import Gain, gain
 from friction_hil.training.layout import Samples
 from friction_hil.training.task import TrainingTask
 from friction_hil.training.train import Options, Progress, TrainingResult, train
 
 _HIDDEN = {"gated": (10,), "narx": (10,), "static": (8,), "residual": (4,)}
-_STATES = (1, 5)  # of a gated network; several suit friction like that of Maxwell-slip elements
 # of several states: each iteration takes three times as long, and fewer are needed
 _SEVERAL_STATES = Options(starts=5, survivors=2, trial_iterations=15, iterations=50)
-_GOOD_ENOUGH = 0.02  # NRMSE on validation below which a gated network needs no more states
-_BLOCKS = 6  # in which validation samples are compared, or more
-_BANDS = 4  # of the speed, with the same number of samples each
-_ORDERS = (1, 2, 3)  # of a narx: numbers of past torques and past velocities
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,9 +46,9 @@ class NetworkSpec:
         has_position, has_load, has_temperature = (name in self.inputs for name in INPUTS)
         others = (has_position, has_load, has_temperature)
         if self.structure == "narx":
-            return [NetworkStructure("narx", hidden, order, order, *others) for order in _ORDERS]
+            return [NetworkStructure("narx", hidden, order, order, *others) for order in th.ORDERS]
         if self.structure == "gated":
-            return [NetworkStructure("gated", hidden, states, 0, *others) for states in _STATES]
+            return [NetworkStructure("gated", hidden, states, 0, *others) for states in th.STATES]
         return [NetworkStructure("static", hidden, 0, 0, *others)]
 
 
@@ -156,7 +152,7 @@ class TrainedModel:
         speed, weight = np.abs(samples.velocity), samples.weight
         network, *others = self._left(samples).items()
         name, best = min(others, key=lambda each: float(weight @ each[1] ** 2))
-        edges = np.quantile(speed[weight > 0.0], np.linspace(0.0, 1.0, _BANDS + 1))
+        edges = np.quantile(speed[weight > 0.0], np.linspace(0.0, 1.0, th.BANDS + 1))
         found = []
         for low, high in itertools.pairwise(edges.tolist()):
             rows = (weight > 0.0) & (speed >= low) & (speed <= high)
@@ -194,6 +190,7 @@ class TrainedModel:
         return {
             **export.as_json(self.trained, seconds),
             "not_for": self.not_for,
+            "thresholds": named_constants(th),
             "relative_errors": self.relative_errors,
             "gain": {name: [value.mean, value.error] for name, value in self.gains.items()},
             "unseen": {name: self.error(samples) for name, samples in self.task.unseen.items()},
@@ -217,7 +214,7 @@ def train_task(
         trained = train(structure, task.samples, task.validation, seed=spec.seed, options=options, goes_on=goes_on)
         if best is None or trained.validation.free_run < best.validation.free_run:
             best = trained
-        if trained.is_stopped or (structure.kind == "gated" and best.validation.free_run < _GOOD_ENOUGH):
+        if trained.is_stopped or (structure.kind == "gated" and best.validation.free_run < th.GOOD_ENOUGH):
             break
     assert best is not None
     is_compared = task.total.size > 0 and not task.is_residual
@@ -251,7 +248,7 @@ def _blocks(samples: Samples) -> list[slice]:
     """Return the stretches of samples that count, each at most a sixth of them: paired errors need several."""
     counts = np.concatenate([[0], samples.weight > 0.0, [0]]).astype(int)
     edges = np.flatnonzero(np.diff(counts)).reshape(-1, 2)
-    longest = max(int(np.sum(counts)) // _BLOCKS, 1)
+    longest = max(int(np.sum(counts)) // th.COMPARED_BLOCKS, 1)
     found = []
     for begin, end in edges.tolist():
         parts = max(round((end - begin) / longest), 1)

@@ -8,9 +8,7 @@ import numpy as np
 from friction_hil.identification.data import RegressionSegment
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings.quality import resolution
-
-_CLEAR = 3.0  # standard deviations of the velocity's noise
-_RARE = 0.02  # of the moving rows: slower speeds are passed, not visited
+from friction_hil.training import thresholds as th
 
 
 def least_speed(records: Sequence[RegressionSegment]) -> float:
@@ -23,12 +21,12 @@ def least_speed(records: Sequence[RegressionSegment]) -> float:
     noise = max(map(_noise, records))
     speed = np.abs(np.concatenate([record.reduce_smooth(record.velocity) for record in records]))
     moving = speed[speed > max(noise, 1e-6 * float(np.max(speed)))]
-    return max(_CLEAR * noise, float(np.quantile(moving, _RARE)) if moving.size else 0.0)
+    return max(th.CLEAR * noise, float(np.quantile(moving, th.RARE)) if moving.size else 0.0)
 
 
 def _noise(record: RegressionSegment) -> float:
     if record.lowpass_hz is None:
-        return (resolution(record.velocity) or 0.0) / _CLEAR  # a whole step is clear
+        return (resolution(record.velocity) or 0.0) / th.CLEAR  # a whole step is clear
     if record.resolution is None:
         return 0.0
     power = record.resolution**2 / 12.0 * 2.0 / record.rate_hz * (2.0 * math.pi) ** 2 * record.lowpass_hz**3 / 3.0

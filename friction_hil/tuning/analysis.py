@@ -16,6 +16,7 @@ from friction_hil.identification.settings import chosen_families
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.replay.verify import facts_of
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.candidates import ExperimentPart, closed_loop_starts, identified
 from friction_hil.tuning.closed_loop import ClosedLoop, Start, closed_loop_fits
 from friction_hil.tuning.cogging import PositionTorque
@@ -24,8 +25,6 @@ from friction_hil.tuning.rehearsed import RehearsedFit, rehearse
 from friction_hil.tuning.sequential import Observer
 from friction_hil.tuning.settings import ShowStep
 from friction_hil.tuning.simulated import drive_loops
-
-_ENOUGH_S = 25.0  # of an experiment, for the models in closed loop: more takes longer than it tells
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +94,7 @@ def _in_closed_loop(
     """
     recordings = [parts[-1].recording]
     for each in parts[-2::-1]:
-        if sum(one.duration_s for one in recordings) < _ENOUGH_S:
+        if sum(one.duration_s for one in recordings) < th.ENOUGH_S:
             recordings.append(each.recording)
     loop = _closed_loop(recordings, configuration)
     return closed_loop_fits(loop, starts, lambda text, *steps: show(f"{loop.name}: {text}", *steps))

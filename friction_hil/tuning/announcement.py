@@ -10,11 +10,10 @@ from friction_hil.daemon.safety import SPEED_MARGIN
 from friction_hil.motion.experiment import coarsest, is_fast
 from friction_hil.motion.trajectory import extent
 from friction_hil.numerics.readable import POSITION_UNITS, brief
-from friction_hil.tuning.gains import MOST
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.trial_motions import RESTS, SLOW, SMALL, TINY
 
 _ROUNDING = 1e-6
-_JUMP = 0.1  # of limits.velocity: an axis that is slower is not stopped
 
 
 def allowed_speeds(run: Configuration, bounds: Mapping[str, ExperimentBounds]) -> dict[str, float]:
@@ -27,7 +26,7 @@ def allowed_speeds(run: Configuration, bounds: Mapping[str, ExperimentBounds]) -
 
 
 def _allowed_speed(axis: AxisConfig, bounds: ExperimentBounds) -> float:
-    return max(peak_speed(axis.trajectory), bounds.velocity, _JUMP * axis.limits.velocity / SPEED_MARGIN)
+    return max(peak_speed(axis.trajectory), bounds.velocity, th.JUMP * axis.limits.velocity / SPEED_MARGIN)
 
 
 def experiment_text(
@@ -94,7 +93,7 @@ def trial_text(
         *(f"compensated by {_models(each)}" for each in labels),
     ]
     has_other_gains = any(run.axes[name].compensation.gain_negative is None for name in bounds)
-    more = f", then at most {MOST} times more by the best model at other gains" if has_other_gains else ""
+    more = f", then at most {th.MOST_GAINS} times more by the best model at other gains" if has_other_gains else ""
     if not labels:
         more = ", while the models are computed that are tried on the same motions then"
     every = "all of it" if len(bounds) == 1 else "all axes at once, all of it"

@@ -22,6 +22,7 @@ from friction_hil.identification.structures import starts as first_values
 from friction_hil.numerics.filtering import lowpass, lowpass_padding
 from friction_hil.recordings import Recording
 from friction_hil.replay.verify import facts_of
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.closed_loop import Start
 from friction_hil.tuning.cogging import PositionTorque
 from friction_hil.tuning.motions import experiment_of, sliding_part
@@ -39,21 +40,10 @@ class ExperimentPart:
 
 
 _LUGRE, _GMS, _CURVE = "lugre", "gms", "stribeck"
-_LEAST_SPEED_RATIO = 0.01  # of the highest speed: below, what holds the axis is no friction to a static model
 _NO_PRESLIDING = (
     "the recording does not show presliding: its stiffness and damping (sigma0, sigma1) are not determined by the "
     "torque, to which only static models are fitted; --models lugre fits one nevertheless"
 )
-_LOWPASS_HZ, _LOWPASS_RATIO = 100.0, 0.4  # of the position, and the most of it that a sampling rate allows
-_ROWS_HZ = 100.0  # of a regression with static models
-# Of the low-pass: the time before and after a row in which the axis has to slide. The low-pass mixes half a period with
-# the row; for longer, the friction of an axis that has broken away still follows its velocity: it lags by its level
-# over stiffness and speed, -lag s'(v) a, which looks like inertia where the curve falls.
-_SLIDING_PERIODS = 2.0
-_COUNT_PERIODS = 2.0  # of the low-pass: the longest time for a count from which a speed is known
-_NOISY_RATIO = 0.1  # of the velocity
-_TURNING = 5.0  # times level over stiffness of presliding: there a bristle has turned but for 1.3 %
-_MOST_TURNING = 0.02  # of the travel
 
 
 def identified(
@@ -207,8 +197,8 @@ def _sliding_distance(found: Sequence[Identification], travel: float) -> float:
     parameters, modifiers = fit.friction
     model = models.create(fit.structure.family, modifiers=modifiers, axis=fit.structure.axis, **parameters)
     stiffness = model.presliding_stiffness
-    turned = _TURNING * model.level / stiffness if stiffness > 0.0 else 0.0
-    return min(turned, _MOST_TURNING * travel)
+    turned = th.TURNING * model.level / stiffness if stiffness > 0.0 else 0.0
+    return min(turned, th.MOST_TURNING * travel)
 
 
 def _parts(
@@ -259,20 +249,20 @@ def sliding_settings(
     axis = configuration.axes[name]
     [facts] = (each for each in recording.metadata["facts"] if each["name"] == name)
     lowpass_hz = _lowpass_hz(period_s)
-    seen = facts["position_resolution"] * lowpass_hz / _COUNT_PERIODS
+    seen = facts["position_resolution"] * lowpass_hz / th.COUNT_PERIODS
     return IdentificationSettings(
         families=families,
         axis=axis.model.axis,
-        least_speed=max(_LEAST_SPEED_RATIO * experiment_of(name, axis).velocity, seen),
-        sliding_s=_SLIDING_PERIODS / lowpass_hz,
+        least_speed=max(th.LEAST_SPEED_RATIO * experiment_of(name, axis).velocity, seen),
+        sliding_s=th.SLIDING_PERIODS / lowpass_hz,
         lowpass_hz=lowpass_hz,
-        decimation=max(1, round(1.0 / (period_s * _ROWS_HZ))),
+        decimation=max(1, round(1.0 / (period_s * th.ROWS_HZ))),
     )
 
 
 def _lowpass_hz(period_s: float) -> float:
     """Return the cut-off of the position, Hz."""
-    return min(_LOWPASS_HZ, _LOWPASS_RATIO / period_s)
+    return min(th.LOWPASS_HZ, th.LOWPASS_RATIO / period_s)
 
 
 def _is_velocity_noisy(recording: Recording) -> bool:
@@ -285,7 +275,7 @@ def _is_velocity_noisy(recording: Recording) -> bool:
     if len(known) <= lowpass_padding() or not known.any():
         return False
     rest = known - lowpass(known, _lowpass_hz(recording.period_s), 1.0 / recording.period_s)
-    return float(np.std(rest)) > _NOISY_RATIO * float(np.std(known))
+    return float(np.std(rest)) > th.NOISY_RATIO * float(np.std(known))
 
 
 def _is_sound(fit: Fit) -> bool:

@@ -38,23 +38,10 @@ from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.rehearsal import Rehearsal
 from friction_hil.replay.verify import facts_of
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.model_files import model_content
 from friction_hil.tuning.settings import ShowStep
 from friction_hil.tuning.simulated import SOFT_HZ, simulated_axis
-
-_RATE = 4.0  # of the observer, over the gain of the position loop
-_EVALUATIONS = 15
-_TOLERANCE = 1e-3  # of a change, relative, that ends a search
-# Of a parameter, for its derivative, in one search after the other. Where sticks begin and end, the error has steps:
-# long differences see over them.
-_STEPS = (0.15, 0.1, 0.05, 0.02)
-_DAMPING = 0.01  # of columns of length 1: a block that alone shows a parameter is not extrapolated without bound
-_LEAST_SCALE = 0.01  # of a coordinate, of its range
-_SETTLED_S = 0.5  # until the integral part of the loops has found its torque
-_LARGE = 3.0  # times the usual error: larger ones count less
-_LEAST_ERROR = 0.5  # count: smaller differences are those of the encoder
-_FAILED = 1e3  # counts, of a simulation without a result
-_ROWS_HZ = 200.0  # of what standard errors are computed from
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,20 +113,20 @@ class ClosedLoop:
         servo = simulated_axis(model, inertia, self.loops, self.running, self.period_s, self.resolution, SOFT_HZ)
         if servo is None:
             raise UsageError(f"{model.friction.model}: its presliding is stiffer than the motion shows")
-        pole = math.exp(-_RATE * self.gain * self.period_s)  # both poles of the observer
+        pole = math.exp(-th.OBSERVER_RATE * self.gain * self.period_s)  # both poles of the observer
         correction = 1.0 - pole * pole, (1.0 - pole) ** 2 / self.period_s
         found = []
         for each in self.motions:
             ahead = each.rehearsal.ahead(servo, model, each.demand, each.measured, correction) / self.resolution
             # a simulation that fails is no sample that is missing
-            ahead = np.nan_to_num(ahead, nan=_FAILED, posinf=_FAILED, neginf=-_FAILED)
-            found.append(np.where(np.isnan(each.measured), 0.0, ahead)[round(_SETTLED_S / self.period_s) :])
+            ahead = np.nan_to_num(ahead, nan=th.FAILED_ERROR, posinf=th.FAILED_ERROR, neginf=-th.FAILED_ERROR)
+            found.append(np.where(np.isnan(each.measured), 0.0, ahead)[round(th.SETTLED_S / self.period_s) :])
         return np.concatenate(found)
 
     @cached_property
     def following(self) -> Array:
         """Following error of all motions over a count, (n,)."""
-        begin = round(_SETTLED_S / self.period_s)
+        begin = round(th.SETTLED_S / self.period_s)
         return np.nan_to_num(np.concatenate([each.error[begin:] for each in self.motions]) / self.resolution)
 
 
@@ -154,7 +141,7 @@ class _Search:
         for each in structure.coordinates:
             low, high = each.bounds
             value = each.inner(values[each.name])
-            scale = 1.0 if each.is_log else max(abs(value), _LEAST_SCALE * (high - low))
+            scale = 1.0 if each.is_log else max(abs(value), th.LEAST_SCALE * (high - low))
             scales.append(scale)
             lower.append(low / scale)
             upper.append(high / scale)
@@ -185,7 +172,7 @@ class _Search:
         try:
             return self._errors_of(self._fit_of(at))
         except (UsageError, ValueError):
-            return np.full(len(self._loop.following), _FAILED)
+            return np.full(len(self._loop.following), th.FAILED_ERROR)
 
     def _errors_of(self, fit: Fit) -> Array:
         model = ModelFile.model_validate(model_content(self._start.identification, fit, self._loop.axis))
@@ -207,27 +194,27 @@ class _Search:
 
         at = self._at
         self._errors_of(self._fit_of(at))
-        for step in _STEPS:
-            usual = max(float(np.median(np.abs(self._errors(at)))), _LEAST_ERROR)
+        for step in th.SEARCH_STEPS:
+            usual = max(float(np.median(np.abs(self._errors(at)))), th.LEAST_ERROR)
             found = least_squares(
                 self._errors,
                 at,
                 partial(self._jacobian, step=step),
                 (self._lower, self._upper),
                 loss="soft_l1",
-                f_scale=_LARGE * usual,
-                ftol=_TOLERANCE,
-                xtol=_TOLERANCE,
-                max_nfev=_EVALUATIONS,
+                f_scale=th.LARGE_ERROR * usual,
+                ftol=th.TOLERANCE,
+                xtol=th.TOLERANCE,
+                max_nfev=th.EVALUATIONS,
             )
             at = found.x
-        derivatives = self._jacobian(at, _STEPS[-1])
+        derivatives = self._jacobian(at, th.SEARCH_STEPS[-1])
         return self._fit(at, found.fun, derivatives, is_converged=bool(found.status > 0))
 
     def _fit(self, at: Array, errors: Array, derivatives: Array, *, is_converged: bool) -> Fit:
         """Return the fit at coordinates, with the errors of the motion that it predicts and their derivatives."""
         fit, structure = self._fit_of(at), self._start.structure
-        every = max(1, round(1.0 / (_ROWS_HZ * self._loop.period_s)))
+        every = max(1, round(1.0 / (th.CLOSED_LOOP_ROWS_HZ * self._loop.period_s)))
         residual = errors[::every]
         # of errors with respect to coordinates; an estimate has those of the prediction with respect to parameters
         jacobian = -derivatives[::every]
@@ -280,7 +267,7 @@ def _held_out(residual: Array, jacobian: Array) -> Array:
     """
     norms = np.linalg.norm(jacobian, axis=0)
     columns = jacobian / np.where(norms > 0.0, norms, 1.0)
-    whole = columns.T @ columns + _DAMPING * np.eye(columns.shape[1])
+    whole = columns.T @ columns + th.DAMPING * np.eye(columns.shape[1])
     found = residual.copy()
     edges = np.linspace(0, len(residual), BLOCKS + 1).round().astype(int)
     for begin, end in itertools.pairwise(edges):

@@ -16,8 +16,7 @@ from friction_hil.identification import IdentificationSettings, identify
 from friction_hil.identification.data import Data
 from friction_hil.identification.modifiers import ripple_orders
 from friction_hil.recordings import Recording
-
-_AS_LARGE = 0.3  # of the friction level: root mean square of harmonics without which friction is not identified either
+from friction_hil.tuning import thresholds as th
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +50,7 @@ def large_position_torque(
     values = identify([*slow, own], replace(plain, orders=tuple(orders))).best.values
     squares = (values.get(f"ripple[{i}].{part}", 0.0) ** 2 for i in range(len(orders)) for part in ("cosine", "sine"))
     levels = [value for name, value in values.items() if name.endswith("coulomb")]
-    is_large = math.sqrt(0.5 * math.fsum(squares)) >= _AS_LARGE * sum(levels) / len(levels)
+    is_large = math.sqrt(0.5 * math.fsum(squares)) >= th.AS_LARGE * sum(levels) / len(levels)
     return PositionTorque(tuple(orders), (own,)) if is_large else None
 
 

@@ -5,10 +5,8 @@ import numpy as np
 from friction_hil.daemon.safety import LoopState
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.motions import TuningError
-
-_SPEED_WINDOW_S = 0.02  # over which a speed is averaged, so that single counts of an encoder do not matter
-_TOO_FAST = 2.0  # times the highest speed of the experiment
 
 
 def with_torque(recording: Recording, mode: str) -> Recording:
@@ -46,10 +44,10 @@ def refuse_limit_cycle(recording: Recording, velocity: float, unit: str) -> str:
     """
     is_running = recording["state"] == LoopState.RUNNING
     position, demand = recording["position"][is_running], recording["velocity_demand"][is_running]
-    step = max(1, round(_SPEED_WINDOW_S / recording.period_s))
+    step = max(1, round(th.SPEED_WINDOW_S / recording.period_s))
     measured = (position[step:] - position[:-step]) / (step * recording.period_s)
     fastest = float(np.max(np.abs(measured), initial=0.0))
-    if fastest <= _TOO_FAST * velocity:
+    if fastest <= th.TOO_FAST * velocity:
         return ""
     found = f"{recording.axis} has moved at {fastest:.3g} {unit}/s, where its experiment asks for {velocity:g} at most"
     if _reversals(measured, velocity) > _reversals(demand, 0.0):

@@ -14,15 +14,9 @@ from friction_hil.numerics.readable import digits
 from friction_hil.recordings import Recording
 from friction_hil.replay.changes import inputs_of
 from friction_hil.replay.verify import facts_of
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.sequential import Unknown
 from friction_hil.tuning.trial import Trial
-
-_DOUBT = 2.0  # the first higher gain keeps so many standard deviations of the torque away from 1
-_WORTH = 0.01  # difference between two gains
-_LESS = 0.1  # step of a lower gain
-MOST = 2  # further gains
-_CLIPPED = 0.01  # of the rows; fewer do not matter
-_NEAR = 1.0 - 1e-9  # of the limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +71,9 @@ class Gains:
         if given.gain_negative is not None:  # the user's own
             return
         if trial.swinging:
-            self._left = [given.gain - (k + 1) * _LESS for k in range(MOST)]
+            self._left = [given.gain - (k + 1) * th.GAIN_STEP for k in range(th.MOST_GAINS)]
         elif trial.has_helped:
-            known = 0.5 * (1.0 + given.gain) if unknown is None else 1.0 - _DOUBT * unknown.known_to
+            known = 0.5 * (1.0 + given.gain) if unknown is None else 1.0 - th.GAIN_DOUBT * unknown.known_to
             self._left = [known, 1.0]
 
     @property
@@ -95,7 +89,7 @@ class Gains:
             return None
         while self._left:
             gain = round(self._left.pop(0), 2)
-            if gain > 0.0 and (first.trial.swinging or gain >= self._last + _WORTH):
+            if gain > 0.0 and (first.trial.swinging or gain >= self._last + th.GAIN_DIFFERENCE):
                 self._last = gain
                 return gain
         return None
@@ -110,8 +104,8 @@ def find_clipping(recording: Recording, axis: AxisConfig, period_s: float) -> Cl
     limit = axis.limits.torque
     running = recording["state"] == LoopState.RUNNING
     torques = np.maximum(np.abs(recording["compensation"]), np.abs(recording["command"]))[running]
-    share = float(np.mean(torques >= _NEAR * limit)) if torques.size else 0.0
-    if share <= _CLIPPED:
+    share = float(np.mean(torques >= th.NEAR_LIMIT * limit)) if torques.size else 0.0
+    if share <= th.CLIPPED:
         return None
     free = axis.model_copy(update={"limits": axis.limits.model_copy(update={"torque": 1e12})})
     compensator = make_compensator(free, axis.model, facts_of(recording.metadata, recording), period_s)

@@ -24,11 +24,8 @@ from friction_hil.models.model_file import ModelFile
 from friction_hil.motion import experiment, multisine
 from friction_hil.recordings import Recording
 from friction_hil.servo.mechanisms import Gantry
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.trial_motions import sequences, trial_motions
-
-_REST_S = 0.5  # after a motion
-_TRIAL_HZ = 0.5  # of the trial motion of an axis without a periodic trajectory
-_TRIAL_TRAVEL, _TRIAL_SPEED = 0.5, 0.3  # of travel and velocity of the experiment
 
 
 class TuningError(FrictionHilError):
@@ -90,7 +87,7 @@ def experiment_run(configuration: Configuration, name: str, part_s: float | None
     axes = {each: _held(axis) for each, axis in configuration.axes.items()}
     axes[name] = axes[name].model_copy(update={"trajectory": motion})
     run = configuration.model_copy(update={"axes": axes})
-    return run, motion.duration_s + ramp_s(axes.values()) + _REST_S
+    return run, motion.duration_s + ramp_s(axes.values()) + th.REST_S
 
 
 def shaken_run(configuration: Configuration, name: str) -> tuple[Configuration, float]:
@@ -106,7 +103,7 @@ def shaken_run(configuration: Configuration, name: str) -> tuple[Configuration, 
     axes = {each: _held(axis) for each, axis in configuration.axes.items()}
     axes[name] = axes[name].model_copy(update={"trajectory": motion})
     run = configuration.model_copy(update={"axes": axes})
-    return run, plan.duration_s + motion.ramp_s + ramp_s(axes.values()) + _REST_S
+    return run, plan.duration_s + motion.ramp_s + ramp_s(axes.values()) + th.REST_S
 
 
 def part_bounds(configuration: Configuration, name: str, part_s: float | None = None) -> ExperimentBounds:
@@ -164,7 +161,7 @@ def trial_run(
         compensation = axis.compensation.model_copy(update={"baseline_s": 0.0, "gain": gain})
         axes[name] = axis.model_copy(update={"trajectory": paths[name], "model": model, "compensation": compensation})
     duration_s = max(path.duration_s for path in paths.values()) + ramp_s(axes.values())
-    return configuration.model_copy(update={"axes": axes}), duration_s + _REST_S
+    return configuration.model_copy(update={"axes": axes}), duration_s + th.REST_S
 
 
 def uncompensated(run: Configuration) -> Configuration:
@@ -189,8 +186,8 @@ def own_motion(name: str, axis: AxisConfig) -> PeriodicMotion:
     if isinstance(axis.trajectory, Circle | Sine | Triangle | Strokes):
         return axis.trajectory
     bounds = experiment_of(name, axis)
-    amplitude = min(_TRIAL_TRAVEL * bounds.travel, _TRIAL_SPEED * bounds.velocity / (math.tau * _TRIAL_HZ))
-    return Sine(kind="sine", amplitude=amplitude, frequency=_TRIAL_HZ, ramp_s=bounds.ramp_s)
+    amplitude = min(th.TRIAL_TRAVEL * bounds.travel, th.TRIAL_SPEED * bounds.velocity / (math.tau * th.TRIAL_HZ))
+    return Sine(kind="sine", amplitude=amplitude, frequency=th.TRIAL_HZ, ramp_s=bounds.ramp_s)
 
 
 def _refuse_unknown_inertia(name: str, axis: AxisConfig, model: ModelFile) -> None:

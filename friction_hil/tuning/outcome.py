@@ -11,6 +11,8 @@ from friction_hil.checked_yaml.output import check_writable
 from friction_hil.checked_yaml.text import FieldPath
 from friction_hil.config import Configuration, file_problems, load
 from friction_hil.errors import ConfigurationError
+from friction_hil.numerics.readable import named_constants
+from friction_hil.tuning import thresholds
 from friction_hil.tuning.choice import AxisTuning
 from friction_hil.tuning.cogging import position_share
 from friction_hil.tuning.tune import Tuning
@@ -39,6 +41,7 @@ def as_dict(tuning: Tuning, config: Path = Path(), applied: Collection[str] = ()
             for name, axis in tuning.axes.items()
         },
         "seconds": tuning.seconds.figures,
+        "thresholds": named_constants(thresholds),
         "recordings": tuning.recordings,
         "report": tuning.report,
         "warnings": tuning.warnings,

@@ -8,6 +8,7 @@ from friction_hil.daemon.assembly import periodic_path
 from friction_hil.errors import OptionError
 from friction_hil.rehearsal import Motion, SimulatedAxis, SimulatedMachine
 from friction_hil.servo.mechanisms import Gantry
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.motions import own_motion
 from friction_hil.tuning.trial_motions import OWN, amplitude_of, trial_motions
 
@@ -15,7 +16,6 @@ TRIANGLE = "triangle"
 
 _STROKE, _FREQUENCY, _ROUNDING = 0.3, 0.5, 0.1  # of the triangle, in those of the own motion
 _PERIODS, _LEAST_S = 2, 2.0  # that are scored
-_START_S = 2.0  # for the axis to start and the compensation to fade in
 
 
 def rehearsal_motions(own: PeriodicMotion, bounds: ExperimentBounds, resolution: float) -> dict[str, Motion]:
@@ -65,4 +65,4 @@ def _rehearsed(motion: PeriodicMotion) -> Motion:
     """Return two periods of a motion, and at least two seconds, after one in which the compensation fades in."""
     period_s = 1.0 / motion.frequency
     periods = max(_PERIODS, math.ceil(_LEAST_S / period_s))
-    return Motion(periodic_path(motion), periods * period_s, start_s=_START_S + period_s)
+    return Motion(periodic_path(motion), periods * period_s, start_s=th.START_S + period_s)

@@ -24,23 +24,13 @@ from friction_hil.recordings import Recording
 from friction_hil.rehearsal import Motion, Outcome, Rehearsal
 from friction_hil.replay.verify import facts_of
 from friction_hil.servo.config import ServoConfig
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.candidates import CandidateFit
 from friction_hil.tuning.model_files import model_content
 from friction_hil.tuning.motions import experiment_of, own_motion
 from friction_hil.tuning.rehearsal_motions import rehearsal_motions
 from friction_hil.tuning.settings import ShowStep
 from friction_hil.tuning.simulated import drive_loops, simulated_axis
-
-SWING = 0.999  # factor left on the gain by the guard against limit cycles: below, the model swings
-_MOST_CANDIDATES = 10  # of an identification
-_FINALISTS = 5  # that are simulated on all plausible frictions; the others on the likeliest one
-_MOST_AXES = 4  # plausible frictions
-_LEAST_WEIGHT = 0.02  # of the likeliest: a less likely friction is not simulated
-_DOUBTFUL_WEIGHT = 0.2  # of the frictions on which a candidate swings
-_SWINGING_REDUCTION = 0.5  # for which a motion counts in which it swings
-_LARGEST_REDUCTION = 20.0  # more is beyond what a simulation can tell
-_MOST_TRIED = 3  # on the drive
-_TOLD_APART = 1.3  # ratio of scores: smaller ones say nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,10 +99,10 @@ def rehearse(
     simulations.run([likeliest], everyone)
     first = {k: _judged(*fits[k], {likeliest: 1.0}, simulations.outcomes([likeliest], k)) for k in everyone}
     order = sorted(everyone, key=lambda k: _rank(first[k]))
-    finalists = order[:_FINALISTS]
+    finalists = order[: th.FINALISTS]
     simulations.run(list(weights), finalists)
     last = {k: _judged(*fits[k], weights, simulations.outcomes(list(weights), k)) for k in finalists}
-    return (*sorted(last.values(), key=_rank), *(first[k] for k in order[_FINALISTS:]))
+    return (*sorted(last.values(), key=_rank), *(first[k] for k in order[th.FINALISTS :]))
 
 
 class _Simulations:
@@ -175,9 +165,9 @@ def to_try(rehearsed: Sequence[RehearsedFit]) -> list[CandidateFit]:
     for each in steady:
         kinds.setdefault((each.fit.structure.family, _origin(each)), each)
     others = [each for each in kinds.values() if each is not best]
-    close = [each for each in others if each.score * _TOLD_APART >= best.score] or others[:1]
+    close = [each for each in others if each.score * th.TOLD_APART >= best.score] or others[:1]
     second = [each for each in close if _origin(each) != _origin(best)][:1]
-    tried = [best, *second, *(each for each in close if each not in second)][:_MOST_TRIED]
+    tried = [best, *second, *(each for each in close if each not in second)][: th.MOST_TRIED]
     return [(each.identification, each.fit) for each in tried]
 
 
@@ -203,7 +193,7 @@ def _worth_a_rehearsal(identification: Identification) -> list[tuple[Identificat
         return [(identification, each) for each in identification.fits]
     compared = identification.groups[0][1]
     fits = [each for each in plausible_fits(identification) if each in compared and ENDED_EARLY not in each.flags]
-    return [(identification, each) for each in fits[:_MOST_CANDIDATES]]
+    return [(identification, each) for each in fits[: th.MOST_CANDIDATES]]
 
 
 def _weights(fits: Mapping[int, Fit]) -> dict[int, float]:
@@ -223,8 +213,8 @@ def _weights(fits: Mapping[int, Fit]) -> dict[int, float]:
     for k, error in errors.items():
         gain, doubt = log_likelihood_gain(best, error)
         weights[k] = math.exp(-0.5 * (gain / doubt) ** 2) if gain > 0.0 < doubt else float(gain <= 0.0)
-    likely = sorted(weights, key=lambda k: -weights[k])[:_MOST_AXES]
-    kept = {k: weights[k] for k in likely if weights[k] >= _LEAST_WEIGHT * weights[likely[0]] > 0.0}
+    likely = sorted(weights, key=lambda k: -weights[k])[: th.MOST_AXES]
+    kept = {k: weights[k] for k in likely if weights[k] >= th.LEAST_WEIGHT * weights[likely[0]] > 0.0}
     return {k: weight / sum(kept.values()) for k, weight in kept.items()}
 
 
@@ -237,22 +227,24 @@ def _judged(
     reductions: dict[str, tuple[float, float]] = {}
     swings = []
     for name, each in outcomes.items():
-        swinging = {k for k, (without, with_) in each.items() if with_.gain_factor < SWING or with_.rms > without.rms}
+        swinging = {
+            k for k, (without, with_) in each.items() if with_.gain_factor < th.SWING or with_.rms > without.rms
+        }
         ratios = {
-            k: (_SWINGING_REDUCTION, _SWINGING_REDUCTION)
+            k: (th.SWINGING_REDUCTION, th.SWINGING_REDUCTION)
             if k in swinging
             else (_ratio(without.rms, with_.rms), _ratio(without.peak, with_.peak))
             for k, (without, with_) in each.items()
         }
         rms, peak = (_mean({k: pair[i] for k, pair in ratios.items()}, weights) for i in range(2))
         reductions[name] = (rms, peak)
-        if sum(weights[k] for k in swinging) > _DOUBTFUL_WEIGHT:
+        if sum(weights[k] for k in swinging) > th.DOUBTFUL_WEIGHT:
             swings.append(name)
     return RehearsedFit(identification, fit, reductions, tuple(swings))
 
 
 def _ratio(without: float, with_: float) -> float:
-    return min(max(without / with_, 1.0 / _LARGEST_REDUCTION), _LARGEST_REDUCTION) if with_ > 0.0 else 1.0
+    return min(max(without / with_, 1.0 / th.LARGEST_REDUCTION), th.LARGEST_REDUCTION) if with_ > 0.0 else 1.0
 
 
 def _mean(ratios: Mapping[int, float], weights: Mapping[int, float]) -> float:

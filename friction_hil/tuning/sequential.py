@@ -36,14 +36,11 @@ from friction_hil.motion.experiment import LEAST_S, sliding_s
 from friction_hil.motion.trajectory import Path, sweeps_path
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.candidates import ExperimentPart, shows_presliding, sliding_settings
 from friction_hil.tuning.motions import experiment_of, part_bounds, sliding_part
 from friction_hil.tuning.trial_motions import OWN, SLOW, TINY, trial_motions
 
-_FIRST_S = 15.0  # the first two parts: enough for all sweeps, and two of them for a comparison
-_DIFFERENCE = 0.01  # of the following error: what is unknown may add as much to it
-_LEAST_LEFT = 0.05  # of the friction, by any compensator: its torque is late, and its model not quite the axis
-_NAMED = 0.1  # of the variance: parameters with less of it are not named
 _PERIODS = 2  # of a periodic motion; the last one counts
 
 
@@ -53,9 +50,9 @@ def part_durations(duration_s: float) -> tuple[float, ...]:
     An experiment that two parts would fill is not divided. What would be left for a part that is too short for an
     experiment belongs to the one before.
     """
-    if duration_s < 2.0 * _FIRST_S + LEAST_S:
+    if duration_s < 2.0 * th.FIRST_S + LEAST_S:
         return (duration_s,)
-    ends = [0.0, _FIRST_S]
+    ends = [0.0, th.FIRST_S]
     while duration_s - 2.0 * ends[-1] >= LEAST_S:
         ends.append(2.0 * ends[-1])
     return tuple(end - begin for begin, end in pairwise([*ends, duration_s]))
@@ -242,7 +239,7 @@ class Observer:
         error = (slow["position_demand"] - slow["position"])[is_moving]
         rms = float(np.sqrt(np.nanmean(error**2)))
         counts = min(resolution / math.sqrt(12.0) / rms, 1.0) if rms > 0.0 else 1.0
-        return math.hypot(max(1.0 - gain, _LEAST_LEFT), counts)
+        return math.hypot(max(1.0 - gain, th.LEAST_LEFT), counts)
 
     def _unknown(
         self,
@@ -253,7 +250,7 @@ class Observer:
     ) -> Unknown:
         """Return what is unknown along the motion on which it is most."""
         level, dt = known.model.level, self._configuration.period_s
-        negligible = self._left * math.sqrt((1.0 + _DIFFERENCE) ** 2 - 1.0)
+        negligible = self._left * math.sqrt((1.0 + th.DIFFERENCE) ** 2 - 1.0)
         found = []
         for motion, (velocity, skipped) in self._motions(resolution).items():
             slopes = known.simulate(np.zeros(len(known.names)), velocity, dt)[1][skipped:]
@@ -266,7 +263,7 @@ class Observer:
             named = {
                 name: share / variance
                 for name, share in sorted(zip(known.names, shares.tolist(), strict=True), key=lambda each: -each[1])
-                if share > _NAMED * variance
+                if share > th.NAMED * variance
             }
             found.append(Unknown(motion, math.sqrt(variance) / level, change, negligible, named))
         return max(found, key=lambda each: each.known_to)

@@ -13,12 +13,8 @@ from friction_hil.identification.torque_lag import LagEstimate, identify_torque_
 from friction_hil.identification.torque_timing import TorqueTiming
 from friction_hil.recordings import Recording
 from friction_hil.replay.verify import facts_of
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.choice import TriedModel
-
-_CLEAR = 3.0  # standard errors by which a lag is above zero, or differs from a stated one
-_GAIN_ERROR = 0.2  # of the command in the reported torque: more, and it is not the torque that was commanded
-_AT_LIMIT = 0.9  # of the longest lag that is looked for
-_SLOWEST_LOOP_HZ = 100.0  # bandwidth of a current loop: what is slower is rather a filter of the reported torque
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,21 +120,21 @@ def _delay_s(axis: AxisConfig, facts: AxisFacts, period_s: float) -> float:
 
 def _doubt(found: LagEstimate, period_s: float, *, is_age_known: bool) -> str:
     """Return why an estimate says nothing; empty if it does."""
-    if found.most_s > _AT_LIMIT * found.longest_s:
+    if found.most_s > th.AT_LIMIT * found.longest_s:
         return f"it is as long as {_ms(found.longest_s)}, or the torque follows the command by another law"
-    if abs(found.gain - 1.0) > _GAIN_ERROR:
+    if abs(found.gain - 1.0) > th.GAIN_ERROR:
         text = f"the reported torque changes by {found.gain:.2g} of the commanded one: the drive"
         if found.gain < 0.0:
             return f"{text} applies it in the other direction, as with 607Eh, which inverts position and velocity alone"
         if found.gain > 1.0:
             return f"{text} reports it in another unit"
         return f"{text} does not apply all of it, or reports it in another unit"
-    if found.lag_s < _CLEAR * found.error_s:
+    if found.lag_s < th.CLEAR * found.error_s:
         return (
             f"the reported torque probably follows the command within {_ms(found.most_s)}: samples at {_ms(period_s)} "
             "do not show so short a lag, or the drive reports the torque that it demands"
         )
-    if not is_age_known and math.tau * _SLOWEST_LOOP_HZ * found.lag_s > 1.0:
+    if not is_age_known and math.tau * th.SLOWEST_LOOP_HZ * found.lag_s > 1.0:
         return (
             f"the reported torque lags by {_ms(found.lag_s)}, more than usual current loops do, and may be filtered: "
             "its age is not known"
@@ -151,7 +147,7 @@ def _objection(found: LagEstimate, former_s: float, *, is_age_known: bool) -> st
     if former_s <= 0.0:
         return ""
     figures = f"{_ms(found.lag_s)} (standard error {_ms(found.error_s)})"
-    if abs(found.lag_s - former_s) <= _CLEAR * found.error_s:
+    if abs(found.lag_s - former_s) <= th.CLEAR * found.error_s:
         return f"the trial shows {figures}, which agrees with the stated one"
     if not is_age_known:
         return (

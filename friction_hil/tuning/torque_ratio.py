@@ -13,12 +13,9 @@ from friction_hil.identification.torque_ratio import RatioEstimate, identify_tor
 from friction_hil.recordings import Recording
 from friction_hil.recordings.contradictions import turned_torque
 from friction_hil.replay.verify import facts_of
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.motions import TuningError
 
-_CLEAR = 3.0  # standard errors by which a ratio differs from that of the model
-_NOTEWORTHY = 0.02  # a smaller difference is no error of the compensation that could be seen
-_VAGUE = 0.1  # standard error of a ratio that says nothing
-_LEAST, _MOST = 0.5, 2.0  # beyond, the drive does not apply the command, or reports something else
 _DIGITS = 6
 _OTHER_SIGN = {"none": "command", "command": "none", "feedback": "both", "both": "feedback"}  # of what is sent
 _OTHER_FEEDBACK = {"none": "feedback", "feedback": "none", "command": "both", "both": "command"}
@@ -43,7 +40,7 @@ class TorqueRatio:
         if self.reason or self.estimate is None:
             return False
         difference = abs(self.estimate.ratio / self.former - 1.0)
-        return difference > max(_NOTEWORTHY, _CLEAR * self.estimate.error / self.former)
+        return difference > max(th.NOTEWORTHY, th.CLEAR * self.estimate.error / self.former)
 
     @property
     def text(self) -> str:
@@ -146,15 +143,15 @@ def with_torque_ratio(model: dict[str, Any], ratio: float, error: float | None =
 def _doubt(found: RatioEstimate, inverted: str | None) -> str:
     """Return why an estimate says nothing; empty if it does. ``inverted`` is the axis's key ``inverted_torque``."""
     figures = f"{found.ratio:.2g} (standard error {found.error:.2g})"
-    if not found.error < _VAGUE:
+    if not found.error < th.VAGUE_RATIO:
         return (
             f"the trial shows {figures}; command and loops of the drive leave {found.unexplained:.0%} of the reported "
             "torque unexplained, so that it may not be what the drive applies"
         )
-    if _LEAST < -found.ratio < _MOST:
+    if th.LEAST_RATIO < -found.ratio < th.MOST_RATIO:
         key = "the sign of the torque in the drive" if inverted is None else f"inverted_torque: {_OTHER_SIGN[inverted]}"
         return f"the trial shows {figures}: the torque acts in the opposite direction; set {key}"
-    if not _LEAST < found.ratio < _MOST:
+    if not th.LEAST_RATIO < found.ratio < th.MOST_RATIO:
         return f"the trial shows {figures}: the drive does not apply all of the command, or reports another torque"
     return ""
 

@@ -16,10 +16,8 @@ from friction_hil.errors import RecordingError
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import CYCLE
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.trial_motions import windows
-
-LEAST_REDUCTION = 1.05  # of the RMS; smaller ones may be chance
-_RMS_COUNTS = 0.3  # of the encoder: the RMS of its own rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,8 +43,8 @@ class MotionTrial:
         """True if the following error is clearly larger with compensation than without: RMS or peak."""
         before, after = self.uncompensated, self.compensated
         return (
-            after.rms > LEAST_REDUCTION * before.rms + _RMS_COUNTS * self.resolution
-            or after.peak > LEAST_REDUCTION * before.peak + self.resolution
+            after.rms > th.LEAST_REDUCTION * before.rms + th.RMS_COUNTS * self.resolution
+            or after.peak > th.LEAST_REDUCTION * before.peak + self.resolution
         )
 
     @property
@@ -96,9 +94,9 @@ class Trial:
     def has_helped(self) -> bool:
         """True if the own motion has clearly less error with compensation, and the axis did not oscillate in it.
 
-        Its RMS is at least `LEAST_REDUCTION` times lower, and its peak is not higher.
+        Its RMS is at least `th.LEAST_REDUCTION` times lower, and its peak is not higher.
         """
-        return self.reduction.rms >= LEAST_REDUCTION and self.reduction.peak >= 1.0 and not self.own.is_swinging
+        return self.reduction.rms >= th.LEAST_REDUCTION and self.reduction.peak >= 1.0 and not self.own.is_swinging
 
     @property
     def rank(self) -> tuple[bool, bool, bool, float]:

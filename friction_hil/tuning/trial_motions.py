@@ -10,21 +10,9 @@ from friction_hil.daemon.assembly import periodic_path
 from friction_hil.motion.experiment import LEAST_COUNTS
 from friction_hil.motion.sequence import STROKE_ACCELERATION, STROKE_SPEED
 from friction_hil.motion.trajectory import extent
+from friction_hil.tuning import thresholds as th
 
 MOTIONS = OWN, SLOW, SMALL, TINY, RESTS, FAST = "own", "slow", "small", "tiny", "rests", "fast"
-
-_PAUSE_S = 0.3  # at rest after each motion
-_STEADY_S, _LEAST_PERIODS = 4.0, 2  # of the own motion that count
-
-_SLOW = 0.1  # of the own speed
-_SMALL, _TINY = 0.1, 0.01  # of the own amplitude
-_SLOW_HZ, _SMALL_HZ, _FAST_HZ = 0.25, 1.0, (0.5, 3.0)  # least frequencies, so that each takes some seconds
-_SMALL_S, _FAST_S = 2.0, 1.5  # least length, at full speed
-_STROKE_S, _REST_S = 1.0, 1.0
-_TRAVEL = 0.85  # of the experiment's: an axis that follows overshoots a little, as in the experiment
-_ACCELERATION = 0.6  # of the experiment's: the ramps take the rest
-_FAST_ACCELERATION = 0.9  # with a ramp of half a period or more, which adds nothing to the acceleration of the sine
-_FASTER = 1.1  # times the own speed: else the own motion is the fastest
 
 
 def trial_motions(own: PeriodicMotion, bounds: ExperimentBounds, resolution: float) -> dict[str, PeriodicMotion]:
@@ -35,29 +23,32 @@ def trial_motions(own: PeriodicMotion, bounds: ExperimentBounds, resolution: flo
     ``own``: motion that the axis is for. ``resolution``: one count of the encoder, rad or m.
     """
     speed, amplitude, shown = peak_speed(own), amplitude_of(own), LEAST_COUNTS * resolution
-    most = math.inf if bounds.acceleration is None else max(_ACCELERATION * bounds.acceleration, _acceleration(own))
+    most = math.inf if bounds.acceleration is None else max(th.ACCELERATION * bounds.acceleration, _acceleration(own))
     per_speed, per_acceleration = _factors(own)
     frequency = own.frequency
     found: dict[str, PeriodicMotion] = {OWN: own}
 
-    slow_hz = min(max(frequency * _SLOW, _SLOW_HZ), most * per_speed / (per_acceleration * _SLOW * speed))
-    slow = _SLOW * speed / (per_speed * slow_hz)
+    slowest_hz = max(frequency * th.SLOW_RATIO, th.SLOW_HZ)
+    slow_hz = min(slowest_hz, most * per_speed / (per_acceleration * th.SLOW_RATIO * speed))
+    slow = th.SLOW_RATIO * speed / (per_speed * slow_hz)
     if shown <= slow <= amplitude * (1.0 + 1e-9):
         found[SLOW] = _shaped(own, slow, slow_hz)
 
-    small, tiny = _SMALL * amplitude, max(_TINY * amplitude, shown)
+    small, tiny = th.SMALL_RATIO * amplitude, max(th.TINY_RATIO * amplitude, shown)
     for name, stroke, largest in ((SMALL, small, small), (TINY, tiny, 0.5 * small)):
         if shown <= stroke <= largest:
             fastest_hz = min(speed / (per_speed * stroke), math.sqrt(most / (per_acceleration * stroke)))
-            found[name] = _shaped(own, stroke, min(max(frequency, _SMALL_HZ), fastest_hz))
+            found[name] = _shaped(own, stroke, min(max(frequency, th.SMALL_HZ), fastest_hz))
 
-    room = max(_TRAVEL * bounds.travel, extent(periodic_path(own), 1.0 / frequency)[1])
-    stroke = min(0.5 * amplitude, room, speed * _STROKE_S / STROKE_SPEED, most * _STROKE_S**2 / STROKE_ACCELERATION)
+    room = max(th.TRAVEL * bounds.travel, extent(periodic_path(own), 1.0 / frequency)[1])
+    stroke = min(0.5 * amplitude, room, speed * th.STROKE_S / STROKE_SPEED, most * th.STROKE_S**2 / STROKE_ACCELERATION)
     if stroke >= shown:
-        cycle_s = 2.0 * (_STROKE_S + _REST_S)
-        found[RESTS] = Strokes(kind="strokes", stroke=stroke, frequency=1.0 / cycle_s, rest=2.0 * _REST_S / cycle_s)
+        cycle_s = 2.0 * (th.STROKE_S + th.BETWEEN_STROKES_S)
+        found[RESTS] = Strokes(
+            kind="strokes", stroke=stroke, frequency=1.0 / cycle_s, rest=2.0 * th.BETWEEN_STROKES_S / cycle_s
+        )
 
-    if (fast := _fastest(bounds)) is not None and peak_speed(fast) > _FASTER * speed:
+    if (fast := _fastest(bounds)) is not None and peak_speed(fast) > th.FASTER * speed:
         found[FAST] = fast
     return found
 
@@ -86,7 +77,7 @@ def sequences(
             if axis in first:
                 own.append(_filling(first[axis], end_s))
             else:
-                own[-1] = own[-1].model_copy(update={"rest_s": own[-1].rest_s + end_s + _PAUSE_S})
+                own[-1] = own[-1].model_copy(update={"rest_s": own[-1].rest_s + end_s + th.PAUSE_S})
     return {axis: MotionSequence(kind="sequence", motions=tuple(each), ramp_s=ramp_s) for axis, each in parts.items()}
 
 
@@ -104,7 +95,7 @@ def windows(sequence: MotionSequence, fade_s: float) -> dict[str, tuple[float, f
             periods = max(1, math.floor((part.length_s - _settled_s(part.ramp_s, fade_s)) / period_s + 1e-6))
             found[part.name] = (end_s - periods * period_s, end_s)
         else:
-            found[part.name] = (begin_s, begin_s + part.moving_s + min(part.rest_s, _PAUSE_S))
+            found[part.name] = (begin_s, begin_s + part.moving_s + min(part.rest_s, th.PAUSE_S))
         begin_s += part.duration_s
     return found
 
@@ -117,32 +108,32 @@ def _settled_s(ramp_s: float, fade_s: float) -> float:
 def _part(name: str, motion: PeriodicMotion, ramp_s: float, fade_s: float, acceleration: float) -> SequencePart:
     period_s = 1.0 / motion.frequency
     if name == OWN:
-        steady_s = period_s * max(_LEAST_PERIODS, math.ceil(_STEADY_S / period_s - 1e-9))
+        steady_s = period_s * max(th.LEAST_PERIODS, math.ceil(th.STEADY_S / period_s - 1e-9))
         periods = math.ceil((_settled_s(ramp_s, fade_s) + steady_s) / period_s - 1e-9)
     elif name in (SMALL, TINY, FAST):
-        least_s = _FAST_S if name == FAST else _SMALL_S
-        periods = max(_LEAST_PERIODS, math.ceil(least_s / period_s - 1e-9))
+        least_s = th.FAST_S if name == FAST else th.SMALL_S
+        periods = max(th.LEAST_PERIODS, math.ceil(least_s / period_s - 1e-9))
     else:
         periods = 1
     if name == RESTS:
         ramp_s = 0.0
-    elif name == FAST or (name != OWN and 1.5 * peak_speed(motion) > _ACCELERATION * acceleration * ramp_s):
+    elif name == FAST or (name != OWN and 1.5 * peak_speed(motion) > th.ACCELERATION * acceleration * ramp_s):
         ramp_s = max(ramp_s, 0.5 * period_s)
-    return SequencePart(name=name, motion=motion, periods=periods, ramp_s=ramp_s, rest_s=_PAUSE_S)
+    return SequencePart(name=name, motion=motion, periods=periods, ramp_s=ramp_s, rest_s=th.PAUSE_S)
 
 
 def _filling(part: SequencePart, end_s: float) -> SequencePart:
     """Return a part with as many periods as fit until ``end_s``, and rest after them."""
     more = math.floor((end_s - part.moving_s) * part.motion.frequency + 1e-6)
     part = part.model_copy(update={"periods": part.periods + max(more, 0)})
-    return part.model_copy(update={"rest_s": max(end_s - part.moving_s, 0.0) + _PAUSE_S})
+    return part.model_copy(update={"rest_s": max(end_s - part.moving_s, 0.0) + th.PAUSE_S})
 
 
 def _fastest(bounds: ExperimentBounds) -> Sine | None:
     """Return a sine as fast as the experiment allows, at the largest stroke that takes no longer than it must."""
-    most = math.inf if bounds.acceleration is None else _FAST_ACCELERATION * bounds.acceleration
-    slowest, quickest = (math.tau * each for each in _FAST_HZ)
-    amplitude = min(_TRAVEL * bounds.travel, bounds.velocity / slowest, most / slowest**2)
+    most = math.inf if bounds.acceleration is None else th.FAST_ACCELERATION * bounds.acceleration
+    slowest, quickest = (math.tau * each for each in th.FAST_HZ)
+    amplitude = min(th.TRAVEL * bounds.travel, bounds.velocity / slowest, most / slowest**2)
     speed = min(bounds.velocity, math.sqrt(most * amplitude), quickest * amplitude)
     return Sine(kind="sine", amplitude=amplitude, frequency=speed / (math.tau * amplitude), ramp_s=bounds.ramp_s)
 

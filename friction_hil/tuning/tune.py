@@ -17,6 +17,7 @@ from friction_hil.identification.torque_timing import TorqueTiming
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.recordings import Recording, read, read_all
+from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.analysis import Analysis, analysed, compile_ahead
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text, once_more_text, shaken_text, trial_text
 from friction_hil.tuning.beside import Worker
@@ -24,7 +25,7 @@ from friction_hil.tuning.candidates import CandidateFit, ExperimentPart, candida
 from friction_hil.tuning.choice import SCALED, AxisTuning, TriedModel, Turn, best_of, keep_best
 from friction_hil.tuning.cogging import large_position_torque
 from friction_hil.tuning.experiment import refuse_limit_cycle, with_torque
-from friction_hil.tuning.gains import MOST, Gains, GainTrial
+from friction_hil.tuning.gains import Gains, GainTrial
 from friction_hil.tuning.model_files import inertia_problem, model_content, refuse_unwritable_model, write_model
 from friction_hil.tuning.motions import (
     experiment_of,
@@ -402,7 +403,7 @@ class _Tuner:
         for name, each in best.items():
             given, unknown = self._configuration.axes[name].compensation, self._experiments[name].unknown
             self._gains[name] = Gains(given, each.trial, unknown, each.clipping)
-        for number in range(1, MOST + 1):
+        for number in range(1, th.MOST_GAINS + 1):
             gains = {name: gain for name, each in self._gains.items() if (gain := each.next()) is not None}
             if not gains:
                 return

@@ -15,7 +15,8 @@ from friction_hil.daemon.assembly import make_compensator
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import AxisFacts
 from friction_hil.recordings import Recording
-from friction_hil.tuning.gains import MOST, Gains, find_clipping
+from friction_hil.tuning import thresholds as th
+from friction_hil.tuning.gains import Gains, find_clipping
 from friction_hil.tuning.sequential import Unknown
 from friction_hil.tuning.trial import MotionTrial, Trial
 from tests.compensators import columns
@@ -102,7 +103,7 @@ def test_none_is_higher_than_1_or_tried_twice_and_the_kept_one_swings_only_if_al
         Compensation(gain=gain), unknown(share), lambda each: 1.0 + abs(each - best_gain), lambda each: each > limit
     )
     further = [each.gain for each in gains.tried[1:]]
-    assert len(further) == len(set(further)) <= MOST
+    assert len(further) == len(set(further)) <= th.MOST_GAINS
     assert all(0.0 < each <= max(1.0, gain) for each in further)
     assert all(not each.trial.swinging for each in gains.tried) or gains.best.trial.swinging == min(
         each.trial.swinging for each in gains.tried
