@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from friction_hil.api.joints import IdentifiedJoints, identify_joints
     from friction_hil.api.training import Trained, train
     from friction_hil.api.tuning import Tuned, tune
+    from friction_hil.fleets import Fleet, fleet
     from friction_hil.models import library
     from friction_hil.own_loop import Compensator
 
@@ -21,6 +22,7 @@ __version__ = "0.3.0.dev0"
 __all__ = [
     "Comparison",
     "Compensator",
+    "Fleet",
     "Identified",
     "IdentifiedJoints",
     "Trained",
@@ -30,6 +32,7 @@ __all__ = [
     "dynamics",
     "errors",
     "export",
+    "fleet",
     "health",
     "identify",
     "identify_joints",
@@ -43,12 +46,14 @@ __all__ = [
 _MODULES = {  # where the other names are, which are no modules of this package
     "Comparison": "api.comparison",
     "Compensator": "own_loop",
+    "Fleet": "fleets",
     "Identified": "api.identification",
     "IdentifiedJoints": "api.joints",
     "Trained": "api.training",
     "Tuned": "api.tuning",
     "Verified": "api.comparison",
     "compare": "api.comparison",
+    "fleet": "fleets",
     "identify": "api.identification",
     "identify_joints": "api.joints",
     "library": "models",

@@ -7,7 +7,6 @@ read again only if it has grown since; what it shows then takes the place of wha
 import dataclasses
 import json
 import math
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -73,32 +72,6 @@ def load(path: Path) -> History:
                 "this one to begin again"
             ) from None
     return history
-
-
-def append(path: Path, lines: list[dict[str, Any]]) -> None:
-    """Append lines to a history, safe on the disk; a `FrictionHilError`: the file cannot be written."""
-    if not lines:
-        return
-    text = "".join(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n" for line in lines)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _cut_open_line(path)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        raise FrictionHilError(f"{path} cannot be written: {error.strerror}") from None
-
-
-def _cut_open_line(path: Path) -> None:
-    """Remove a last line that was cut off while it was written."""
-    if not path.exists():
-        return
-    with path.open("r+b") as file:
-        content = file.read()
-        if content and not content.endswith(b"\n"):
-            file.truncate(content.rfind(b"\n") + 1)
 
 
 def _refuse(text: str) -> float:

@@ -1,38 +1,38 @@
-"""Replay on the workers of an existing Dask cluster.
+"""Tasks on the workers of an existing Dask cluster.
 
-The workers open the recordings by the same paths as this process would. Pictures come back as bytes and are written
-here. If a worker dies, Dask runs its tasks again on another one.
+If a worker dies, Dask runs its tasks again on another one.
 """
 
 import asyncio
 import importlib
 import logging
-import os
 import pickle
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from friction_hil import __version__
 from friction_hil.errors import FrictionHilError, UsageError
-from friction_hil.replay.task import ReplayOutcome, ReplayTask, failed, run
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 PATIENCE_S = 10.0
 RETRIES = 2  # of a task that raised: a bad file gives an outcome, so it was memory, a disk or the network
 
 
 def run_on_cluster(
-    tasks: Sequence[ReplayTask], address: str, *, on_note: Callable[[str], None] = lambda _: None
-) -> Iterator[tuple[int, list[ReplayOutcome]]]:
-    """Run tasks on the workers of a cluster; yield index and outcomes of each when it is done.
+    function: Callable[[Task], Result],  # of a module of this package
+    tasks: Sequence[Task],
+    address: str,  # of the scheduler, ``tcp://host:port``
+    *,
+    # result of a task at which workers died repeatedly (Dask's ``distributed.scheduler.allowed-failures``)
+    died: Callable[[Task, FrictionHilError], Result],
+    on_note: Callable[[str], None] = lambda _: None,  # called with a sentence if there is no worker yet
+) -> Iterator[tuple[int, Result]]:
+    """Run a function on tasks by the workers of a cluster; yield index and result of each when it is done.
 
-    Tasks that have not begun are cancelled if the caller stops early. A file at which workers died repeatedly (Dask's
-    ``distributed.scheduler.allowed-failures``) becomes an outcome with an error.
+    Tasks that have not begun are cancelled if the caller stops early.
 
-    There is one task per file; relative paths start from the current directory of this process, on the workers too.
-    ``address``: of the scheduler, ``tcp://host:port``. ``on_note`` is called with a sentence if there is no worker yet.
     Raises `UsageError`: distributed is not installed, the address is not valid, or a worker has another version of
     friction_hil or none; `FrictionHilError`: no scheduler answers, or the connection to it was lost.
     """
@@ -44,18 +44,23 @@ def run_on_cluster(
     _check_scheduler(distributed, address)
     try:
         with distributed.Client(address, timeout=PATIENCE_S, set_as_default=False) as client:
-            yield from _run(distributed, client, tasks, address, on_note)
+            for index, future in _futures(distributed, client, function, tasks, address, on_note):
+                yield index, _result(distributed, future, tasks[index], address, died)
     except (distributed.CancelledError, distributed.comm.CommClosedError):
         raise FrictionHilError(
             f"the connection to the scheduler at {address} was lost, or the tasks were cancelled"
         ) from None
 
 
-def _run(
-    distributed: Any, client: Any, tasks: Sequence[ReplayTask], address: str, on_note: Callable[[str], None]
-) -> Iterator[tuple[int, list[ReplayOutcome]]]:
-    folder = os.getcwd()
-    requests = [pickle.dumps(replace(task, folder=folder)) for task in tasks]
+def _futures(
+    distributed: Any,
+    client: Any,
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    address: str,
+    on_note: Callable[[str], None],
+) -> Iterator[tuple[int, Any]]:
+    requests = [pickle.dumps((function, task)) for task in tasks]
     # not pure: a file may have changed since Dask last read one of this name
     futures = client.map(_request_runner(__version__), requests, pure=False, retries=RETRIES)
     indices = {future: index for index, future in enumerate(futures)}
@@ -64,8 +69,7 @@ def _run(
         if not _has_worker(client):
             on_note(f"no worker yet at {address}; waiting for one (dask worker {address})")
         for future in distributed.as_completed(list(indices), loop=client.loop):
-            index = indices.pop(future)
-            yield index, _outcomes(distributed, future, tasks[index], address)
+            yield indices.pop(future), future
     finally:
         if indices and client.status == "running":
             client.cancel(list(indices))
@@ -119,7 +123,7 @@ def _request_runner(version: str) -> Callable[[bytes], tuple[str, bytes]]:
             return "", b""
         if friction_hil.__version__ != version:
             return friction_hil.__version__, b""
-        from friction_hil.replay.cluster import answer  # imported here: the function runs in a worker
+        from friction_hil.parallel.cluster import answer  # imported here: the function runs in a worker
 
         return version, answer(request)
 
@@ -127,40 +131,24 @@ def _request_runner(version: str) -> Callable[[bytes], tuple[str, bytes]]:
 
 
 def answer(request: bytes) -> bytes:
-    """Run one pickled task in a worker; return its outcomes and pictures, pickled."""
-    task: ReplayTask = pickle.loads(request)
-    if task.picture is None:
-        return pickle.dumps((run(task), {}))
-    with tempfile.TemporaryDirectory() as folder:
-        outcomes = run(replace(task, picture=str(Path(folder) / Path(task.picture).name)))
-        return pickle.dumps((outcomes, {path.name: path.read_bytes() for path in Path(folder).iterdir()}))
+    """Run one pickled task in a worker; return its result, pickled."""
+    function, task = pickle.loads(request)
+    return pickle.dumps(function(task))
 
 
-def _outcomes(distributed: Any, future: Any, task: ReplayTask, address: str) -> list[ReplayOutcome]:
+def _result(
+    distributed: Any, future: Any, task: Task, address: str, died: Callable[[Task, FrictionHilError], Result]
+) -> Result:
     try:
         version, content = future.result()
     except distributed.KilledWorker as error:
-        death = FrictionHilError(
-            f"{task.source}: workers died while they replayed it, the last of them {error.last_worker.address}"
+        return died(
+            task, FrictionHilError(f"workers died while they computed it, the last of them {error.last_worker.address}")
         )
-        return [failed(task.source, task.axis, death)]
     if version != __version__:
         raise UsageError(
             f"a worker of {address} has {f'friction-hil {version}' if version else 'no friction-hil'}, here is "
             f"{__version__}: results could differ; install the same version on both sides"
         )
-    outcomes, pictures = pickle.loads(content)
-    return [_with_picture(outcome, task, pictures) for outcome in outcomes]
-
-
-def _with_picture(outcome: ReplayOutcome, task: ReplayTask, pictures: dict[str, bytes]) -> ReplayOutcome:
-    """Write the picture of an outcome to the path of its task."""
-    if outcome.picture is None or task.picture is None:
-        return outcome
-    path = Path(task.picture).with_name(Path(outcome.picture).name)
-    try:
-        path.write_bytes(pictures[path.name])
-    except OSError as error:
-        unwritten = FrictionHilError(f"{path} cannot be written: {error.strerror}")
-        return failed(outcome.facts["path"], outcome.facts["axis"], unwritten)
-    return replace(outcome, picture=str(path))
+    found: Result = pickle.loads(content)
+    return found

@@ -17,8 +17,8 @@ import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePath
+from typing import Any, TypeVar
 
 from friction_hil.errors import ConfigurationError, Problem, UsageError
 from friction_hil.recordings.columns import TIME
@@ -27,6 +27,13 @@ from friction_hil.recordings.product import NUMBER, factor_of, possible_columns,
 
 _FACTORS = re.compile(rf"(?P<source>.*?)(?P<factors>(?:\s*[*/]\s*-?{NUMBER})+)\s*")
 _FOR_ALL = "columns.yaml"
+
+AnyPath = TypeVar("AnyPath", bound=PurePath)
+
+
+def mapping_files(path: AnyPath) -> tuple[AnyPath, AnyPath]:
+    """Return the files that may map the columns of a recording: its own one, and that of its folder."""
+    return path.parent / f"{path.name}.columns.yaml", path.parent / _FOR_ALL  # `.` and `/` have no name
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +102,7 @@ def mapping_of(
     A new source has no old factor. Raises `ConfigurationError`: the file has mistakes; each is reported with its line;
     `UsageError`: both a source of the time stamps and a sampling rate are given.
     """
-    own, for_all = path.parent / f"{path.name}.columns.yaml", path.parent / _FOR_ALL  # `.` and `/` have no name
+    own, for_all = mapping_files(path)
     found, optional = Mapped(), frozenset[str]()
     if own.is_file():
         found = _read(own)

@@ -53,6 +53,14 @@ def _part_of(about: dict[str, Any]) -> tuple[int, int] | None:
     return (started, part) if isinstance(started, int) and isinstance(part, int) else None
 
 
+def started_s(path: Path) -> tuple[float, bool]:
+    """Return the time of ``time_s`` 0, s since 1970, and True if the recording states it: else its last change."""
+    own = part_of(path)
+    if own is not None and own[0] > 0:  # a run in simulated time has the start 0
+        return own[0] * 1e-9, True
+    return path.stat().st_mtime, False
+
+
 def is_of_fault(path: Path) -> bool:
     """True if a file is the copy of the rows around a fault."""
     return bool(_about(path).get(IS_OF_FAULT))

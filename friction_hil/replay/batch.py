@@ -1,17 +1,22 @@
-"""Replay of many recordings: one task per file, on all cores or on a cluster."""
+"""Replay of many recordings: one task per file, on all cores or on a cluster.
 
-import multiprocessing
+The workers of a cluster open the recordings by the same paths as this process would. Pictures come back as bytes and
+are written here.
+"""
+
 import os
-import signal
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+from pathlib import Path
 
 from friction_hil.errors import FrictionHilError
-from friction_hil.replay.cluster import run_on_cluster
-from friction_hil.replay.task import ReplayOutcome, ReplayTask, run
+from friction_hil.parallel import run_many
+from friction_hil.replay.task import ReplayOutcome, ReplayTask, failed, run
 
 _MANY, _LARGE = 16, 16 << 20  # files, bytes: fewer take less time than starting a pool of processes
+
+_Answer = tuple[list[ReplayOutcome], dict[str, bytes]]
 
 
 def replay_many(
@@ -24,46 +29,52 @@ def replay_many(
 ) -> list[list[ReplayOutcome]]:
     """Run tasks on all cores or on a cluster; return their outcomes in the order of the tasks.
 
-    Raises `FrictionHilError`: a worker process of this machine died, or the cluster cannot run the tasks; see
-    `run_on_cluster`.
+    Raises `FrictionHilError`: a worker process of this machine died, or the cluster cannot run the tasks.
     """
     outcomes: list[list[ReplayOutcome]] = [[] for _ in tasks]
-    results = _map(tasks) if scheduler is None else run_on_cluster(tasks, scheduler, on_note=on_note)
-    for index, found in results:
+    for index, found in _here(tasks) if scheduler is None else _there(tasks, scheduler, on_note):
         outcomes[index] = found
         on_done()
     return outcomes
 
 
-def processors() -> int:
-    """Return the number of processors that this process may use; where the system does not say that, of all."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _map(tasks: Sequence[ReplayTask]) -> Iterator[tuple[int, list[ReplayOutcome]]]:
-    workers = min(len(tasks), processors())
+def _here(tasks: Sequence[ReplayTask]) -> Iterator[tuple[int, list[ReplayOutcome]]]:
     size = sum(os.path.getsize(task.source) for task in tasks if os.path.isfile(task.source))
-    if workers < 2 or (len(tasks) < _MANY and size < _LARGE):
-        for index, task in enumerate(tasks):
-            yield index, run(task)
-        return
-    # not fork: numerical libraries may have started threads, whose locks a forked process would copy
-    methods = multiprocessing.get_all_start_methods()
-    context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")  # Windows has no fork
-    context.set_forkserver_preload(["friction_hil.replay.task"])
-    # Ctrl-C ends the workers without a word: this process says what is to be said
-    with ProcessPoolExecutor(workers, context, signal.signal, (signal.SIGINT, signal.SIG_DFL)) as pool:
-        indices = {pool.submit(run, task): index for index, task in enumerate(tasks)}
-        try:
-            for future in as_completed(indices):
-                yield indices[future], future.result()
-        except BrokenProcessPool:
-            left = sum(not future.done() or future.exception() is not None for future in indices)
-            raise FrictionHilError(
-                f"a worker process died, perhaps because memory ran out; {left} of {len(tasks)} recordings are not done"
-            ) from None
-        finally:
-            for future in indices:
-                future.cancel()
+    return run_many(run, tasks, died=_died, is_large=len(tasks) >= _MANY or size >= _LARGE)
+
+
+def _there(
+    tasks: Sequence[ReplayTask], scheduler: str, on_note: Callable[[str], None]
+) -> Iterator[tuple[int, list[ReplayOutcome]]]:
+    sent = [replace(task, folder=os.getcwd()) for task in tasks]
+    found = run_many(
+        answer, sent, died=lambda task, error: (_died(task, error), {}), scheduler=scheduler, on_note=on_note
+    )
+    for index, (outcomes, pictures) in found:
+        yield index, [_with_picture(outcome, tasks[index], pictures) for outcome in outcomes]
+
+
+def answer(task: ReplayTask) -> _Answer:
+    """Run one task in a worker; return its outcomes and pictures."""
+    if task.picture is None:
+        return run(task), {}
+    with tempfile.TemporaryDirectory() as folder:
+        outcomes = run(replace(task, picture=str(Path(folder) / Path(task.picture).name)))
+        return outcomes, {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+
+
+def _died(task: ReplayTask, error: FrictionHilError) -> list[ReplayOutcome]:
+    return [failed(task.source, task.axis, FrictionHilError(f"{task.source}: {error}"))]
+
+
+def _with_picture(outcome: ReplayOutcome, task: ReplayTask, pictures: dict[str, bytes]) -> ReplayOutcome:
+    """Write the picture of an outcome to the path of its task."""
+    if outcome.picture is None or task.picture is None:
+        return outcome
+    path = Path(task.picture).with_name(Path(outcome.picture).name)
+    try:
+        path.write_bytes(pictures[path.name])
+    except OSError as error:
+        unwritten = FrictionHilError(f"{path} cannot be written: {error.strerror}")
+        return failed(outcome.facts["path"], outcome.facts["axis"], unwritten)
+    return replace(outcome, picture=str(path))

@@ -16,7 +16,7 @@ import pytest
 import friction_hil as fh
 from friction_hil.cli import main
 from friction_hil.recordings import Recording
-from friction_hil.replay import cluster
+from friction_hil.parallel import cluster
 from tests.launcher import COMMAND
 
 pytestmark = pytest.mark.deep

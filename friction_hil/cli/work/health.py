@@ -19,13 +19,14 @@ from friction_hil.daemon.companion import state_folder
 from friction_hil.daemon.control.names import is_name
 from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 from friction_hil.health import Health, Verdict, judge, observe, thresholds
-from friction_hil.health.history import History, append, load, state_of
+from friction_hil.health.history import History, load, state_of
 from friction_hil.health.metrics import metrics_text
 from friction_hil.health.observe import COLUMNS
-from friction_hil.numerics.readable import brief
+from friction_hil.numerics.readable import brief, named_constants
+from friction_hil.parallel.json_lines import append
 from friction_hil.recordings import Recording
 from friction_hil.recordings.given import expanded
-from friction_hil.recordings.parts import SUFFIX, is_of_fault, part_of, parts_of
+from friction_hil.recordings.parts import SUFFIX, is_of_fault, parts_of, started_s
 from friction_hil.reports.health_report import write_report
 
 CHANGED, NOT_JUDGED = 3, 1  # exit status
@@ -169,7 +170,7 @@ def _observe(
     notes: list[str] = []
     started: dict[Path, tuple[float, str, str]] = {}
     for path in files:
-        start, is_known = _started_s(path)
+        start, is_known = started_s(path)
         name, state = f"{path.name} {start:.3f}", state_of(path)
         if known.states.get(name) != state:
             started[path] = start, name, state
@@ -212,14 +213,6 @@ def _shortened(lines: list[str]) -> list[str]:
     return lines if more <= 0 else [*lines[:_SHOWN_LINES], f"... and {more} more like these"]
 
 
-def _started_s(path: Path) -> tuple[float, bool]:
-    """Return the time of ``time_s`` 0, s since 1970, and True if the recording states it."""
-    own = part_of(path)
-    if own is not None and own[0] > 0:  # a run in simulated time has the start 0
-        return own[0] * 1e-9, True
-    return path.stat().st_mtime, False
-
-
 def _status(found: Sequence[Health]) -> int:
     if any(each.changed for each in found):
         return CHANGED
@@ -244,7 +237,7 @@ def _as_dict(found: Sequence[Health], notes: Sequence[str], false_alarms: float,
         "false_alarms_per_axis_year": false_alarms,
         "notes": list(notes),
         "axes": {each.axis: _axis_as_dict(each) for each in found},
-        "thresholds": {name.lower(): value for name, value in vars(thresholds).items() if name.isupper()},
+        "thresholds": named_constants(thresholds),
     }
 
 

@@ -13,6 +13,7 @@ import friction_hil as fh
 from friction_hil.cli import main
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import Recording
+from friction_hil.parallel import pool
 from friction_hil.replay import batch as farm
 
 
@@ -107,12 +108,12 @@ def test_names_are_not_cut_short_where_nobody_watches(folder: Path, capsys: pyte
 @pytest.mark.parametrize("methods", [["fork", "spawn", "forkserver"], ["spawn"]], ids=["linux", "windows"])
 def test_the_pool_gives_what_one_process_gives(methods, folder, monkeypatch):
     """Two workers where there is only one core too; a broken file and order included."""
-    monkeypatch.setattr(farm.multiprocessing, "get_all_start_methods", lambda: methods)
+    monkeypatch.setattr(pool.multiprocessing, "get_all_start_methods", lambda: methods)
     paths = [str(log(folder / f"{i}.csv", i)) for i in range(5)] + ["nothing.csv"]
     tasks = [farm.ReplayTask(path, ("coulomb:coulomb=0.3,viscous=0.01",)) for path in paths]
     alone = [farm.run(task) for task in tasks]
     monkeypatch.setattr(farm, "_MANY", 2)
-    monkeypatch.setattr(farm.os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(pool.os, "sched_getaffinity", lambda _: {0, 1})
     done: list[None] = []
     together = farm.replay_many(tasks, on_done=lambda: done.append(None))
     assert together == alone
@@ -128,7 +129,7 @@ def test_a_worker_that_dies_is_reported(folder: Path, monkeypatch: pytest.Monkey
             return os._exit, (1,)
 
     monkeypatch.setattr(farm, "_MANY", 2)
-    monkeypatch.setattr(farm.os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(pool.os, "sched_getaffinity", lambda _: {0, 1})
     with pytest.raises(FrictionHilError, match=r"a worker process died.* of 2 recordings are not done"):
         farm.replay_many([Mortal("a"), Mortal("b")])
 
