@@ -36,8 +36,8 @@ def command(**options: Any) -> int:
     RECORDING may be a file, a folder, a quoted pattern 'logs/**/*.mcap', or an address in an object store,
     's3://bucket/logs/*.mcap'. health takes the recordings of one folder as those of one machine.
 
-    Each recording that is done is kept in FOLDER at once. After an interruption, a lost cluster or a full disk, the same
-    command goes on with the others; those that failed or have changed are done again.
+    Each recording that is done is kept in FOLDER at once. After an interruption or a lost cluster, the same command
+    goes on with the others; those that failed or have changed are done again.
     """
     from friction_hil.cli.work.fleet import do_fleet  # imported here: --help must not wait for numba
 

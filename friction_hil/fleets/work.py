@@ -15,7 +15,7 @@ from friction_hil.api.identification import identify
 from friction_hil.errors import FrictionHilError, internal_error
 from friction_hil.fleets.storage import fetched
 from friction_hil.health import Layout, Observation, judge, observe
-from friction_hil.health.observe import COLUMNS
+from friction_hil.health.observe import COLUMNS, by_axis
 from friction_hil.numerics.json_values import to_json
 from friction_hil.recordings import Recording
 from friction_hil.recordings.parts import started_s
@@ -133,7 +133,7 @@ def _health(task: Task) -> Answer:
             except FrictionHilError as error:
                 problems.append(str(error))
                 continue
-            for axis, recording in axes.items():
+            for axis, recording in by_axis(path, axes).items():
                 found, layouts[axis], why_not = observe(
                     recording, started_s=started_s(path)[0], layout=layouts.get(axis), **task.options
                 )
@@ -173,7 +173,9 @@ def worst(work: str, rows: Sequence[Row]) -> list[Row]:
         if work == "verify":
             return 1.0 - bool(row["is_verified"])
         if work == "health":
-            return float(row.get("level") or 0.0) if row.get("state") == "changed" else 0.0
+            if "state" not in row:  # nothing could be judged
+                return 1e-6
+            return float(row["level"] or 0.0) if row["state"] == "changed" else 0.0
         if work == "identify":
             error = row["relative_error"]
             return (10.0 if not row["is_usable"] else 0.0) + (1e3 if error is None else float(error))

@@ -28,10 +28,19 @@ from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import TIME
+from friction_hil.recordings.parts import SUFFIX
 from friction_hil.recordings.quality import without_overflow
 
 COLUMNS = (TIME, "position", "velocity", "torque", "temperature", "load_position")  # of a recording, that are used
+_NAMELESS = "axis"
 _HOW = f"reverse {th.FEWEST_REVERSALS} times or more in each direction, with strokes of a tenth of the travel"
+
+
+def by_axis(path: Path, several: Mapping[str, Recording], axis: str | None = None) -> Mapping[str, Recording]:
+    """Return the recordings by axis; the axis of a table has the name of its file, which is not that of other files."""
+    if list(several) == [path.stem] and path.suffix.lower() != SUFFIX:
+        return {axis or _NAMELESS: next(iter(several.values()))}
+    return several
 
 
 def observe(

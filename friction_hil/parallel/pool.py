@@ -1,8 +1,10 @@
 """Tasks in processes, one for each core."""
 
+import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -50,6 +52,18 @@ def run_here(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Itera
         yield index, function(task)
 
 
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    """Start processes that do not import the main script: it may have no ``if __name__ == "__main__"``."""
+    main = sys.modules["__main__"]
+    hidden = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
+    try:
+        main.__spec__ = None
+        yield
+    finally:
+        vars(main).update(hidden)
+
+
 def _in_pool(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[tuple[int, Result]]:
     # not fork: numerical libraries may have started threads, whose locks a forked process would copy
     methods = multiprocessing.get_all_start_methods()
@@ -58,7 +72,8 @@ def _in_pool(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Itera
     workers = min(len(tasks), processors())
     # Ctrl-C ends the workers without a word: this process says what is to be said
     with ProcessPoolExecutor(workers, context, signal.signal, (signal.SIGINT, signal.SIG_DFL)) as pool:
-        indices = {pool.submit(function, task): index for index, task in enumerate(tasks)}
+        with _without_main():  # all processes start here
+            indices = {pool.submit(function, task): index for index, task in enumerate(tasks)}
         try:
             for future in as_completed(indices):
                 yield indices[future], future.result()

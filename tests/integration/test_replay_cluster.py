@@ -15,8 +15,8 @@ import pytest
 
 import friction_hil as fh
 from friction_hil.cli import main
-from friction_hil.recordings import Recording
 from friction_hil.parallel import cluster
+from friction_hil.recordings import Recording
 from tests.launcher import COMMAND
 
 pytestmark = pytest.mark.deep
@@ -234,3 +234,33 @@ def test_the_extra_is_named_where_it_is_missing(folder, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert main(["replay", "00.csv", *MODELS, "--scheduler", "tcp://127.0.0.1:1"]) == 2
     assert 'pip install "friction-hil[cluster]"' in capsys.readouterr().err
+
+
+def test_a_fleet_has_the_same_table_whoever_dies_and_goes_on_with_the_same_command(dask, folder, tmp_path_factory):
+    from pyarrow import parquet
+
+    files = [f"{seed:02}.csv" for seed in range(12)]
+
+    def words(output, *sources):
+        return ["fleet", "identify", *sources, "--models", "coulomb", "--output", str(output)]
+
+    there = tmp_path_factory.mktemp("fleet")
+    gate = Gate(folder / "gate.csv")
+    work = subprocess.Popen(
+        [*COMMAND, *words(there, *files, "gate.csv"), "--scheduler", dask.address], env=ENVIRONMENT, cwd=folder
+    )
+    try:
+        gate.wait(work)
+        until(lambda: (there / "done.jsonl").exists() and work.poll() is None, "a recording that is done")
+        work.kill()  # the client; what is done is kept
+        work.wait()
+    finally:
+        work.kill()
+        log(folder / "real.csv", 30).replace(folder / "gate.csv")
+        gate.open()
+    done = len((there / "done.jsonl").read_text().splitlines())
+    assert done >= 1
+    assert main([*words(there, *files), "--scheduler", dask.address]) == 0
+    here = tmp_path_factory.mktemp("here")
+    assert main(words(here, *files)) == 0
+    assert parquet.read_table(there / "table.parquet") == parquet.read_table(here / "table.parquet")

@@ -83,6 +83,8 @@ def _sentence(work: str, row: dict[str, Any]) -> str:
     name = f"{row['source'].rpartition('/')[2]}, {row['axis']}"
     if work == "verify":
         return f"{name}: not verified: {row['reason']}"
+    if work == "health" and "state" not in row:
+        return f"{name}: not judged: {row['problems']}"
     if work == "health":
         return f"{name}: {row['quantity']} has changed by {brief(row['change'], 3)} {row['unit']}"
     if not row["is_usable"]:

@@ -21,18 +21,16 @@ from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 from friction_hil.health import Health, Verdict, judge, observe, thresholds
 from friction_hil.health.history import History, load, state_of
 from friction_hil.health.metrics import metrics_text
-from friction_hil.health.observe import COLUMNS
+from friction_hil.health.observe import COLUMNS, by_axis
 from friction_hil.numerics.readable import brief, named_constants
 from friction_hil.parallel.json_lines import append
-from friction_hil.recordings import Recording
 from friction_hil.recordings.given import expanded
-from friction_hil.recordings.parts import SUFFIX, is_of_fault, parts_of, started_s
+from friction_hil.recordings.parts import is_of_fault, parts_of, started_s
 from friction_hil.reports.health_report import write_report
 
 CHANGED, NOT_JUDGED = 3, 1  # exit status
 _SERVICES = Path("/var/lib/friction-hil")
 _SHOWN_LINES = 5
-_NAMELESS = "axis"
 
 
 def show_health(
@@ -184,7 +182,7 @@ def _observe(
             try:
                 several = recordings.read_all(path, is_alone=True, **reading)
                 lines = []
-                for own, recording in _named(path, several, axis).items():
+                for own, recording in by_axis(path, several, axis).items():
                     if own != moved.get(path, own):
                         continue
                     layout = known.layouts.get(own)
@@ -199,13 +197,6 @@ def _observe(
             if history is not None:
                 append(history, lines)
     return [*notes, *_shortened(problems)]
-
-
-def _named(path: Path, several: dict[str, Recording], axis: str | None) -> dict[str, Recording]:
-    """Return the recordings by axis; the axis of a table has the name of its file, which is not that of other files."""
-    if list(several) == [path.stem] and path.suffix.lower() != SUFFIX:
-        return {axis or _NAMELESS: next(iter(several.values()))}
-    return several
 
 
 def _shortened(lines: list[str]) -> list[str]:

@@ -12,8 +12,8 @@ import pytest
 import friction_hil as fh
 from friction_hil.cli import main
 from friction_hil.errors import FrictionHilError
-from friction_hil.recordings import Recording
 from friction_hil.parallel import pool
+from friction_hil.recordings import Recording
 from friction_hil.replay import batch as farm
 
 
