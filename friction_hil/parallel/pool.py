@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from friction_hil.errors import FrictionHilError
 from friction_hil.parallel.cluster import run_on_cluster
@@ -56,7 +56,7 @@ def run_here(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Itera
 def _without_main() -> Iterator[None]:
     """Start processes that do not import the main script: it may have no ``if __name__ == "__main__"``."""
     main = sys.modules["__main__"]
-    hidden = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
+    hidden: dict[str, Any] = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
     try:
         main.__spec__ = None
         yield
