@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from friction_hil.compensator import INPUTS, Compensator
+from friction_hil.compensator import INPUTS, Compensator, CompensatorInputs
 from friction_hil.daemon.control.desk import LATEST_CYCLES
 from friction_hil.daemon.control.prepare import state_in
 from friction_hil.learning.window import RECORDED
@@ -155,7 +155,7 @@ class Axis:
                 given.reported = np.floor(torque / self._torque_step + 0.5) * self._torque_step
             motion = (demands[0][i], demands[1][i], ahead[0][k])
             given_now = (float(self.cycle), position, view["velocity"], given.reported)
-            values = (*given_now, *motion, True, True, ahead[1][k], np.nan)
+            values = CompensatorInputs(*given_now, *motion, True, True, ahead[1][k])
             inputs.append(values)
             torque = compensator.step(*values)
             rows[:, k] = (
