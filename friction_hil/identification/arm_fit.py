@@ -32,18 +32,6 @@ from friction_hil.recordings import Recording
 from friction_hil.recordings.quality import acceleration_noise, resolution
 from friction_hil.recordings.segments import between_counts, even_signals
 
-_MOST_DECIMATION = 5  # behind a low-pass at a tenth of the sampling rate: more would lose what it passes
-_STEPS_OF_FOLD = 4  # of the search, from the parameters of all rows
-_MOST_ROWS = 20_000  # of the regression, whose matrices are of rows, joints and parameters
-_MIXED_PERIODS = 1.5  # of the low-pass: time about a reversal that it mixes with it
-_LEAST_ROWS = 50  # in which a joint slides
-_POSITIONS = 500  # at which the inertia matrix is looked at
-_RANK = 1e-8  # of the largest singular value
-_NOISE_RATIO = 0.05  # of the acceleration, that counts may make: an inertia becomes too small by the square of it
-_LEAST_LOWPASS_RATIO, _LOWPASS_STEP = 0.02, 0.85  # of the sampling rate; of the cut-off
-_ROUNDS = 3  # of leaving out what does not show
-_SLOW = 0.03  # of the top speed: slower rows do not count
-
 
 @dataclass(frozen=True, slots=True)
 class JointFriction:
@@ -123,12 +111,12 @@ def _lowpass_hz(recording: Recording) -> float:
     longest = max(signals.grid.segments, key=lambda rows: rows.stop - rows.start)
     position = signals.grid.columns["position"][longest]
     step = resolution(position)
-    while step is not None and cut_hz > _LEAST_LOWPASS_RATIO * rate_hz:
+    while step is not None and cut_hz > th.ARM_LEAST_LOWPASS * rate_hz:
         smooth = filtering.lowpass(between_counts(position), cut_hz, rate_hz)
         acceleration = np.gradient(np.gradient(smooth, 1.0 / rate_hz), 1.0 / rate_hz)
-        if acceleration_noise(step, cut_hz, rate_hz) <= _NOISE_RATIO * float(np.std(acceleration)):
+        if acceleration_noise(step, cut_hz, rate_hz) <= th.ARM_NOISE_RATIO * float(np.std(acceleration)):
             break
-        cut_hz *= _LOWPASS_STEP
+        cut_hz *= th.ARM_LOWPASS_STEP
     return cut_hz
 
 
@@ -142,7 +130,7 @@ def _rows_of(segments: Sequence[Sequence[RegressionSegment]], arm: Arm, lowpass_
             for name in ("position", "velocity", "acceleration")
         )
         torque = np.column_stack([each.kept_rows(each.lowpass(each.torque)) for each in joints])
-        reach_s = _MIXED_PERIODS / lowpass_hz
+        reach_s = th.ARM_MIXED_PERIODS / lowpass_hz
         slides = np.column_stack(
             [each.kept_rows(is_sliding(each, speed, reach_s, 0.0)) for each, speed in zip(joints, least, strict=True)]
         )
@@ -167,7 +155,7 @@ def identify_arm(
     together = [_together(log, arm) for log in logs]
     cut_hz = min(_lowpass_hz(each) for log in together for each in log) if lowpass_hz is None else lowpass_hz
     count = sum(len(log[0]) for log in together)
-    decimation = max(1, min(_MOST_DECIMATION, count // 1000), count // _MOST_ROWS)
+    decimation = max(1, min(th.ARM_MOST_DECIMATION, count // 1000), count // th.ARM_MOST_ROWS)
     segments = _segments(together, cut_hz, decimation)
     tops, still = [], []
     for joint, is_linear in zip(segments, arm.is_linear, strict=True):
@@ -175,21 +163,22 @@ def identify_arm(
         step = max(each.resolution or 0.0 for each in joint)
         travel = float(np.ptp(np.concatenate([each.encoder for each in joint])))
         still.append(travel <= max(th.ARM_STILL * step, th.ARM_STILL_M if is_linear else th.ARM_STILL_RAD))
-    least = np.where(still, math.inf, np.maximum(_SLOW * np.array(tops), least_speed))
+    least = np.where(still, math.inf, np.maximum(th.ARM_SLOW * np.array(tops), least_speed))
     rows = _rows_of(segments, arm, cut_hz, least)
     forward = np.sum(rows.slides & (rows.velocity > 0.0), axis=0)
     backward = np.sum(rows.slides & (rows.velocity < 0.0), axis=0)
-    moves = [bool(each) for each in forward + backward >= _LEAST_ROWS]
+    moves = [bool(each) for each in forward + backward >= th.ARM_LEAST_ROWS]
     if not any(moves):
-        raise RecordingError(f"{logs[0][0].path}: no joint slides in {_LEAST_ROWS} rows or more; record more motion")
-    both = [bool(each) for each in (np.minimum(forward, backward) >= _LEAST_ROWS // 2) & moves]
+        fewest = th.ARM_LEAST_ROWS
+        raise RecordingError(f"{logs[0][0].path}: no joint slides in {fewest} rows or more; record more motion")
+    both = [bool(each) for each in (np.minimum(forward, backward) >= th.ARM_LEAST_ROWS // 2) & moves]
     rows = replace(rows, slides=rows.slides & np.array(moves))
     for k, name in enumerate(arm.joints):
         if moves[k] and not np.any(rows.torque[rows.slides[:, k], k]):
             raise RecordingError(f"{logs[0][k].path}: the torque of joint {name} is zero wherever it slides")
     used = {"rotor": moves, "coulomb": moves, "viscous": moves, "offset": both, "load": moves}
     search, covariance, information = _searched(rows, arm, used)
-    for _ in range(_ROUNDS):
+    for _ in range(th.ARM_ROUNDS):
         left = {
             name: [flag and _is_kept(search, covariance, name, k) for k, flag in enumerate(flags)]
             for name, flags in used.items()
@@ -207,7 +196,7 @@ def identify_arm(
         for k in range(len(arm))
     )
     fitted = arm.with_parameters(search.values[: search.wide], search.values[search.wide : search.wide + len(arm)])
-    some = rows.position[:: 1 + len(rows.position) // _POSITIONS]
+    some = rows.position[:: 1 + len(rows.position) // th.ARM_POSITIONS]
     is_physical = bool(np.min(np.linalg.eigvalsh(fitted.inertia_matrix(some))) > 0.0)
     problems = tuple(dict.fromkeys(text for joint in segments for each in joint for text in each.problems))
     every = combinations(arm)
@@ -225,7 +214,7 @@ def identify_arm(
         problems,
         cut_hz,
         decimation,
-        _MIXED_PERIODS / cut_hz,
+        th.ARM_MIXED_PERIODS / cut_hz,
     )
 
 
@@ -304,7 +293,7 @@ def _cross_validation(
         kept, out = rows.at(fold != number), rows.at(fold == number)
         search = Search(kept, arm, used)
         search.values = start.copy()
-        search.run(_STEPS_OF_FOLD)
+        search.run(th.ARM_FOLD_STEPS)
         for k in range(n):
             use, fitted = out.slides[:, k], kept.slides[:, k]
             measured = out.torque[use, k]
@@ -337,7 +326,7 @@ def combinations(arm: Arm) -> int:
     states = rng.normal(size=(3, 20 * len(arm), len(arm)))
     stacked = arm.regressor(*states).reshape(-1, PARAMETERS * len(arm)) * prior_spread(arm)
     singular = np.linalg.svd(stacked, compute_uv=False)
-    return int(np.sum(singular > _RANK * singular[0]))
+    return int(np.sum(singular > th.ARM_RANK * singular[0]))
 
 
 def as_axes(recordings: Sequence[Recording], fit: ArmFit) -> list[Recording]:

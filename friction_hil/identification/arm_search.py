@@ -14,9 +14,6 @@ from friction_hil.identification.inference import correlated_lags, correlated_sq
 from friction_hil.numerics.jit import Array
 
 FRICTION = ("coulomb", "viscous", "offset", "load")
-_STEPS = 12  # of the search; it ends earlier
-_NEAR = 1e-6  # change of the torque relative to its noise
-_HUBER = 2.0  # standard deviations from which a residual counts less
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,12 +96,12 @@ class Search:
         """Return where a free parameter stands among the free ones."""
         return int(np.count_nonzero(self.is_free[:place]))
 
-    def run(self, steps: int = _STEPS) -> None:
+    def run(self, steps: int = th.ARM_SEARCH_STEPS) -> None:
         """Search for the most likely parameters."""
         for _ in range(steps):
             step, change = self._step()
             self.values[self.is_free] += step
-            if change < _NEAR:
+            if change < th.ARM_NEAR:
                 break
 
     def _step(self) -> tuple[Array, float]:
@@ -147,7 +144,7 @@ class Search:
         self.noise[joint] = max(math.sqrt(square / left), 1e-9)
 
     def _huber(self, residual: Array, joint: int) -> Array:
-        far = _HUBER * self.deviation[joint]
+        far = th.ARM_HUBER * self.deviation[joint]
         weights: Array = np.minimum(1.0, far / np.maximum(np.abs(residual), 1e-300))
         return weights
 

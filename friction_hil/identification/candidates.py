@@ -11,6 +11,7 @@ from friction_hil.compensator.load import gravity_torque
 from friction_hil.errors import FrictionHilError, RecordingError, UsageError, choices, internal_error
 from friction_hil.friction.modifiers import SIDES
 from friction_hil.identification import humps, modifiers, structures, unknown_gain
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.choice import is_better, is_significant
 from friction_hil.identification.data import LEAST_ROWS, Data, RegressionSegment, prepare
 from friction_hil.identification.fine import fine_data, is_fine
@@ -28,10 +29,6 @@ from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 
 Result = TypeVar("Result")
-
-_PENDULUM_TRAVEL = 0.3  # rad: over a smaller range sine and cosine look like a straight line
-_LARGE_OFFSET = 0.5  # of the friction level: a larger offset cannot be a difference between the two directions
-_LOAD_ROUNDS = 3  # alternating fits of gravity, which is the load, and of the friction that grows with it
 
 
 class CandidateFitter:
@@ -207,7 +204,7 @@ class CandidateFitter:
     def fit_with_load(self, structure: ModelStructure, base: Fit) -> Fit | None:
         """Fit a structure whose load is gravity: alternately, if gravity is identified by the same fit."""
         fitted = base
-        for _ in range(_LOAD_ROUNDS):
+        for _ in range(th.LOAD_ROUNDS):
             self.set_load(fitted.mechanics)
             found = self.fit(structure, {**fitted.values, **fitted.mechanics})
             if found is None or not self._is_load_fitted:
@@ -390,7 +387,7 @@ class CandidateFitter:
         if "direction" in structure.modifiers and level in names:
             names.remove(level)
             held[level] = (
-                self._constant_torque if abs(self._constant_torque) > _LARGE_OFFSET * self.scales.level else 0.0
+                self._constant_torque if abs(self._constant_torque) > th.LARGE_OFFSET * self.scales.level else 0.0
             )
             notes.append(
                 f"collinear: {level} with the difference between the levels of the two directions; {level} is held at "
@@ -424,7 +421,7 @@ class CandidateFitter:
             return ("gravity.constant",)
         if kind == "pendulum":
             return pendulum
-        if kind == "none" or self.settings.axis == "linear" or self.scales.travel < _PENDULUM_TRAVEL:
+        if kind == "none" or self.settings.axis == "linear" or self.scales.travel < th.PENDULUM_TRAVEL:
             return ()
         without, swinging = (self._coulomb_fit("inertia", "offset", *gravity) for gravity in ((), pendulum))
         if is_better(swinging, without):

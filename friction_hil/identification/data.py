@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError, UsageError, choices
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.motor_motion import derivatives
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
@@ -30,10 +31,7 @@ from friction_hil.recordings.segments import (
 Mask = NDArray[np.bool_]
 
 LEAST_ROWS = 50  # after decimation: below, errors of parameters and folds of cross-validation mean nothing
-_STEADY_RATIO = 0.02  # of the top speed: if the speed changes by less, the end of a segment is steady
 _SLOW = ("load_torque", "temperature", "position_demand")  # used where they are known
-_CUT_STEP, _LEAST_CUT = 0.8, 0.1  # of the low-pass, for the acceleration alone
-_MIXED_PERIODS = 0.5  # of a low-pass: the time before and after a row that it mixes with the row
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,15 +201,15 @@ def _thinned(
         return segment, is_sliding(segment, least_speed, sliding_s, distance), sliding_s
     velocity, acceleration = derivatives(segment.position, segment.dt)
     segment = replace(segment, velocity=velocity, acceleration=acceleration)
-    rows, least_hz = is_sliding(segment, least_speed, reach_s, distance), _LEAST_CUT * cut_hz
+    rows, least_hz = is_sliding(segment, least_speed, reach_s, distance), th.LEAST_CUT * cut_hz
     while rows.any() and cut_hz > least_hz:
         noise = acceleration_noise(segment.resolution or 0.0, cut_hz, segment.rate_hz)
         if noise <= NOISE_RATIO * np.std(segment.acceleration[rows]):
             break
         # an acceleration with the noise of the counts would make the inertia too small; what it misses of a fast one
         # is not correlated with the rest, and only adds to the residual
-        cut_hz *= _CUT_STEP
-        longer_s = max(sliding_s, _MIXED_PERIODS / cut_hz)
+        cut_hz *= th.CUT_STEP
+        longer_s = max(sliding_s, th.MIXED_PERIODS / cut_hz)
         if not (left := is_sliding(segment, least_speed, longer_s, distance)).any():
             break
         rows, reach_s = left, longer_s
@@ -250,7 +248,7 @@ def _regression_segment(
     segment, settling = signals.segment(rows), signals.settling_rows
     velocity = segment.velocity
     end = len(velocity) - settling
-    if settling and np.ptp(velocity[end:]) < _STEADY_RATIO * np.max(np.abs(velocity)):
+    if settling and np.ptp(velocity[end:]) < th.STEADY_RATIO * np.max(np.abs(velocity)):
         end = len(velocity)  # the filters continue a segment as it ended: for steady motion that is right
     return RegressionSegment(
         **{each.name: getattr(segment, each.name) for each in fields(Segment)},

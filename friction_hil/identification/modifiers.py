@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.data import Data
 from friction_hil.identification.regression import Estimate
 from friction_hil.identification.ripple import MOST_HARMONICS, RippleSearch
 from friction_hil.identification.structures import Coordinate, InitialScales, ModelStructure
 from friction_hil.numerics.jit import Array
 
-_LEAST_LOAD = 0.1  # of the friction level: a smaller variation of the load does not show
-_LEAST_WARMING = 3.0  # K: smallest range of temperatures
 _STATIC_CURVES = ("table", "power_law")  # these are nonlinear in the velocity themselves
 
 
@@ -37,7 +36,7 @@ def excited(
     has = set(structure.modifiers)
     if "viscous" not in has and structure.family not in _STATIC_CURVES:
         yield _with(structure, "viscous", linear={"viscous.quadratic": "viscous.quadratic"})
-    if "load" not in has and loads is not None and _load_spread(loads) > _LEAST_LOAD * scales.level:
+    if "load" not in has and loads is not None and _load_spread(loads) > th.MODIFIED_LEAST_LOAD * scales.level:
         names = ("load.motoring", "load.driven")
         owners = [names] if is_load_fitted else [(name,) for name in names]
         coordinates = [Coordinate(owner, 0.0, 10.0, False) for owner in owners]
@@ -45,7 +44,7 @@ def excited(
     warmth = [record.temperature for record in data.records if record.temperature is not None]
     if "temperature" not in has and len(warmth) == len(data.records):
         every = np.concatenate(warmth)
-        if np.ptp(every) >= _LEAST_WARMING:
+        if np.ptp(every) >= th.LEAST_WARMING:
             coefficient = Coordinate(("temperature.coefficient",), -0.1, 0.1, False)
             reference = {"temperature.reference": float(np.median(every))}
             yield _with(structure, "temperature", coordinates=[coefficient], constants=reference)

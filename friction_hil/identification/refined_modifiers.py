@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.candidates import CandidateFitter
 from friction_hil.identification.choice import log_likelihood_gain
 from friction_hil.identification.data import Mask
@@ -21,9 +22,6 @@ from friction_hil.identification.regression import Estimate
 from friction_hil.identification.structures import EXTENDS, ModelStructure, directed
 from friction_hil.numerics.jit import Array
 
-_BASES = 2  # families that are tried with modifiers
-_ROUNDS = 2  # of refinement: what one shows may hide behind the other
-_CLEAR, _LEAST_OFFSET = 3.0, 0.03  # standard errors, and part of the level, of an offset that shows an asymmetry
 _RIDGE = 1e-9  # of columns of length 1
 
 
@@ -48,7 +46,7 @@ def refine_modifiers(fitter: CandidateFitter, refined: Sequence[Fit]) -> Refined
             lower, higher = (larger, now) if _is_likelier(larger, now) else (now, larger)
             outdone.append(higher)
             now = lower
-        for _ in range(_ROUNDS):
+        for _ in range(th.REFINED_ROUNDS):
             seed = _supported(fitter, now)
             if seed is None or any(_is_same(each, seed) for each in (*refined, *tried)):
                 break
@@ -94,7 +92,7 @@ def _bases(refined: Sequence[Fit]) -> list[Fit]:
     for each in sorted(refined, key=lambda each: each.held_out.rmse):
         if EXTENDS.get(each.structure.family) not in families:
             best.setdefault(each.structure.family, each)
-    return list(best.values())[:_BASES]
+    return list(best.values())[: th.REFINED_BASES]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +120,8 @@ def _supported(fitter: CandidateFitter, base: Fit) -> Fit | None:
 def _split(fitter: CandidateFitter, base: Fit) -> Fit | None:
     """Return ``base`` with levels for each direction, as a start, if its offset shows that they differ."""
     error = base.inference.standard_errors.get("offset", math.inf)
-    if abs(base.values.get("offset", 0.0)) <= max(_CLEAR * error, _LEAST_OFFSET * fitter.scales.level):
+    least = max(th.REFINED_CLEAR * error, th.REFINED_LEAST_OFFSET * fitter.scales.level)
+    if abs(base.values.get("offset", 0.0)) <= least:
         return None
     if base.structure.modifiers:
         return None

@@ -21,23 +21,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from friction_hil.identification import thresholds as th
 from friction_hil.numerics.jit import Array
 
 _Basis = Array  # (k, l) with orthonormal columns
 _Complex = NDArray[np.complex128]
 
 MOST_HARMONICS = 4
-_LEAST_PERIODS = 1.0  # over the travel
-_MOST_PERIODS = 300.0
 _SLOW_DEGREE = 1  # of a polynomial of the position
-_LEAST_INDEPENDENT = 0.01  # of a harmonic's energy outside the span of the fit: mostly an axis stays near one position
-_LEAST_SHARE = 0.01  # of the energy of the residual without harmonics: less is not worth two parameters
-_ROWS_PER_PERIOD = 4.0  # fewer are filtered out, or look like another order
-_STRETCH_ROWS = 100  # over which residuals are taken to be correlated
-_EVIDENT = 12.0  # least Wald statistic beyond that of the largest of N harmonics of noise, 2 ln N
-_CONTRADICTION = 5.0  # standard errors of the order between it and a whole number
 _CHUNK = 64  # orders computed at once
-_POLISHES = 3  # of all orders, each after another one has changed
 
 
 class RippleSearch:
@@ -64,19 +56,19 @@ class RippleSearch:
         columns = np.column_stack([slow, jacobian]) * weights[:, None]
         self._basis = _orthonormal(columns)
         self._target = weights * residual
-        self._starts = np.concatenate([np.arange(part.start, part.stop, _STRETCH_ROWS) for part in parts])
+        self._starts = np.concatenate([np.arange(part.start, part.stop, th.RIPPLE_STRETCH_ROWS) for part in parts])
 
     def orders(self, most: int = MOST_HARMONICS) -> list[float]:
         """Return the orders that stand out, largest first, per revolution or per metre."""
         grid = self._grid()
         found: list[float] = []
-        bar = 2.0 * math.log(max(len(grid), 1)) + _EVIDENT
+        bar = 2.0 * math.log(max(len(grid), 1)) + th.RIPPLE_EVIDENT
         start = self._target - self._basis @ (self._basis.T @ self._target)
         energy = float(start @ start)
         while len(grid) and len(found) < most:
             before, basis = found, self._span(found)
             gains = self._gains(grid, basis)
-            if float(np.max(gains)) <= _LEAST_SHARE * energy:
+            if float(np.max(gains)) <= th.RIPPLE_LEAST_SHARE * energy:
                 break
             found = self._polished([*found, self._peak(float(grid[np.argmax(gains)]), basis)])
             grid = grid[np.all(np.abs(grid[:, None] - found) >= 1.0 / self._travel, axis=1)]
@@ -89,12 +81,12 @@ class RippleSearch:
         """Return orders at half the distance that the travel can tell apart."""
         if self._travel <= 0.0:
             return np.empty(0)
-        low, high = _LEAST_PERIODS / self._travel, _MOST_PERIODS / self._travel
+        low, high = th.RIPPLE_LEAST_PERIODS / self._travel, th.RIPPLE_MOST_PERIODS / self._travel
         grid = np.arange(low, high, 0.5 / self._travel)
         if not self._is_linear:
             grid = grid[grid >= 1.0]
         # half of the rows at least must resolve it: few slow ones show presliding rather than ripple
-        return grid[grid * float(np.median(self._step)) * _ROWS_PER_PERIOD < 1.0]
+        return grid[grid * float(np.median(self._step)) * th.RIPPLE_ROWS_PER_PERIOD < 1.0]
 
     def _columns(self, order: float) -> Array:
         """Return weighted cosine and sine (k, 2), zero where rows are too far apart to resolve a period."""
@@ -102,7 +94,7 @@ class RippleSearch:
         return np.column_stack([wave.real, wave.imag])
 
     def _waves(self, orders: Array) -> _Complex:
-        is_resolved = self._step[:, None] * orders * _ROWS_PER_PERIOD < 1.0
+        is_resolved = self._step[:, None] * orders * th.RIPPLE_ROWS_PER_PERIOD < 1.0
         waves = np.exp(2j * math.pi * np.outer(self._turns, orders))
         return np.asarray(waves * (is_resolved * self._weights[:, None]))
 
@@ -130,7 +122,7 @@ class RippleSearch:
             c, s = score[:count], score[count:]
             energy = 0.5 * np.sum(parts**2, axis=0).reshape(2, count).sum(axis=0)
             least = 0.5 * (cc + ss) - np.hypot(0.5 * (cc - ss), cs)
-            is_seen = least > _LEAST_INDEPENDENT * energy
+            is_seen = least > th.RIPPLE_LEAST_INDEPENDENT * energy
             determinant = np.where(is_seen, cc * ss - cs**2, 1.0)
             gains[begin : begin + count] = np.where(
                 is_seen, (ss * c**2 - 2.0 * cs * c * s + cc * s**2) / determinant, 0.0
@@ -162,7 +154,7 @@ class RippleSearch:
         Two that are closer than the travel can tell apart would fit a difference of two large harmonics to noise.
         """
         orders = list(orders)
-        for _ in range(_POLISHES if len(orders) > 1 else 0):
+        for _ in range(th.RIPPLE_POLISHES if len(orders) > 1 else 0):
             before = list(orders)
             for i in range(len(orders)):
                 others = [*orders[:i], *orders[i + 1 :]]
@@ -213,7 +205,7 @@ class RippleSearch:
             slope = (slope - basis @ (basis.T @ slope))[:, None]
             shift, variance = self._fitted(slope, basis)
             distance = abs(real + float(shift[0]) - order)
-            if distance > _CONTRADICTION * math.sqrt(float(variance[0, 0])) and distance < 0.5:
+            if distance > th.RIPPLE_CONTRADICTION * math.sqrt(float(variance[0, 0])) and distance < 0.5:
                 kept[i] = real
         return kept
 

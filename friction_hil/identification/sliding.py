@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.compliance import sandwich
 from friction_hil.identification.data import RegressionSegment, moved_since_reversal
 from friction_hil.numerics import filtering
@@ -24,18 +25,6 @@ from friction_hil.recordings.quality import acceleration_noise
 
 LOW_HZ = 12.0  # of the low-pass: the load follows the motor as one mass
 WIDE_HZ = 100.0
-_BAND = 0.2  # of the sampling rate, at most
-_LEAST_ROWS = 200
-_KNOTS = 7  # of the curve, over the speeds
-_SLOW = 0.05  # of the highest speed: below it, the bristles may still be turning after a reversal
-_TURNED_S = 0.05  # time after a slow row until they have turned, and friction has caught up with the velocity
-_MOVED = 0.02  # of the travel, since a reversal: in a recording with long strokes, shorter ones are presliding
-_STRETCH_S = 1.0  # over which residuals are taken to be correlated: a stroke, about
-_ROWS_PER_PERIOD = 2.5  # of the cut-off frequency
-_CLEAR = 8.0  # standard errors of gravity: friction that varies over the travel looks like a little of it
-_FELT = 0.1  # of the torque: a smaller gravity is not worth two parameters on this evidence
-_SWUNG, _SWUNG_ERRORS = 0.1, 3.0  # part of the inertia, and standard errors, by which a load that swings changes it
-_KNOWN = 0.1  # standard error of an inertia over its value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,8 +51,8 @@ class SlidingRows:
     def friction(self, top: float) -> Array:
         """Return hat functions (n, m) of the speed in either direction, up to the speed ``top``."""
         velocity = self.record.velocity
-        speeds = np.geomspace(_SLOW * top, top, _KNOTS)
-        hats = [np.interp(np.abs(velocity), speeds, each) for each in np.eye(_KNOTS)]
+        speeds = np.geomspace(th.SLIDING_SLOW * top, top, th.SLIDING_KNOTS)
+        hats = [np.interp(np.abs(velocity), speeds, each) for each in np.eye(th.SLIDING_KNOTS)]
         return np.column_stack([side * hat * (side * velocity > 0.0) for hat in hats for side in (1.0, -1.0)])
 
 
@@ -73,11 +62,11 @@ def sliding_rows(records: Sequence[RegressionSegment], low_hz: float = LOW_HZ) -
     travel = max(float(np.ptp(each.position)) for each in records)
     found = []
     for each in records:
-        cut = min(low_hz, _BAND * each.rate_hz)
-        rows = _rows(each, cut, _SLOW * top, _MOVED * travel)
+        cut = min(low_hz, th.SLIDING_BAND * each.rate_hz)
+        rows = _rows(each, cut, th.SLIDING_SLOW * top, th.SLIDING_MOVED * travel)
         if len(rows):
             found.append(SlidingRows(each, cut, rows))
-    return found if sum(len(each.rows) for each in found) >= _LEAST_ROWS else []
+    return found if sum(len(each.rows) for each in found) >= th.SLIDING_LEAST_ROWS else []
 
 
 def top_speed(records: Sequence[RegressionSegment]) -> float:
@@ -92,14 +81,14 @@ def _rows(record: RegressionSegment, cut: float, least: float, distance: float) 
     edge = filtering.settling_samples(cut, rate)
     if len(velocity) <= max(2 * edge, filtering.lowpass_padding()):
         return np.zeros(0, dtype=np.intp)
-    reach = max(1, round(_TURNED_S * rate), round(0.5 * rate / cut))
+    reach = max(1, round(th.TURNED_S * rate), round(0.5 * rate / cut))
     is_slow = (np.abs(velocity) < least) | (velocity * np.roll(velocity, 1) < 0.0)
     rests = maximum_filter1d(is_slow.astype(np.uint8), 2 * reach + 1) > 0
     counts = ~rests & (moved_since_reversal(velocity, record.position) >= distance)
     rows = record.kept_rows(np.arange(len(velocity)))
     rows = rows if record.is_moving is None else rows[record.is_moving]
     rows = rows[(rows >= edge) & (rows < len(velocity) - edge)]
-    every = max(1, int(rate / (_ROWS_PER_PERIOD * cut * record.decimation)))
+    every = max(1, int(rate / (th.SLIDING_ROWS_PER_PERIOD * cut * record.decimation)))
     return np.asarray(rows[counts[rows]][::every], dtype=np.intp)
 
 
@@ -121,7 +110,7 @@ def fitted(parts: Sequence[SlidingRows], matrix: Array) -> tuple[Array, Array, A
     residual = torque - matrix @ factors
     starts, begin = [], 0
     for part in parts:
-        stretch = np.floor(part.rows / max(1.0, _STRETCH_S * part.record.rate_hz))
+        stretch = np.floor(part.rows / max(1.0, th.SLIDING_STRETCH_S * part.record.rate_hz))
         starts.append(begin + np.flatnonzero(np.diff(stretch, prepend=np.nan)))
         begin += len(stretch)
     all_starts: NDArray[np.intp] = np.concatenate(starts).astype(np.intp)
@@ -147,8 +136,8 @@ class SlidingMechanics:
         """
         difference = abs(self.inertia - other.inertia) - other.noise * self.inertia
         doubt = math.hypot(self.inertia_error, other.inertia_error)
-        is_known = 0.0 < self.inertia_error < _KNOWN * self.inertia
-        return is_known and difference > max(_SWUNG * self.inertia, _SWUNG_ERRORS * doubt)
+        is_known = 0.0 < self.inertia_error < th.SLIDING_KNOWN * self.inertia
+        return is_known and difference > max(th.SWUNG * self.inertia, th.SWUNG_ERRORS * doubt)
 
 
 def sliding_mechanics(
@@ -171,9 +160,14 @@ def sliding_mechanics(
     pair, doubt = factors[1:3], covariance[1:3, 1:3]
     wald = float(pair @ np.linalg.pinv(doubt, hermitian=True) @ pair)
     torque = np.concatenate([part.torque for part in parts])
-    is_felt = float(np.std(matrix[:, 1:3] @ pair)) > _FELT * float(np.sqrt(np.mean(torque**2)))
+    is_felt = float(np.std(matrix[:, 1:3] @ pair)) > th.SLIDING_FELT * float(np.sqrt(np.mean(torque**2)))
     return SlidingMechanics(
-        float(factors[0]), error, float(pair[0]), float(pair[1]), has_swing=is_felt and wald > _CLEAR**2, noise=noise
+        float(factors[0]),
+        error,
+        float(pair[0]),
+        float(pair[1]),
+        has_swing=is_felt and wald > th.SLIDING_CLEAR**2,
+        noise=noise,
     )
 
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from friction_hil import friction as models
 from friction_hil.errors import RecordingError, UsageError, choices
+from friction_hil.identification import thresholds as th
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 
 FAMILIES = ("coulomb", "stribeck", "power_law")
-_FEWEST_SPEEDS = 3
 _SMALLEST = 1e-9  # of the largest torque: a parameter below is zero
 
 
@@ -63,9 +63,9 @@ def fit_map(recordings: Sequence[Recording], families: Sequence[str] = ()) -> St
     notes = [f"{np.count_nonzero(~known)} points without a speed or a torque do not count"] if not known.all() else []
     velocity, torque = velocity[known], torque[known]
     speeds = np.unique(np.abs(velocity))
-    if len(speeds) < _FEWEST_SPEEDS:
+    if len(speeds) < th.FEWEST_SPEEDS:
         raise RecordingError(
-            f"{recordings[0].path}: {len(speeds)} speeds above zero; a map takes at least {_FEWEST_SPEEDS}"
+            f"{recordings[0].path}: {len(speeds)} speeds above zero; a map takes at least {th.FEWEST_SPEEDS}"
         )
     has_offset = bool(np.any(velocity > 0.0) and np.any(velocity < 0.0))
     if not has_offset:

@@ -17,17 +17,13 @@ from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.friction import FrictionModel
 from friction_hil.friction.model import Axis
 from friction_hil.friction.modifiers import SIDES
+from friction_hil.identification import thresholds as th
 from friction_hil.identification.least_squares import FitError
 
 GMS_ELEMENTS = 4
 TABLE_POINTS = 6
 EXTENDS = {"elasto_plastic": "lugre"}  # families and the special case that each extends
 EQUAL_IN_FEEDFORWARD = {"karnopp": "stribeck"}  # they differ while sticking, which no recording of a drive shows
-
-_MOST = 1.5  # largest level that is searched, relative to the largest friction that was measured
-_STEEPEST = 1e3  # beta and gamma times the shortest deflection that the data suggest; exponents above 1 take more
-_NARROWEST = 0.1  # Stribeck velocity over the slowest sliding: an axis that breaks away passes a narrow hump in a jump
-_SPRING_RATIOS = (0.2, 1.0, 3.0, 10.0)  # of the deflections at which elements of gms begin to slip
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,7 +328,7 @@ def _table(scales: InitialScales, axis: Axis, constants: dict[str, Any], is_dire
 
 def _highest_level(scales: InitialScales) -> float:
     """Return the largest friction torque that is searched for: hardly more than the largest one that was measured."""
-    return max(_MOST * scales.largest, 2.0 * scales.level)
+    return max(th.MOST_LEVEL * scales.largest, 2.0 * scales.level)
 
 
 def _range(name: str, scales: InitialScales, period_s: float) -> tuple[float, float, bool]:
@@ -347,7 +343,7 @@ def _range(name: str, scales: InitialScales, period_s: float) -> tuple[float, fl
         "static_released": (1e-6 * level, most, False),
         "static_rested": (1e-6 * level, most, False),
         "factor": (0.0, 1e6 * level, False),
-        "stribeck_velocity": (_NARROWEST * min(scales.least_sliding_speed, speed), 3.0 * speed, True),
+        "stribeck_velocity": (th.NARROWEST * min(scales.least_sliding_speed, speed), 3.0 * speed, True),
         "sigma0": (level / longest, level / shortest, True),
         "sigma1": (1e-4 * level / speed, 1e4 * level / speed, True),
         "stiffness": (level / longest, level / shortest, True),
@@ -355,8 +351,8 @@ def _range(name: str, scales: InitialScales, period_s: float) -> tuple[float, fl
         "attraction": (1e-2 * level, 1e3 * level * speed / (1e-3 * scales.travel), True),
         "lag_s": (1e-2 * period_s, 0.1, True),
         "rise_s": (1e-3, 1e3, True),
-        "beta": (1e-3 / longest, _STEEPEST / deflection, True),
-        "gamma": (-_STEEPEST / deflection, _STEEPEST / deflection, False),
+        "beta": (1e-3 / longest, th.STEEPEST / deflection, True),
+        "gamma": (-th.STEEPEST / deflection, th.STEEPEST / deflection, False),
         "exponent": (0.1, 4.0, True),
     }
     return simple[name.partition("[")[0]]
@@ -408,7 +404,7 @@ def _start(structure: ModelStructure, scales: InitialScales, deflection: float, 
         if name.startswith("points["):
             values[each.name] = math.copysign(level, each.upper + each.lower)
         elif name.startswith("stiffness["):
-            ratio = _SPRING_RATIOS[int(name[len("stiffness[") : -1])]
+            ratio = th.SPRING_RATIOS[int(name[len("stiffness[") : -1])]
             values[each.name] = level / GMS_ELEMENTS / (ratio * deflection)
         else:
             values[each.name] = known[name]

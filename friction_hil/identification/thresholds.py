@@ -271,3 +271,74 @@ NEAR_PERIODS = 0.15  # deviation from half a period that is none
 LATE_PERIODS = 0.75  # from which on a delay is longer than that of a mean
 VAGUE_PERIODS = 0.1  # larger standard errors tell nothing
 MOST_EXTRAPOLATED = 2.0  # of a first step, by those that would follow
+
+# friction of the joints of an arm
+ARM_MOST_DECIMATION = 5  # behind a low-pass at a tenth of the sampling rate: more would lose what it passes
+ARM_FOLD_STEPS = 4  # of the search, from the parameters of all rows
+ARM_MOST_ROWS = 20_000  # of the regression, whose matrices are of rows, joints and parameters
+ARM_MIXED_PERIODS = 1.5  # of the low-pass: time about a reversal that it mixes with it
+ARM_LEAST_ROWS = 50  # in which a joint slides
+ARM_POSITIONS = 500  # at which the inertia matrix is looked at
+ARM_RANK = 1e-8  # of the largest singular value
+ARM_NOISE_RATIO = 0.05  # of the acceleration, that counts may make: an inertia becomes too small by the square of it
+ARM_LEAST_LOWPASS, ARM_LOWPASS_STEP = 0.02, 0.85  # of the sampling rate; of the cut-off
+ARM_ROUNDS = 3  # of leaving out what does not show
+ARM_SLOW = 0.03  # of the top speed: slower rows do not count
+
+# the search for all joints of an arm together
+ARM_SEARCH_STEPS = 12  # of the search; it ends earlier
+ARM_NEAR = 1e-6  # change of the torque relative to its noise
+ARM_HUBER = 2.0  # standard deviations from which a residual counts less
+
+# candidates
+PENDULUM_TRAVEL = 0.3  # rad: over a smaller range sine and cosine look like a straight line
+LARGE_OFFSET = 0.5  # of the friction level: a larger offset cannot be a difference between the two directions
+LOAD_ROUNDS = 3  # alternating fits of gravity, which is the load, and of the friction that grows with it
+
+# rows of a regression
+STEADY_RATIO = 0.02  # of the top speed: if the speed changes by less, the end of a segment is steady
+CUT_STEP, LEAST_CUT = 0.8, 0.1  # of the low-pass, for the acceleration alone
+MIXED_PERIODS = 0.5  # of a low-pass: the time before and after a row that it mixes with the row
+
+# modifiers to try
+MODIFIED_LEAST_LOAD = 0.1  # of the friction level: a smaller variation of the load does not show
+LEAST_WARMING = 3.0  # K: smallest range of temperatures
+
+# modifiers of refined fits
+REFINED_BASES = 2  # families that are tried with modifiers
+REFINED_ROUNDS = 2  # of refinement: what one shows may hide behind the other
+REFINED_CLEAR, REFINED_LEAST_OFFSET = 3.0, 0.03  # standard errors and part of the level: an offset of an asymmetry
+
+# orders of ripple
+RIPPLE_LEAST_PERIODS = 1.0  # over the travel
+RIPPLE_MOST_PERIODS = 300.0  # over the travel
+RIPPLE_LEAST_INDEPENDENT = 0.01  # of a harmonic's energy outside the span of the fit: the axis stays near one position
+RIPPLE_LEAST_SHARE = 0.01  # of the energy of the residual without harmonics: less is not worth two parameters
+RIPPLE_ROWS_PER_PERIOD = 4.0  # fewer are filtered out, or look like another order
+RIPPLE_STRETCH_ROWS = 100  # over which residuals are taken to be correlated
+RIPPLE_EVIDENT = 12.0  # least Wald statistic beyond that of the largest of N harmonics of noise, 2 ln N
+RIPPLE_CONTRADICTION = 5.0  # standard errors of the order between it and a whole number
+RIPPLE_POLISHES = 3  # of all orders, each after another one has changed
+
+# where an axis slides
+SLIDING_BAND = 0.2  # of the sampling rate, at most
+SLIDING_LEAST_ROWS = 200  # in which it slides
+SLIDING_KNOTS = 7  # of the curve, over the speeds
+SLIDING_SLOW = 0.05  # of the highest speed: below it, the bristles may still be turning after a reversal
+TURNED_S = 0.05  # time after a slow row until they have turned, and friction has caught up with the velocity
+SLIDING_MOVED = 0.02  # of the travel, since a reversal: in a recording with long strokes, shorter ones are presliding
+SLIDING_STRETCH_S = 1.0  # over which residuals are taken to be correlated: a stroke, about
+SLIDING_ROWS_PER_PERIOD = 2.5  # of the cut-off frequency
+SLIDING_CLEAR = 8.0  # standard errors of gravity: friction that varies over the travel looks like a little of it
+SLIDING_FELT = 0.1  # of the torque: a smaller gravity is not worth two parameters on this evidence
+SWUNG, SWUNG_ERRORS = 0.1, 3.0  # part of the inertia, and standard errors, by which a load that swings changes it
+SLIDING_KNOWN = 0.1  # standard error of an inertia over its value
+
+# maps of friction
+FEWEST_SPEEDS = 3  # of a map
+
+# bounds of parameters
+MOST_LEVEL = 1.5  # largest level that is searched, relative to the largest friction that was measured
+STEEPEST = 1e3  # beta and gamma times the shortest deflection that the data suggest; exponents above 1 take more
+NARROWEST = 0.1  # Stribeck velocity over the slowest sliding: an axis that breaks away passes a narrow hump in a jump
+SPRING_RATIOS = (0.2, 1.0, 3.0, 10.0)  # of the deflections at which elements of gms begin to slip
