@@ -22,6 +22,8 @@ TOO_MANY = 6.0  # changes of sign
 STEP = 0.8  # factor on the gain each time
 _MOVING_WEIGHT = 0.3  # of a change of sign while the demand moves
 _SIGNIFICANT = 0.05  # of the model's level: smaller compensations have no sign
+# the same without a demand: where a coarse encoder moves, each count is a pulse of the damping of the model's bristles
+_SIGNIFICANT_GUIDED = 0.3
 
 
 @inlined
@@ -32,7 +34,7 @@ def watch(c: Any, r: Any, torque: float, demand: float, dt: float) -> None:
         r.compensation_sign = 0.0  # the demand reverses, and so may the compensation
     if math.isfinite(demand) and demand != 0.0:
         r.demanded_sign = math.copysign(1.0, demand)
-    if abs(torque) <= _SIGNIFICANT * c.level:
+    if abs(torque) <= (_SIGNIFICANT if math.isfinite(demand) else _SIGNIFICANT_GUIDED) * c.level:
         return
     sign = math.copysign(1.0, torque)
     if sign * r.compensation_sign < 0.0:

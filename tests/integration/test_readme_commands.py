@@ -189,6 +189,7 @@ ELSEWHERE = (
     ("./tools/bench dynamics", "test_the_benchmark_of_dynamics_compares_with_mujoco"),
     ("./tools/bench exchange", "test_the_benchmark_of_the_exchange_times_each_part"),
     ("./tools/bench own_loop", "test_the_benchmark_of_the_call_has_every_figure"),
+    ("./tools/bench guiding --gain", "test_the_benchmark_of_guiding_prints_every_law"),
     ("./tools/bench loop", "test_the_benchmark_of_the_loop_starts_a_daemon"),
     ("./tools/bench neural", "test_the_benchmark_of_networks_measures_an_iteration"),
 )

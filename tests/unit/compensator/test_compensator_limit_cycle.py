@@ -106,6 +106,18 @@ def test_a_hand_that_shakes_the_axis_is_none(name, bits):
     assert bits == 14 or np.ptp(torque) > MODELS[name].level  # it changed its sign all the time
 
 
+@pytest.mark.parametrize("frequency_hz", [0.5, 2.0])
+def test_pulses_of_a_coarse_encoder_where_a_hand_turns_are_none(frequency_hz):
+    """A bristle's damping times the velocity of a count, 0.4 rad/s, is a third of the level."""
+    model = fh.models.create("lugre", sigma0=400.0, sigma1=1.5, coulomb=0.45, static=0.6, stribeck_velocity=0.15)
+    one = compensator(model, position_resolution=resolution(14), gain=0.9)
+    t, rate = np.arange(4000) * PERIOD_S, 2.0 * math.pi * frequency_hz
+    position = quantised(0.1 * np.sin(rate * t), resolution(14))
+    torque, _ = one.replay(columns(4000, position=position))
+    assert np.abs(np.diff(torque)).max() > 0.2 * model.level
+    assert one.gain_factor == 1.0
+
+
 @pytest.mark.parametrize("source", EVERY_SOURCE)
 @pytest.mark.parametrize("frequency_hz", [1.0, 10.0, 30.0])
 def test_a_demand_that_turns_is_none(source, frequency_hz):
