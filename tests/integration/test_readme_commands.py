@@ -112,6 +112,11 @@ ELSEWHERE = (
         "friction-hil health --report --metrics --history --json",
         "test_months_of_recordings_show_what_has_changed_and_nothing_else",
     ),
+    (
+        "friction-hil fleet --output --scheduler",
+        "test_a_fleet_has_the_same_table_whoever_dies_and_goes_on_with_the_same_command",
+    ),
+    ("friction-hil fleet --to", "test_the_command_ends_with_the_worst_and_what_to_do_next"),
     ("friction-hil health --since --order", "test_after_a_repair_a_baseline_begins_again"),
     (
         "friction-hil health --fingerprint --simulate --pace --yes --axis --json",

@@ -132,6 +132,8 @@ def test_the_command_ends_with_the_worst_and_what_to_do_next(logs, tmp_path, cap
     (logs / "damaged.parquet").unlink()
     assert main(words) == 0
     assert "4 of 4 done, 4 of them before" in capsys.readouterr().out
+    assert main(["fleet", "convert", str(logs / "m0.parquet"), "--to", ".csv", "--output", str(tmp_path / "csv")]) == 0
+    assert list((tmp_path / "csv" / "files").glob("m0*/m0.csv"))
 
 
 def test_recordings_in_an_object_store_give_the_table_of_those_on_a_disk(logs, tmp_path, monkeypatch):
