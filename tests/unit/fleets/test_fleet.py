@@ -13,6 +13,7 @@ from friction_hil.cli import main
 from friction_hil.errors import FrictionHilError, UsageError
 from friction_hil.fleets import run as runs
 from friction_hil.fleets import storage
+from friction_hil.parallel import pool
 
 TIME, LONG = np.arange(0.0, 4.0, 2e-3), np.arange(0.0, 24.0, 5e-3)
 
@@ -24,6 +25,12 @@ def log(path: Path, level: float, seed: int = 0, time: np.ndarray = TIME) -> Pat
     path.parent.mkdir(parents=True, exist_ok=True)
     fh.recordings.write(path, fh.recordings.from_table(columns, path.stem))
     return path
+
+
+@pytest.fixture(autouse=True)
+def here(monkeypatch):
+    """One process: starting others takes longer than all of this."""
+    monkeypatch.setattr(pool, "processors", lambda: 1)
 
 
 @pytest.fixture
@@ -38,7 +45,9 @@ def identified(logs, output, **options):
     return fh.fleet("identify", str(logs / "*.parquet"), output=output, models="coulomb", **options)
 
 
-def test_every_axis_has_a_row_and_a_model_and_a_damaged_file_its_reason(logs, tmp_path):
+@pytest.mark.parametrize("processes", [1, 2])
+def test_every_axis_has_a_row_and_a_model_and_a_damaged_file_its_reason(logs, tmp_path, monkeypatch, processes):
+    monkeypatch.setattr(pool, "processors", lambda: processes)
     done = identified(logs, tmp_path / "out")
     assert [row["axis"] for row in done.rows] == [None, "m0", "m1", "m2", "m3"]
     assert [round(row["friction.coulomb"], 2) for row in done.rows[1:]] == [0.1, 0.2, 0.3, 0.4]
@@ -53,7 +62,10 @@ def test_every_axis_has_a_row_and_a_model_and_a_damaged_file_its_reason(logs, tm
 
 
 def test_what_is_done_is_kept_and_what_changed_or_failed_is_done_again(logs, tmp_path, monkeypatch):
-    whole = identified(logs, tmp_path / "whole")
+    def converted(output, **options):
+        return fh.fleet("convert", str(logs / "*.parquet"), output=output, **options)
+
+    whole = converted(tmp_path / "whole")
     started = []
 
     def dies(function, tasks, **_):
@@ -64,25 +76,25 @@ def test_what_is_done_is_kept_and_what_changed_or_failed_is_done_again(logs, tmp
 
     monkeypatch.setattr(runs, "run_many", dies)
     with pytest.raises(FrictionHilError, match="was lost"):
-        identified(logs, tmp_path / "out")
+        converted(tmp_path / "out")
     monkeypatch.undo()
     with (tmp_path / "out" / "done.jsonl").open("a") as file:
         file.write('{"key": "cut o')
     seen = []
-    again = identified(logs, tmp_path / "out", progress=lambda name, share: seen.append((Path(name).name, share)))
+    again = converted(tmp_path / "out", progress=lambda name, share: seen.append((Path(name).name, share)))
     assert again.known == 2  # of three, one is damaged
     assert again.rows == whole.rows
     assert again.table.read_bytes() == whole.table.read_bytes()
     assert sorted(name for name, _ in seen) == ["damaged.parquet", "m2.parquet", "m3.parquet"]
     assert seen[-1][1] == 1.0
     (logs / "m1.parquet").unlink()
-    log(logs / "m1.parquet", 0.7)
+    log(logs / "m1.parquet", 0.7, time=LONG)
     shutil.copy(logs / "m0.parquet", logs / "damaged.parquet")
-    mended = identified(logs, tmp_path / "out")
+    mended = converted(tmp_path / "out")
     assert mended.known == 3
     assert not mended.failures
-    assert round(mended.rows[2]["friction.coulomb"], 2) == 0.7
-    assert identified(logs, tmp_path / "out", lowpass=40.0).known == 0, "with other options nothing is known"
+    assert mended.rows[2]["rows"] == LONG.size
+    assert converted(tmp_path / "out", to=".csv").known == 0, "with other options nothing is known"
 
 
 def test_recordings_are_converted_with_the_same_values(logs, tmp_path):
@@ -151,7 +163,6 @@ def test_recordings_in_an_object_store_give_the_table_of_those_on_a_disk(logs, t
         for path in logs.iterdir():
             store.put(str(path), f"fleet/logs/{path.name}")
         store.pipe("fleet/logs/m0.parquet.columns.yaml", b"columns: {torque: 'torque*2'}\n")
-        monkeypatch.setattr(runs, "run_many", lambda function, tasks, **_: enumerate(map(function, tasks)))
         here = identified(logs, tmp_path / "here")
         there = fh.fleet("identify", "s3://fleet/logs/m*.parquet", output=tmp_path / "there", models="coulomb")
         rest = [{**row, "source": Path(row["source"]).name} for row in there.rows[1:]]
