@@ -1,11 +1,14 @@
 """`identify_joints`: friction of all joints of a log, with or without the arm's own dynamics."""
 
 import math
+import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from friction_hil.api.arguments import (
     Progress,
@@ -17,6 +20,8 @@ from friction_hil.api.arguments import (
     shown_by,
 )
 from friction_hil.api.identification import Identified, identified_axis
+from friction_hil.checked_yaml.output import check_writable
+from friction_hil.config.new_own_loop import LoggedJoint, own_loop_configuration
 from friction_hil.dynamics import Arm, load
 from friction_hil.errors import FrictionHilError, UsageError, choices
 from friction_hil.friction import describe
@@ -44,12 +49,15 @@ class IdentifiedJoints:
         Result of each joint, by its name in the log.
     failures : dict of str
         Why there is none of the others.
+    names : tuple of str
+        All of them, in the order of the log.
     fit : ArmFit or None
         Friction of the joints and the refitted arm, ``fit.arm``, with standard errors; None without an arm.
     """
 
     joints: Mapping[str, Identified]
     failures: Mapping[str, str]
+    names: tuple[str, ...]
     fit: ArmFit | None = None
 
     @property
@@ -57,13 +65,16 @@ class IdentifiedJoints:
         """True if each joint has a model."""
         return not self.failures and all(each.is_usable for each in self.joints.values())
 
-    def save(self, path: str | Path) -> dict[str, Path]:
+    def save(self, path: str | Path, *, config: str | Path | None = None) -> dict[str, Path]:
         """Write the model file of each joint that has one, as ``--output`` does.
 
         Parameters
         ----------
         path : path
             Name with the suffix .yaml; that of the joint is put in, ``friction.yaml`` becomes ``friction_elbow.yaml``.
+        config : path, optional
+            Also write a configuration of all joints for `Compensator`, as ``--config`` does: its limits are 1.5 times
+            the largest friction and speed of the log.
 
         Returns
         -------
@@ -73,12 +84,38 @@ class IdentifiedJoints:
         Raises
         ------
         UsageError
-            The suffix is wrong, or a file cannot be written.
+            The suffix is wrong, a file cannot be written, or a joint of the configuration has no model.
         """
+        if config is not None:
+            check_configuration_path(Path(config))
+            if not self.is_usable:
+                lacking = [name for name, each in self.joints.items() if not each.is_usable] + list(self.failures)
+                raise UsageError(f"{config} would be of all joints, and there is no model of {', '.join(lacking)}")
         files = {name: of_joint(Path(path), name) for name, each in self.joints.items() if each.is_usable}
         for name, file in files.items():
             self.joints[name].save(file)
+        if config is not None:
+            Path(config).write_text(self._configuration(files, Path(config).parent), encoding="utf-8")
         return files
+
+    def _configuration(self, files: Mapping[str, Path], folder: Path) -> str:
+        joints: dict[str, LoggedJoint] = {}
+        for number, (name, file) in enumerate(files.items()):
+            each, known = self.joints[name], None if self.fit is None else self.fit.joints[number]
+            assert isinstance(each.found, Identification)
+            records, model = each.found.records, each.model
+            gravity = model.mechanics.gravity
+            own_load = abs(gravity.constant) + math.hypot(gravity.sine, gravity.cosine)
+            steps = [record.resolution for record in records if record.resolution is not None]
+            joints[_axis_name(name if known is None else known.name, joints)] = LoggedJoint(
+                model=Path(os.path.relpath(file, folder)),
+                is_linear=model.axis == "linear",
+                friction=model.friction_model,
+                resolution=max(steps, default=None),
+                speed=max(float(np.max(np.abs(record.velocity))) for record in records),
+                load=own_load if known is None else known.load_range[1],
+            )
+        return own_loop_configuration(joints)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the command prints with ``--json``.
@@ -214,6 +251,22 @@ def identify_joints(
     return _of_arm(fit, logs, apart, settings, show)
 
 
+def check_configuration_path(path: Path, option: str = "") -> None:
+    """Raise `UsageError` if a configuration cannot be written to a path, or there is one that somebody has edited."""
+    if path.suffix not in (".yaml", ".yml"):
+        raise UsageError(f"{option}{path}: a configuration ends in .yaml")
+    check_writable(path, option)
+    if path.exists():
+        raise UsageError(f"{option}{path} exists already; it is not replaced: move it, or give another name")
+
+
+def _axis_name(name: str, taken: Collection[str]) -> str:
+    """Return a name of an axis: small letters, digits and _, the first a letter."""
+    safe = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    safe = safe if safe[:1].isalpha() else f"joint_{safe}"
+    return safe if safe not in taken else f"{safe}_{len(taken)}"
+
+
 def of_joint(path: Path, joint: str) -> Path:
     """Return the name of a joint's file."""
     safe = re.sub(r"[^\w.-]+", "_", joint).strip("_")
@@ -276,6 +329,8 @@ def _expanded(path: str, given: Mapping[str, str], columns: Sequence[str]) -> di
         if pattern.count("{}") > 1 or ("{}" in pattern and not numbers):
             raise UsageError(f"{option} {pattern!r}: one {{}} stands for the number or name of a joint of --joints")
         if "{}" in pattern:
+            if "{}" in _SOURCE.split(pattern)[0] and not _numbers(pattern, columns):
+                raise UsageError(f"{path}: no column fits {option} {pattern!r}; {choices(pattern, columns)}")
             found[name] = [pattern.replace("{}", each) for each in numbers]
         else:
             found[name] = [each.strip() for each in pattern.split(",")]
@@ -288,7 +343,9 @@ def _expanded(path: str, given: Mapping[str, str], columns: Sequence[str]) -> di
 
 def _numbers(pattern: str, columns: Iterable[str]) -> list[str]:
     """Return what stands for {} in the columns that fit, numbers in their order."""
-    before, after = _SOURCE.split(pattern)[0].split("{}")
+    before, mark, after = _SOURCE.split(pattern)[0].partition("{}")
+    if not mark:
+        raise UsageError(f"{pattern!r}: the column with {{}} comes first, its factors behind it, as in 'q{{}}*pi/180'")
     fits = re.compile(re.escape(before) + r"(\w+)" + re.escape(after))
     found = [match[1] for match in map(fits.fullmatch, columns) if match is not None]
     if any(each.isdigit() for each in found):  # q1 to q6 and qfoo: the numbers are meant
@@ -325,7 +382,7 @@ def _as_own_axes(
             joints[name] = identified_axis(ours, theirs, settings, _of(name, show), beside, {})
         except FrictionHilError as error:  # of one joint, which costs the others nothing
             failures[name] = str(error)
-    return IdentifiedJoints(joints, failures)
+    return IdentifiedJoints(joints, failures, tuple(logs[0]))
 
 
 def _of_arm(
@@ -368,7 +425,7 @@ def _of_arm(
             )
         except FrictionHilError as error:
             failures[name] = str(error)
-    return IdentifiedJoints(joints, failures, fit)
+    return IdentifiedJoints(joints, failures, tuple(logs[0]), fit)
 
 
 def _of(name: str, show: ShowStep) -> ShowStep:

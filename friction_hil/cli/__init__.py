@@ -38,7 +38,7 @@ COMMANDS = {
     "replay": "Compare recordings with friction models, or verify them.",
     "identify": "Identify friction model and mechanics from recordings.",
     "health": "Show what has changed in the friction of axes over months.",
-    "fleet": "Identify, judge, verify or convert the recordings of many machines.",
+    "fleet": "Identify, judge or verify the recordings of many machines.",
     "tune": "Identify friction on the machine, and test the compensation.",
     "train": "Train a network on the friction of recordings or of a model.",
     "convert": "Convert a recording, or describe its content.",

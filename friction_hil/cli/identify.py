@@ -26,7 +26,7 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
     return values
 
 
-_OF_JOINTS = ("joints", "torque", "velocity", "arm", "arm_joints", "signs")
+_OF_JOINTS = ("joints", "torque", "velocity", "arm", "arm_joints", "signs", "config")
 
 
 @click.command("identify")
@@ -123,6 +123,13 @@ _OF_JOINTS = ("joints", "torque", "velocity", "arm", "arm_joints", "signs")
 )
 @click.option(
     "--signs", metavar="SIGNS", help="1 or -1 for each joint: -1 where the log counts against the file, e.g. 1,-1,1."
+)
+@click.option(
+    "--config",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="With --joints and --output: also write a configuration of these joints for fh.Compensator, with limits from "
+    "the log.",
 )
 @click.option(
     "--lowpass",

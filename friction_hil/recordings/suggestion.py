@@ -1,7 +1,7 @@
 """A suggestion how columns of another program become friction_hil's, by their names and units. Pure."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -45,6 +45,23 @@ class Suggestion:
         """Options of the command line."""
         rate = [] if self.rate_hz is None else ["--rate", f"{self.rate_hz:.10g}"]
         return [*rate, *(word for name, source in self.columns.items() for word in ("--column", f"{name}={source}"))]
+
+
+def joint_options(columns: Mapping[str, str], names: Collection[str]) -> list[str]:
+    """Return the options that read all joints of a wide log, if there is a numbered position and torque of each.
+
+    ``columns`` are sources by friction_hil's names, as of a `Suggestion`; ``names`` are the columns of the file.
+    """
+    found: list[list[str]] = []  # numbers of the joints that have each quantity
+    options = [word for name, source in columns.items() if name == TIME for word in ("--column", f"{name}={source}")]
+    for option, name in (("--joints", "position"), ("--torque", "torque")):
+        source = re.match(r"(\w*?)(\d+)(?=([*/].*)?$)", columns.get(name, ""))
+        if source is None:
+            return []
+        fits = (re.fullmatch(re.escape(source[1]) + r"(\d+)", each) for each in names)
+        found.append(sorted(each[1] for each in fits if each is not None))
+        options += [option, f"{source[1]}{{}}{source[3] or ''}"]
+    return options if found[0] == found[1] and len(found[0]) > 1 else []
 
 
 def suggest(recording: Recording) -> Suggestion:

@@ -23,7 +23,7 @@ from friction_hil.recordings.parts import only_recording
 from friction_hil.recordings.quality import resolution, time_facts, without_overflow
 from friction_hil.recordings.recording import CHANGE, Array, rename
 from friction_hil.recordings.source import new_file
-from friction_hil.recordings.suggestion import Suggestion, suggest, unit_of
+from friction_hil.recordings.suggestion import Suggestion, joint_options, suggest, unit_of
 
 if TYPE_CHECKING:
     from friction_hil.recordings.columns import AxisKind
@@ -139,6 +139,9 @@ def _print_info(source: Path, found: dict[str, Recording], options: dict[str, An
             say(note)
         if facts["suggestion"]["command"]:
             say(f"next: {facts['suggestion']['command']}", stderr=False)
+    if len(axes) > 1:
+        command = f"friction-hil identify {shlex.quote(str(source))} --joints all"
+        say(f"all axes at once: {command}, those of an arm with --urdf FILE", stderr=False)
 
 
 def _facts(source: Path, recording: Recording, options: dict[str, Any], is_one_of_several: bool) -> dict[str, Any]:
@@ -200,7 +203,8 @@ def _command(
     names = {*recording.columns, *recording.others, *found.columns}
     if {"velocity", "torque"} <= names and not {TIME, "position"} & names and found.rate_hz is None:
         words.append("--static")  # points of a map have no time
-    return shlex.join([*words, *found.options])
+    joints = [] if is_one_of_several or found.rate_hz is not None else joint_options(found.columns, names)
+    return shlex.join([*words, *(joints or found.options)])
 
 
 def _column_facts(recording: Recording) -> dict[str, dict[str, Any]]:

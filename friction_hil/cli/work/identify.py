@@ -74,13 +74,21 @@ def identify_axis(
     return int(not found.is_usable)
 
 
-def print_result(found: Identified, written: Path | None, report: Path | None, *, verbose: bool) -> None:
-    """Print the summary of an axis; with ``verbose`` all candidates before it."""
+def print_result(
+    found: Identified, written: Path | None, report: Path | None, *, verbose: bool, is_last: bool = True
+) -> None:
+    """Print the summary of an axis; with ``verbose`` all candidates before it, with ``is_last`` what to do next."""
     result, free = found.found, found.facts["free_run"]
     assert isinstance(result, Identification)
     if verbose:
         _print_details(result, free, found.findings, found.mechanics)
-    _print_summary(result, found.findings, found.mechanics, written, report)
+    _print_summary(result, found.findings, found.mechanics)
+    if is_last:
+        print_files({"model file": written, "report": report})
+        if written is not None:
+            say(f"next: friction-hil replay ANOTHER_RECORDING --model {written}", stderr=False)
+        elif found.is_usable:
+            say("next: the same with --output MODEL.yaml, which writes the model file", stderr=False)
     if free["relative_error"] is not None:
         click.echo(f"Closed-loop simulation: relative_error of the torque {100.0 * free['relative_error']:.2f} %.")
 
@@ -89,12 +97,10 @@ def _print_summary(
     result: Identification,
     findings: Sequence[Finding],
     mechanics: Mechanics | None,
-    written: Path | None,
-    report: Path | None,
 ) -> None:
-    """Print what was found, what it is worth, what is uncertain and what to do next: ten lines at most."""
+    """Print what was found, what it is worth and what is uncertain: ten lines at most, with what to do next."""
     problems = list(dict.fromkeys(each for record in result.records for each in record.problems))
-    for problem in _first(problems):
+    for problem in first(problems):
         say(problem)
     best = result.best
     texts = [each.text for each in sorted(findings, key=lambda each: not each.is_fatal)]
@@ -107,27 +113,22 @@ def _print_summary(
         errors = best.inference.standard_errors
         named = (f"{name} {_with_error(value, errors.get(name))}" for name, value in best.values.items())
         say(f"parameters (standard error): {', '.join(named)}", stderr=False)
-    for text in _first([f"! {_capital(each)}." for each in texts] + [f"- {each}" for each in best.flags]):
+    for text in first([f"! {_capital(each)}." for each in texts] + [f"- {each}" for each in best.flags]):
         say(text, stderr=False)
     if mechanics is not None:
         known = [f"{each.label} {brief(each.value, 4)} {each.unit}" for each in mechanics.quantities if each.value]
         unknown = [line.partition(":")[0] for line in mechanics.missing]
         more = f"; not determined: {', '.join(unknown)} (-v names the motion that shows each)" if unknown else ""
         say(f"mechanics: {', '.join(known) or 'nothing behind the motor'}{more}", stderr=False)
-        for text in _first([f"! {_capital(flag)}." for flag in mechanics.flags]):
+        for text in first([f"! {_capital(flag)}." for flag in mechanics.flags]):
             say(text, stderr=False)
-    print_files({"model file": written, "report": report})
-    if written is not None:
-        say(f"next: friction-hil replay ANOTHER_RECORDING --model {written}", stderr=False)
-    elif not any(each.is_fatal for each in findings):
-        say("next: the same with --output MODEL.yaml, which writes the model file", stderr=False)
 
 
-def _first(texts: Sequence[str]) -> list[str]:
+def first(texts: Sequence[str], count: int = _REMARKS) -> list[str]:
     """Return the first few texts, and how many more there are."""
-    if len(texts) <= _REMARKS + 1:
+    if len(texts) <= count + 1:
         return list(texts)
-    return [*texts[:_REMARKS], f"- {len(texts) - _REMARKS} more remarks: -v"]
+    return [*texts[:count], f"- {len(texts) - count} more remarks: -v"]
 
 
 def _capital(text: str) -> str:

@@ -158,6 +158,25 @@ def test_identify_writes_a_model_file_of_each_joint_of_an_arm(folder, capsys):
         fh.models.load(folder / f"friction_q{k}.yaml")
 
 
+def test_a_log_gives_the_configuration_of_a_loop(folder, log, capsys):
+    """From the log to `fh.Compensator` nothing is edited; the output is short and says what comes next."""
+    words = ["identify", "log.csv", "--joints", "q{}", "--torque", "tau{}", "--urdf", "arm.urdf", "--models", "coulomb"]
+    (folder / "loops").mkdir()
+    assert main([*words, "--output", "friction.yaml", "--config", "loops/arm.yaml"]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert len(told) <= N + 8
+    assert "loops/arm.yaml" in told[-1]
+    assert main(["config", "check", "loops/arm.yaml"]) == 0
+    axes = yaml.safe_load((folder / "loops/arm.yaml").read_text())["axes"]
+    for k, axis in enumerate(axes.values()):
+        assert axis["limits"]["velocity"] == pytest.approx(1.5 * np.abs(log.velocity[:, k]).max(), rel=0.15)
+        assert simulated.COULOMB[k] < axis["limits"]["torque"] < 3.0 * np.abs(log.torque[:, k]).max()
+    comp = fh.Compensator.load("loops/arm.yaml", period_s=0.004)
+    assert comp.joints == simulated.NAMES
+    assert main([*words, "--output", "friction.yaml", "--config", "loops/arm.yaml"]) == 2, "it may have been edited"
+    assert "exists already" in capsys.readouterr().err
+
+
 def test_names_and_signs_of_the_arm_s_joints_are_those_of_the_log(folder, capsys):
     """The first two joints of an arm, the others held, in a log that counts one of them the other way."""
     held = simulated.record(seed=4, duration_s=20.0, still=(2, 3, 4, 5))
@@ -251,8 +270,12 @@ def test_identify_reads_all_joints_of_a_wide_log_and_says_that_they_are_coupled(
     [
         (["--joints", "q{}"], "needs --torque"),
         (["--torque", "tau{}"], "needs --joints"),
+        (["--config", "arm.yaml"], "needs --joints"),
         (["--joints", "p{}", "--torque", "tau{}"], "no column fits"),
-        (["--joints", "q{}", "--torque", "torque{}"], "torque0"),
+        (["--joints", "q{}", "--torque", "torque{}"], "no column fits --torque"),
+        (["--joints", "pi/180*q{}", "--torque", "tau{}"], "'q{}*pi/180'"),
+        (["--joints", "q{}", "--torque", "tau{}", "--config", "arm.yaml"], "needs --output"),
+        (["--joints", "q{}", "--torque", "tau{}", "--output", "f.yaml", "--config", "no/arm.yaml"], "no folder"),
         (["--joints", "q{}", "--torque", "tau1,tau2"], "6 columns, --torque 2"),
         (["--joints", "q{}", "--torque", "tau{}", "--axis", "q"], "--axis"),
         (["--joints", "q{}", "--torque", "tau{}", "--column", "position=q1"], "--column position"),

@@ -15,6 +15,7 @@ from friction_hil.recordings import Recording
 from friction_hil.recordings.contradictions import contradictions, turned_torque, unsigned_register
 from friction_hil.recordings.dates import seconds
 from friction_hil.recordings.quality import resolution
+from friction_hil.recordings.suggestion import joint_options
 from friction_hil.recordings.units import conversion, unit_in
 
 TIME = np.arange(400) * 0.005
@@ -279,3 +280,13 @@ def test_an_axis_that_stands_still_contradicts_nothing(size: float) -> None:
     position, velocity = size * np.random.default_rng(2).normal(size=(2, 400))
     columns = {"time_s": TIME, "position": position, "velocity": velocity}
     assert contradictions(Recording("x", "x", columns)) == []
+
+
+def test_the_joints_of_a_wide_log_are_read_at_once():
+    names = ["time", "q1", "q2", "q10", "dq1", "dq2", "dq10", "tau1", "tau2", "tau10", "temperature"]
+    found = {"time_s": "time*0.001", "position": "q1*pi/180", "velocity": "dq1", "torque": "tau1"}
+    words = joint_options(found, names)
+    assert words == ["--column", "time_s=time*0.001", "--joints", "q{}*pi/180", "--torque", "tau{}"]
+    for other in (names[:-2], ["time", "q1", "dq1", "tau1"]):  # a joint without torque, a single joint
+        assert joint_options(found, other) == []
+    assert joint_options({**found, "position": "angle"}, names) == []
