@@ -70,6 +70,7 @@ class CommandWriter:
         "_fade",
         "_integral",
         "_is_held_by_loop",
+        "_keeps_setpoint",
         "_lead_s",
         "_limits",
         "_mode",
@@ -103,6 +104,7 @@ class CommandWriter:
         self._fade = Fade(period_s)  # from the feed-forward before the last change
         self._controller, self._integral = make_controller(config), 0.0
         self._is_held_by_loop = False  # the loop's own controller (cst) has carried the axis up to now
+        self._keeps_setpoint = False  # the drive (csp) is at the last set-point of a motion, until it has no power
         self._error_left = 0.0  # following error with which it came to rest
         self._torque = LimitedOutput(limits.torque, limits.torque_slew * period_s)
         self._velocity_offset: LimitedOutput | None = None
@@ -165,6 +167,8 @@ class CommandWriter:
             command.torque = self._torque.next(compensation + static)
             if now is not None:
                 self._write_setpoint(command, time_s, position, now)
+                if self._mode is Mode.CSP:
+                    self._keeps_setpoint, self.held_position = True, command.position
 
     def _hold(
         self,
@@ -186,8 +190,11 @@ class CommandWriter:
         else:  # where it stood last: no motion towards the set-point any more, and no step of torque
             self._integral += self._controller[0]["position_gain"] * self._error_left
             self._error_left = 0.0
-        # While it waits for the others, an enabled axis is held at one position: following itself, it would sink.
+        # While it waits for the others, an enabled axis is held at one position: following itself, it would sink. After
+        # a motion it keeps its set-point: the drive's feed-forward of a set-point that follows it would drive it away.
+        self._keeps_setpoint = self._keeps_setpoint and state is LoopState.DISABLING and is_enabled
         is_kept = is_waiting or (is_enabled and state is LoopState.ENABLING and self._mode is Mode.CSP)
+        is_kept = is_kept or self._keeps_setpoint
         if not (is_kept or self._is_held_by_loop):
             self.held_position = position
         command.position = self.held_position
@@ -216,7 +223,9 @@ class CommandWriter:
         if self._shift is None:
             command.velocity_offset = offset
         elif state in MOVING:
-            command.position += self._shift.next(offset)
+            path = command.position  # which is within the limits, by a margin
+            low, high = min(self._limits.position_low, path), max(self._limits.position_high, path)
+            command.position = self.held_position = min(max(path + self._shift.next(offset), low), high)
         else:  # held where it is, or stopped by the drive itself
             self._shift.clear()
 

@@ -13,6 +13,7 @@ from friction_hil.compensator.velocity_offset import SetpointShift, VelocityOffs
 from friction_hil.config import Configuration
 from friction_hil.daemon.assembly import make_velocity_offset
 from friction_hil.daemon.axis import AxisLoop
+from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import ConfigurationError, OptionError, UsageError
 from friction_hil.motion.trajectory import PathTime, sine_path
@@ -180,6 +181,26 @@ def test_the_loop_of_the_daemon_shifts_the_set_point_and_ends_without_a_shift():
     assert offset[-1] == pytest.approx(0.0, abs=1e-3)
     with_, without = (np.array(rows.column("x", name)) for name in ("position", "position_demand"))
     assert np.sqrt(np.mean((with_ - without)[1500:2500] ** 2)) < 1e-3
+
+
+@pytest.mark.parametrize("shift", [None, {"position_gain": 50.0, "inertia": 2e-4}], ids=["offset", "shift"])
+def test_at_the_end_of_a_motion_no_set_point_jumps_while_the_drive_still_has_power(shift):
+    servo = ServoConfig(loops=Loops(position_gain=50.0, velocity_gain=GAIN, integral_hz=HZ))
+    result, rows, drives = run(by_velocity(shift=shift), servo=servo, duration_s=1.1, power_off_cycles=20)
+    assert result.faults == []
+    ending = np.array(rows.column("x", "state")) == LoopState.DISABLING
+    sent = np.array([position for _, position, _ in drives.sent[0]])
+    begin = np.flatnonzero(ending)[0]
+    assert np.abs(np.diff(sent[begin - 5 : begin + 15])).max() < 1e-6
+    assert np.ptp(np.array(rows.column("x", "position"))[begin : begin + 20]) < 1e-3
+
+
+def test_a_shifted_set_point_does_not_leave_the_position_limits():
+    limits = axis_dict()["limits"] | {"position": [-0.3062, 0.3062]}
+    shift = {"position_gain": 2.0, "velocity_feedforward": 0.0}
+    _, _, drives = run(by_velocity(shift=shift, limits=limits), duration_s=1.6)
+    sent = np.array([position for _, position, _ in drives.sent[0]])
+    assert (sent.min(), sent.max()) == (-0.3062, 0.3062)
 
 
 @pytest.mark.parametrize("mode", ["csp", "csv"])

@@ -181,6 +181,17 @@ def test_an_axis_that_never_moved_or_waited_for_the_others_is_not_held_while_it_
     assert waited.write(DISABLING, position=0.2).position == 0.2
 
 
+def test_in_csp_the_last_set_point_of_a_motion_stays_until_the_drive_has_no_power():
+    axis = Axis("csp", sent=at(0.3))
+    assert axis.write(RUNNING, now=at(0.3), position=0.299).position == 0.3
+    assert [axis.write(DISABLING, position=0.299 - 1e-3 * k).position for k in range(3)] == [0.3] * 3
+    assert axis.write(DISABLING, OFF, position=0.2).position == 0.2
+    assert axis.write(DISABLING, position=0.1).position == 0.1, "once over, it stays over"
+    axis.write(RUNNING, now=at(0.3), position=0.299)
+    axis.write(FAULT_STOPPING, position=0.25)
+    assert axis.write(DISABLING, position=0.25).position == 0.25, "a fault ends it"
+
+
 def torque_of(error=0.0, speed=0.0):
     return GAINS["velocity_gain"] * (GAINS["position_gain"] * error + speed)
 
