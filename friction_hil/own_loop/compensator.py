@@ -4,8 +4,9 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,7 @@ from friction_hil.errors import UsageError, internal_error
 from friction_hil.numerics.jit import Array, ready
 from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.own_loop import kernel
-from friction_hil.own_loop.faults import as_array, check_first, fault_of
+from friction_hil.own_loop.faults import as_array, as_seconds, check_first, fault_of
 from friction_hil.own_loop.joints import adopt, make_joints, remarks
 from friction_hil.own_loop.kernel import DQ, GIVEN, TAU, WRONG_SHAPE
 from friction_hil.own_loop.memory import Memory
@@ -87,15 +88,15 @@ class Compensator:
         made = self._joints = make_joints(configuration, joints)
         n, self._period_s, self._clock = len(made.names), configuration.period_s, clock
         self._nothing, self._all, self._out = np.full(n, math.nan), np.ones(n, np.bool_), np.zeros(n)
+        self._blind = [*[self._nothing] * (len(GIVEN) - 1), ~self._all]  # neither feedback nor demand
         self._memory = Memory(made, record_s)
-        self._is_first, self._is_plain, self._is_busy, self._last_ns = True, False, False, 0
+        self._is_first, self._is_plain, self._is_busy, self._is_period_told = True, False, False, False
         self._fault: str | None = None
-        self._missed = self._calls = self._invalid = 0
+        self._missed = self._calls = self._invalid = self._last_ns = 0
         self._elapsed_s = 0.0  # of calls without a missed period, for their mean
         self._looks = self._countdown = max(round(_LOOK_S / self._period_s), 1)
         self._notices: deque[str] = deque(maxlen=_MOST_NOTICES)
         self._told: set[str] = set()
-        self._is_period_told = False
         units = [POSITION_UNITS[configuration.axes[name].model.axis] for name in made.names]
         named = zip(made.names, units, made.compensators, strict=True)
         self._tellers = [AxisNotices(name, unit, _LOOK_S, one) for name, unit, one in named]
@@ -108,6 +109,10 @@ class Compensator:
         self._compile()
         for text in remarks(made.configuration):
             self._tell(text)
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse a copy, which would share its state with this one, or a part of it."""
+        raise TypeError("a Compensator cannot be copied or pickled: load another one")
 
     @classmethod
     def load(
@@ -186,8 +191,7 @@ class Compensator:
         fresh : array_like of bool, optional
             False for a joint whose values are not of this cycle; by default all are.
         dt : float, optional
-            Time since the last call, s; by default it is measured. The compensator counts in whole periods; one that is
-            not above zero counts as a period.
+            Time since the last call, s, in whole periods; by default measured. Not above zero, it counts as a period.
 
         Returns
         -------
@@ -203,12 +207,13 @@ class Compensator:
         if self._is_busy:  # by another thread: its cycle counts
             self._stop("step was called by two threads at once: it belongs to one")
             return self._out
-        self._is_busy = True
+        self._is_busy, fault = True, WRONG_SHAPE
         try:
+            if self._fault is not None:  # whatever another thread's `fade_in` did in the same moment
+                self._joints.loop["is_on"] = 0.0
             passed = self._passed(dt)
             if self._pending:
                 self._adopt()
-            fault = WRONG_SHAPE
             if self._is_plain:
                 nothing = self._nothing
                 try:
@@ -240,8 +245,11 @@ class Compensator:
         except Exception as error:  # whatever it is, the user's loop must go on
             if self._is_first:
                 raise
-            self._out.fill(0.0)
             self._stop(f"the computation failed: {internal_error(error)}", FaultCode.COMPUTATION_FAILED)
+            if fault < 0:  # a cycle without feedback and demand: the output fades, and makes no step
+                self._out.fill(0.0)
+                with suppress(Exception):
+                    self._kernel(*self._arrays, 1.0, 0.0, 0.0, *self._blind)
         finally:
             self._is_busy = False
         return self._out
@@ -387,9 +395,8 @@ class Compensator:
             raise UsageError(f"{path}: a recording of the compensator is an MCAP file: take the suffix .mcap")
         written, dropped = self._memory.save(path, overwrite=overwrite)
         if dropped:
-            self._tell(
-                f"{path} has the last {written * self._period_s:.4g} s; the {dropped} cycles before were dropped"
-            )
+            seconds = f"{written * self._period_s:.4g} s"
+            self._tell(f"{path} has the last {seconds}; the {dropped} cycles before were dropped")
         return path
 
     def _tell(self, text: str) -> None:
@@ -434,7 +441,7 @@ class Compensator:
             if self._is_first:
                 raise
             self._stop(str(error) if isinstance(error, UsageError) else internal_error(error))
-            arrays = [self._nothing] * (len(GIVEN) - 1) + [~self._all]
+            arrays = self._blind
         return [float(given[DQ] is not None), float(given[TAU] is not None), *arrays]
 
     def _passed(self, dt: Any) -> float:
@@ -446,13 +453,9 @@ class Compensator:
                 return 1.0
             elapsed_s = (now - last) * 1e-9
         else:
-            try:
-                elapsed_s = float(dt)
-            except (TypeError, ValueError):
-                elapsed_s = math.nan
+            elapsed_s = as_seconds(dt)
             if not 0.0 < elapsed_s < math.inf:
-                self._invalid += 1
-                elapsed_s = self._period_s
+                self._invalid, elapsed_s = self._invalid + 1, self._period_s
         ratio = elapsed_s / self._period_s + 0.5
         if ratio < 2.0:
             self._calls += 1
@@ -463,13 +466,12 @@ class Compensator:
         return float(passed)
 
     def _adopt(self) -> None:
-        """Take what `set` has prepared."""
-        while self._pending:
-            number, changes = self._pending.popleft()
-            adopt(self._joints, number, changes)
-            for k, change in enumerate(changes):
-                if change is not None and change.friction is not None:
-                    self._tellers[k].renew(self._joints.compensators[k])
+        """Take what `set` has prepared, one change a cycle: a recorded row has the number of one."""
+        number, changes = self._pending.popleft()
+        adopt(self._joints, number, changes)
+        for k, change in enumerate(changes):
+            if change is not None and change.friction is not None:
+                self._tellers[k].renew(self._joints.compensators[k])
 
     def _look(self) -> None:
         """Give what notices there are; every quarter of a second."""

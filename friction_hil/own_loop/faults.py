@@ -1,5 +1,6 @@
 """What is said of a fault that the kernel has found, and of arrays that it cannot take."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -53,7 +54,12 @@ def as_array(name: str, value: Any, joints: Sequence[str]) -> NDArray[Any]:
     """Return one of `kernel.GIVEN` as the kernel takes it, (n,); a `UsageError`: it is not that."""
     kind, shape = np.bool_ if name == "fresh" else np.float64, (len(joints),)
     try:
-        array: NDArray[Any] = np.require(value, kind, ["C", "W"]) if np.ndim(value) else np.asarray(value, kind)
+        found = np.asarray(value)
+        if found.dtype.kind not in "biufO":  # text is true, whatever it says, and half of a complex number is none
+            raise TypeError(f"{found.dtype} is another type")
+        if name == "fresh":
+            found = found > 0  # NaN is not fresh
+        array: NDArray[Any] = np.require(found, kind, ["C", "W"]) if found.ndim else np.asarray(found, kind)
     except (TypeError, ValueError) as error:
         text = f"{name} must be {len(joints)} numbers, one for each of {', '.join(joints)}"
         raise UsageError(f"{text}: {error}") from None
@@ -63,6 +69,14 @@ def as_array(name: str, value: Any, joints: Sequence[str]) -> NDArray[Any]:
         text = f"it must be {shape}, a number for each of {', '.join(joints)}"
         raise UsageError(f"{name} has the shape {array.shape}: {text}")
     return array
+
+
+def as_seconds(value: Any) -> float:
+    """Return a time as a number, NaN for what is none."""
+    try:
+        return float(value)
+    except Exception:  # noqa: BLE001 - whatever its type raises, it is no time
+        return math.nan
 
 
 def check_first(joints: Joints, given: Sequence[Any]) -> None:

@@ -1,5 +1,6 @@
 """The recording of a loop in memory: of the last cycles, made into the daemon's own file when it is asked for."""
 
+import itertools
 import json
 import math
 import time
@@ -48,6 +49,7 @@ class Memory:
         self.states: Array = np.full((places, n, _WIDTH), math.nan)
         joints.loop["rows_between_states"] = every
         self._events: deque[tuple[float, str, str]] = deque(maxlen=_MOST_EVENTS)
+        self._changes: list[tuple[float, float, dict[str, Any]]] = []  # rows before it, cycle, entry
         self._started_ns = 0
 
     def begin(self) -> None:
@@ -55,12 +57,20 @@ class Memory:
         self._started_ns = time.time_ns()
 
     def note(self, name: str, text: str) -> None:
-        """Keep an event of the present cycle: ``fault``, ``notice`` or a change of settings."""
+        """Keep an event of the present cycle: ``fault`` or ``notice``."""
         self._events.append((self._joints.loop["cycle"].item(), name, text))
 
     def note_change(self, entry: dict[str, Any]) -> None:
-        """Keep the settings after a change, as a replay needs them."""
-        self.note(CHANGE, json.dumps(entry))
+        """Keep the settings after a change as long as a row in memory was computed with them, or with its model."""
+        rows, cycle = self._joints.loop["rows"].item(), self._joints.loop["cycle"].item()
+        changes = [*self._changes, (rows, cycle, entry)]
+        oldest = rows - len(self.rows) - self._every
+        is_used = [after[0] >= oldest for after in changes[1:]] + [True]
+        used = itertools.compress(changes, is_used)
+        models = {axis["model_of"] for _, _, each in used for axis in each["axes"].values()}
+        self._changes = [
+            each for each, is_kept in zip(changes, is_used, strict=True) if is_kept or each[2]["number"] in models
+        ]
 
     def save(self, path: Path, *, overwrite: bool) -> tuple[int, int]:
         """Write what is in memory; return the rows written and those before them that were dropped."""
@@ -68,7 +78,7 @@ class Memory:
         if not capacity:
             raise UsageError("nothing was recorded: record_s is 0")
         end = round(self._joints.loop["rows"].item())
-        kept, states, events = self.rows.copy(), self.states.copy(), list(self._events)
+        kept, states, events, changes = self.rows.copy(), self.states.copy(), list(self._events), self._changes
         now = round(self._joints.loop["rows"].item())  # the loop may be another thread's
         first = max(0, -(-(now + 1 - capacity) // every) * every)
         if end <= first:
@@ -84,17 +94,15 @@ class Memory:
                 overwrite=True,
             )
             try:
-                for event in events:
-                    if event[1] == CHANGE:  # rows from before it are computed with what it has of the start
-                        writer.write_event(*event)
+                for _, cycle, entry in changes:  # rows from before it are computed with what it has of the start
+                    writer.write_event(cycle, CHANGE, json.dumps(entry))
                 for begin in range(first, end, _ROWS_AT_ONCE):
                     numbers = np.arange(begin, min(begin + _ROWS_AT_ONCE, end))
                     has_state = numbers % every == 0
                     known = states[numbers // every % len(states)]
                     writer.write(self._table(kept[numbers % capacity], known), has_state)
                 for event in events:
-                    if event[1] != CHANGE:
-                        writer.write_event(*event)
+                    writer.write_event(*event)
             finally:
                 writer.close()
         return end - first, first
