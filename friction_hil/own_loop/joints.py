@@ -75,7 +75,8 @@ def _chosen(configuration: Configuration, names: Sequence[str] | None) -> tuple[
     chosen = tuple(names)
     for name in chosen:
         if name not in configuration.axes:
-            raise UsageError(f"joints: the configuration has no axis {name!r}; {choices(name, configuration.axes)}")
+            near = choices(str(name), configuration.axes)
+            raise UsageError(f"joints: the configuration has no axis {name!r}; {near}")
     if isinstance(names, str) or not chosen or len(set(chosen)) < len(chosen):
         raise UsageError(f"joints = {names!r} must be different names, in the order of the loop's arrays")
     return chosen

@@ -424,7 +424,7 @@ def test_a_file_needs_no_period_where_the_loop_gives_it(path):
     assert (one.joints, one.period_s, one.notices) == (("elbow", "shoulder"), 0.004, [])
     with pytest.raises(UsageError, match=r"arm\.yaml has no period_s"):
         fh.Compensator.load(path)
-    for wrong in ("elbow", ["elbow", "wrist"], ["elbow", "elbow"], []):
+    for wrong in ("elbow", [1], ["elbow", "wrist"], ["elbow", "elbow"], []):
         with pytest.raises(UsageError, match="joints"):
             fh.Compensator.load(path, period_s=0.004, joints=wrong)
     path.write_text(dump({**FILE, "period_s": 0.002}))
