@@ -164,8 +164,8 @@ def _configuration(
     lacks_period = is_own_loop(value) and "period_s" not in value
     if lacks_period:
         value = {**value, "period_s": NOMINAL_PERIOD_S if period_s is None else period_s}
-    elif period_s is not None and isinstance(value, dict) and value.get("period_s") != period_s:
-        text = f"is {value.get('period_s')}, but the program gives {period_s:g} as the period of its loop: remove one"
+    elif period_s is not None and isinstance(value, dict) and value.get("period_s", period_s) != period_s:
+        text = f"is {value['period_s']}, but the program gives {period_s:g} as the period of its loop: remove one"
         problems.append(origins.locate(("period_s",), text))
     configuration = validated(Configuration, value, origins, problems)
     configuration._lacks_period = lacks_period and period_s is None

@@ -452,3 +452,10 @@ def test_what_only_the_daemon_does_and_other_units_are_told():
     said = loop(axis(model=model, shadows=[{"name": "other", "model": model}])).notices
     assert said[0].startswith("j0: its model is of a linear axis: positions in m")
     assert "shadows" in said[1]
+
+
+def test_a_model_file_in_place_of_a_configuration_is_told_nothing_of_a_period(tmp_path):
+    (tmp_path / "elbow.yaml").write_text(dump({"version": 1, "axis": "rotary", "friction": STRIBECK}))
+    with pytest.raises(ConfigurationError, match="axis") as told:
+        fh.Compensator.load(tmp_path / "elbow.yaml", period_s=PERIOD_S)
+    assert "the program gives" not in str(told.value)
