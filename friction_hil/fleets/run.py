@@ -4,10 +4,11 @@ import hashlib
 import importlib
 import inspect
 import json
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from friction_hil import __version__, recordings
@@ -168,7 +169,7 @@ def _machines(sources: Sequence[str]) -> dict[str, list[str]]:
     """Return recordings by their folder."""
     found: dict[str, list[str]] = {}
     for source in sources:
-        found.setdefault(source.rpartition("/")[0], []).append(source)
+        found.setdefault(os.path.dirname(source), []).append(source)
     return found
 
 
@@ -225,7 +226,7 @@ def _write_files(folder: Path, task: Task, answer: Answer) -> None:
     """Write the files of an answer below ``files``, under a name that no other recording has."""
     if not answer.files:
         return
-    stem = PurePosixPath(task.name).name
+    stem = os.path.basename(task.name)
     mark = hashlib.sha256(task.name.encode()).hexdigest()[:8]
     target = folder / "files" / f"{re.sub(r'[^A-Za-z0-9._-]', '_', stem)}-{mark}"
     try:

@@ -31,7 +31,7 @@ EXTRAS = {
     "report": {"matplotlib"},
     "formats": {"pyarrow", "h5py", "asammdf"},
     "onnx": {"onnx"},
-    "cluster": {"distributed"},
+    "cluster": {"distributed", "fsspec"},
     "dynamixel": {"dynamixel-sdk"},
     "dashboard": {"starlette", "uvicorn", "prometheus-client"},
     "live": {"foxglove-sdk"},

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from friction_hil.cli import COMMANDS, NEED_LINUX, main
-from friction_hil.replay import batch
+from friction_hil.parallel import pool
 from tests.integration.test_readme_commands import ON_THE_RECORDING, WITHOUT_DRIVES
 from tests.processes import run, simulated_drives, write_configuration
 from tests.readme_commands import ROOT
@@ -95,8 +95,8 @@ def test_doctor_elsewhere_checks_the_configuration_and_no_hardware(tmp_path, mon
 
 
 def test_processors_are_counted_where_the_system_does_not_say_which_are_ours(monkeypatch):
-    monkeypatch.delattr(batch.os, "sched_getaffinity")
-    monkeypatch.setattr(batch.os, "cpu_count", lambda: 3)
-    assert batch.processors() == 3
-    monkeypatch.setattr(batch.os, "cpu_count", lambda: None)
-    assert batch.processors() == 1
+    monkeypatch.delattr(pool.os, "sched_getaffinity")
+    monkeypatch.setattr(pool.os, "cpu_count", lambda: 3)
+    assert pool.processors() == 3
+    monkeypatch.setattr(pool.os, "cpu_count", lambda: None)
+    assert pool.processors() == 1

@@ -61,6 +61,7 @@ ON_THE_RECORDING = (
     ("friction-hil health run.mcap --window 5 --report health.html", 1),  # too short to judge anything
     (f"friction-hil export {LUGRE} --to urdf --recording run.mcap --axis x --json", 0),
     (f"friction-hil replay 'run.*' --model {LUGRE} --json", 0),
+    ("friction-hil fleet verify run.mcap --output fleet --json", 0),
     ("friction-hil plot run.mcap", 0),
     ("friction-hil plot run.mcap --output run.html --json", 0),
     ("friction-hil plot run.mcap --from 1 --to 2 --axis x", 0),
@@ -137,6 +138,7 @@ ELSEWHERE = (
         "friction-hil identify --urdf-joints --signs",
         "test_names_and_signs_of_the_arm_s_joints_are_those_of_the_log",
     ),
+    ("friction-hil identify --config", "test_a_log_gives_the_configuration_of_a_loop"),
     ("friction-hil identify --axis --column", "test_a_data_set_is_identified_joint_by_joint"),
     ("friction-hil identify --rate --column", "test_commands_take_a_rate_and_a_file_beside"),
     ("friction-hil convert --rate --column", "test_commands_take_a_rate_and_a_file_beside"),

@@ -1,5 +1,6 @@
 """The work of ``friction-hil fleet``."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ def do_fleet(
     with status_line(f"{work}: {len(sources)} sources") as show:
 
         def on_done(name: str, share: float | None) -> None:
-            show(f"{work}: {name.rpartition('/')[2]}", round(100.0 * (share or 0.0)), 100)
+            show(f"{work}: {os.path.basename(name)}", round(100.0 * (share or 0.0)), 100)
 
         found = fleet(
             work,
@@ -80,7 +81,7 @@ def _print(found: Fleet) -> None:
 def _sentence(work: str, row: dict[str, Any]) -> str:
     if row["error"]:
         return f"not done: {row['error']}"
-    name = f"{row['source'].rpartition('/')[2]}, {row['axis']}"
+    name = f"{os.path.basename(row['source'])}, {row['axis']}"
     if work == "verify":
         return f"{name}: not verified: {row['reason']}"
     if work == "health" and "state" not in row:

@@ -12,9 +12,10 @@ import friction_hil as fh
 from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 from friction_hil.health import Layout, Motion, Observation, Quantity
 from friction_hil.health.chart import average_run_length, draw_chart, fit_baseline, threshold_for
-from friction_hil.health.history import History, append, load
+from friction_hil.health.history import History, load
 from friction_hil.health.metrics import metrics_text
 from friction_hil.health.observation import label
+from friction_hil.parallel.json_lines import append
 from friction_hil.recordings import Recording
 
 DAY_S = 86400.0
