@@ -80,6 +80,25 @@ def test_a_velocity_offset_has_its_own_limit_and_goes_to_zero_where_the_axis_is_
     assert [sent(state, 0.5) for state in RESTING if state is not FAULT_STOPPING] == [0.0] * (len(RESTING) - 1)
 
 
+def test_a_shifted_set_point_is_sent_while_the_axis_moves_and_the_shift_begins_anew():
+    loop = {"velocity_gain": 0.1, "integral_hz": 10.0, "limit": 2.0, "slew": 500.0}
+    loop |= {"position_gain": 10.0, "velocity_feedforward": 0.0}
+    config = configuration(x=axis_dict(compensation={"velocity_offset": loop})).axes["x"]
+    offset = make_velocity_offset(config, FACTS, PERIOD_S)
+    writer = CommandWriter(config, SafetyLimits(1.0, 30.0, 1.0), None, PERIOD_S, 0.0, offset)
+
+    def sent(state, wanted):
+        command = Command(position=3.0)
+        writer.write_velocity_offset(command, state, wanted, Feedback(state=ENABLED))
+        return command.position, command.velocity_offset
+
+    assert [sent(RUNNING, 9.0) for _ in range(2)] == [(pytest.approx(3.05), 0.0), (pytest.approx(3.1), 0.0)]
+    for state in RESTING:
+        assert [sent(state, 9.0) for _ in range(9)] == [(3.0, 0.0)] * 9
+    assert sent(RUNNING, 0.0)[0] == pytest.approx(3.0)
+    assert sent(RUNNING, 9.0)[0] == pytest.approx(3.05)
+
+
 @pytest.mark.parametrize("is_compiled", [False, True])
 @pytest.mark.parametrize("mode", ["csp", "csv", "cst"])
 def test_the_torque_rises_from_zero_by_a_step_in_each_period(mode, is_compiled):
