@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from friction_hil import __version__
@@ -231,23 +231,39 @@ def identified(
     check_numbers(**{f"fix: {name}": value for name, value in held.items()})
     if static:
         return _identified_map(given, families(models), held, is_linear=linear, reading=reading)
-    check_choice("gravity", gravity, ("auto", "none", "constant", "pendulum"))
-    check_choice("torque_is", torque_is, ("auto", "mean", "instant"))
-    check_choice("loss", loss, ("squares", "huber"))
-    check_numbers(0.0, min_speed=min_speed, seed=seed)
-    check_numbers(1, decimate=decimate)
+    settings = settings_of(models, gravity, min_speed, group_by, torque_is, refine, lowpass, decimate, loss, seed)
     _check_controller(controller)
     if unknown_gain and controller:
         raise UsageError("--controller needs a measured torque: not with --unknown-gain")
     recordings = list(map(with_position, read(given, **reading)))
     validation = list(map(with_position, read(validate, **reading)))
-    settings = IdentificationSettings(
+    kind = kind_of([*recordings, *validation], is_linear=linear)
+    settings = replace(settings, axis=kind, held=held, has_unknown_gain=unknown_gain)
+    return identified_axis(recordings, validation, settings, show, _beside(recordings), controller)
+
+
+def settings_of(
+    models: str | Sequence[str],
+    gravity: Any,
+    min_speed: float,
+    group_by: str | None,
+    torque_is: Any,
+    refine: bool | None,
+    lowpass: float | None,
+    decimate: int | None,
+    loss: str,
+    seed: int,
+) -> IdentificationSettings:
+    """Return the settings of arguments that one axis and all joints of a log have in common; check them."""
+    check_choice("gravity", gravity, ("auto", "none", "constant", "pendulum"))
+    check_choice("torque_is", torque_is, ("auto", "mean", "instant"))
+    check_choice("loss", loss, ("squares", "huber"))
+    check_numbers(0.0, min_speed=min_speed, seed=seed)
+    check_numbers(1, decimate=decimate)
+    return IdentificationSettings(
         families=families(models),
-        axis=kind_of([*recordings, *validation], is_linear=linear),
         gravity=gravity,
-        held=held,
         is_robust=loss == "huber",
-        has_unknown_gain=unknown_gain,
         least_speed=min_speed,
         group_by=group_by,
         seed=seed,
@@ -256,7 +272,6 @@ def identified(
         refine=refine,
         torque=torque_is,
     )
-    return identified_axis(recordings, validation, settings, show, _beside(recordings), controller)
 
 
 def identified_axis(

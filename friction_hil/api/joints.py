@@ -10,16 +10,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from friction_hil.api.arguments import (
-    Progress,
-    check_choice,
-    check_numbers,
-    families,
-    read,
-    require_recording,
-    shown_by,
-)
-from friction_hil.api.identification import Identified, identified_axis
+from friction_hil.api.arguments import Progress, read, require_recording, shown_by
+from friction_hil.api.identification import Identified, identified_axis, settings_of
 from friction_hil.checked_yaml.output import check_writable
 from friction_hil.config.new_own_loop import LoggedJoint, own_loop_configuration
 from friction_hil.dynamics import Arm, load
@@ -214,11 +206,7 @@ def identify_joints(
     """
     reading = {"column": column, "scale": scale, "rate": rate, "where": where}
     require_recording(recording)
-    check_choice("gravity", gravity, ("auto", "none", "constant", "pendulum"))
-    check_choice("torque_is", torque_is, ("auto", "mean", "instant"))
-    check_choice("loss", loss, ("squares", "huber"))
-    check_numbers(0.0, min_speed=min_speed, seed=seed)
-    check_numbers(1, decimate=decimate)
+    settings = settings_of(models, gravity, min_speed, group_by, torque_is, refine, lowpass, decimate, loss, seed)
     if arm is None and (arm_joints is not None or signs is not None):
         raise UsageError("--urdf-joints and --signs need --urdf")
     if arm is not None and (gravity, refine, linear) != ("auto", None, False):
@@ -229,18 +217,6 @@ def identify_joints(
     apart = [] if isinstance(validate, Sequence) and not len(validate) else _logs(validate, patterns, reading)
     if any(list(each) != list(logs[0]) for each in (*logs, *apart)):
         raise UsageError("the logs do not have the same joints")
-    settings = IdentificationSettings(
-        families=families(models),
-        gravity=gravity,
-        is_robust=loss == "huber",
-        least_speed=min_speed,
-        group_by=group_by,
-        seed=seed,
-        lowpass_hz=lowpass,
-        decimation=decimate,
-        refine=refine,
-        torque=torque_is,
-    )
     if arm is None:
         kind = kind_of((each for log in (*logs, *apart) for each in log.values()), is_linear=linear)
         return _as_own_axes(logs, apart, replace(settings, axis=kind), show)

@@ -17,7 +17,8 @@ from friction_hil.errors import FrictionHilError, UsageError, choices
 from friction_hil.fleets import storage
 from friction_hil.fleets.work import WORKS, Answer, Row, Task, failed, run, worst
 from friction_hil.health import observe
-from friction_hil.parallel import json_lines, run_many
+from friction_hil.parallel import run_many
+from friction_hil.recordings import json_lines
 from friction_hil.reports.fleet_report import write_report
 
 _JOURNAL, TABLE, REPORT = "done.jsonl", "table.parquet", "report.html"

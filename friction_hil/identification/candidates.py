@@ -24,8 +24,8 @@ from friction_hil.identification.settings import FitStep, IdentificationSettings
 from friction_hil.identification.sliding import LOW_HZ, WIDE_HZ, sliding_mechanics
 from friction_hil.identification.structures import EQUAL_IN_FEEDFORWARD, ModelStructure
 from friction_hil.identification.thresholds import COARSE_STEPS_HZ, STEPS_HZ
-from friction_hil.identification.workers import in_parallel
 from friction_hil.numerics.jit import Array
+from friction_hil.parallel import in_parallel
 from friction_hil.recordings import Recording
 
 Result = TypeVar("Result")

@@ -25,8 +25,8 @@ from friction_hil.identification.least_squares import (
     project_out,
 )
 from friction_hil.identification.structures import ModelStructure
-from friction_hil.identification.workers import in_parallel
 from friction_hil.numerics.jit import Array
+from friction_hil.parallel import in_parallel
 
 # Linear parameters that stay at or above zero: friction must not drive the axis.
 _POSITIVE = ("inertia", "viscous", "sigma2", "back_emf")

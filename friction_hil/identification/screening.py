@@ -20,8 +20,8 @@ from friction_hil.identification.prediction_errors import PredictionError, predi
 from friction_hil.identification.refine import inside
 from friction_hil.identification.regression import Estimate, Regression
 from friction_hil.identification.structures import InitialScales
-from friction_hil.identification.workers import in_parallel
 from friction_hil.numerics.jit import Array
+from friction_hil.parallel import in_parallel
 
 
 @dataclass(slots=True)

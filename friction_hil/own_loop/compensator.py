@@ -21,12 +21,12 @@ from friction_hil.errors import UsageError, internal_error
 from friction_hil.numerics.jit import Array, ready
 from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.own_loop import kernel
-from friction_hil.own_loop.faults import as_array, as_seconds, check_first, fault_of
+from friction_hil.own_loop.faults import as_array, check_first, fault_of
 from friction_hil.own_loop.joints import adopt, make_joints, remarks
 from friction_hil.own_loop.kernel import DQ, GIVEN, TAU, WRONG_SHAPE
 from friction_hil.own_loop.memory import Memory
+from friction_hil.own_loop.pace import Pace
 
-_MOST_MISSED = 1000  # periods of a pause: from there on its length does not matter
 _LOOK_S = 0.25  # between two looks at what there is to be said
 _PATIENCE_S = 1.0  # for the first positions
 _WRONG_PERIOD = 0.1  # of the period, by which the mean of the measured ones may be off before it is told
@@ -86,14 +86,13 @@ class Compensator:
         if not 0.0 <= record_s <= 86_400.0:
             raise UsageError(f"record_s = {record_s:g} must be a time, from 0 for none to a day")
         made = self._joints = make_joints(configuration, joints)
-        n, self._period_s, self._clock = len(made.names), configuration.period_s, clock
+        n, self._period_s = len(made.names), configuration.period_s
+        self._pace = Pace(self._period_s, clock)
         self._nothing, self._all, self._out = np.full(n, math.nan), np.ones(n, np.bool_), np.zeros(n)
         self._blind = [*[self._nothing] * (len(GIVEN) - 1), ~self._all]  # neither feedback nor demand
         self._memory = Memory(made, record_s)
         self._is_first, self._is_plain, self._is_busy, self._is_period_told = True, False, False, False
         self._fault: str | None = None
-        self._missed = self._calls = self._invalid = self._last_ns = 0
-        self._elapsed_s = 0.0  # of calls without a missed period, for their mean
         self._looks = self._countdown = max(round(_LOOK_S / self._period_s), 1)
         self._notices: deque[str] = deque(maxlen=_MOST_NOTICES)
         self._told: set[str] = set()
@@ -211,7 +210,7 @@ class Compensator:
         try:
             if self._fault is not None:  # whatever another thread's `fade_in` did in the same moment
                 self._joints.loop["is_on"] = 0.0
-            passed = self._passed(dt)
+            passed = self._pace.passed(dt)
             if self._pending:
                 self._adopt()
             if self._is_plain:
@@ -277,7 +276,7 @@ class Compensator:
     @property
     def missed(self) -> int:
         """Number of periods without a call of `step` so far."""
-        return self._missed
+        return self._pace.missed
 
     @property
     def velocity_estimate(self) -> Array:
@@ -444,27 +443,6 @@ class Compensator:
             arrays = self._blind
         return [float(given[DQ] is not None), float(given[TAU] is not None), *arrays]
 
-    def _passed(self, dt: Any) -> float:
-        """Return the number of periods since the last call, one at least."""
-        now, last = self._clock(), self._last_ns
-        self._last_ns = now
-        if dt is None:
-            if not last:
-                return 1.0
-            elapsed_s = (now - last) * 1e-9
-        else:
-            elapsed_s = as_seconds(dt)
-            if not 0.0 < elapsed_s < math.inf:
-                self._invalid, elapsed_s = self._invalid + 1, self._period_s
-        ratio = elapsed_s / self._period_s + 0.5
-        if ratio < 2.0:
-            self._calls += 1
-            self._elapsed_s += elapsed_s
-            return 1.0
-        passed = int(min(ratio, _MOST_MISSED + 1.0))
-        self._missed += passed - 1
-        return float(passed)
-
     def _adopt(self) -> None:
         """Take what `set` has prepared, one change a cycle: a recorded row has the number of one."""
         number, changes = self._pending.popleft()
@@ -480,17 +458,17 @@ class Compensator:
         for k, (teller, one) in enumerate(zip(self._tellers, self._joints.compensators, strict=True)):
             if text := teller.next(one, estimates.item(k), given.item(k)):
                 self._tell(text)
-        if self._missed:
+        if self._pace.missed:
             self._tell("the loop misses periods: `missed` counts them; the compensation goes on over them")
-        if self._invalid:
+        if self._pace.invalid:
             self._tell("dt is not above zero, or no number: a call without a time counts as a period")
         if not self._joints.loop["has_begun"]:
-            if self._calls * self._period_s > _PATIENCE_S:
+            if self._pace.calls * self._period_s > _PATIENCE_S:
                 places = np.flatnonzero(np.isnan(self._joints.limits["position"]))
                 text = f"no position of {', '.join(self.joints[k] for k in places)} so far: nothing is compensated yet"
                 self._tell(FaultCode.FIRST_FEEDBACK_MISSING.append_to(text))
-        elif self._calls >= self._looks:
-            mean_s, self._calls, self._elapsed_s = self._elapsed_s / self._calls, 0, 0.0
+        elif self._pace.calls >= self._looks:
+            mean_s = self._pace.mean_s()
             ratio, text = mean_s / self._period_s, f"a call comes every {1e3 * mean_s:.3g} ms"
             text += f", and period_s is {1e3 * self._period_s:g} ms"
             if ratio < _LEAST_PERIOD:

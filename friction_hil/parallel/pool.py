@@ -43,13 +43,7 @@ def run_many(
     elif is_large and min(len(tasks), processors()) > 1:
         yield from _in_pool(function, tasks)
     else:
-        yield from run_here(function, tasks)
-
-
-def run_here(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[tuple[int, Result]]:
-    """Run a function on tasks one after the other, in this process."""
-    for index, task in enumerate(tasks):
-        yield index, function(task)
+        yield from enumerate(map(function, tasks))
 
 
 @contextlib.contextmanager

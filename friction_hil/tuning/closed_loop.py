@@ -32,9 +32,9 @@ from friction_hil.identification.prediction_errors import prediction_error
 from friction_hil.identification.regression import Estimate
 from friction_hil.identification.structures import ModelStructure
 from friction_hil.identification.thresholds import BLOCKS
-from friction_hil.identification.workers import in_parallel
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
+from friction_hil.parallel import in_parallel
 from friction_hil.recordings import Recording
 from friction_hil.rehearsal import Rehearsal
 from friction_hil.replay.verify import facts_of

@@ -18,8 +18,8 @@ from friction_hil.identification import Fit, Identification, plausible_fits
 from friction_hil.identification.choice import log_likelihood_gain
 from friction_hil.identification.fits import ENDED_EARLY
 from friction_hil.identification.refine import is_dynamic
-from friction_hil.identification.workers import in_parallel
 from friction_hil.models.model_file import ModelFile
+from friction_hil.parallel import in_parallel
 from friction_hil.recordings import Recording
 from friction_hil.rehearsal import Motion, Outcome, Rehearsal
 from friction_hil.replay.verify import facts_of

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from friction_hil.cli.output import print_json
-from friction_hil.cli.work.progress import status_line
+from friction_hil.cli.work.progress import by_share, status_line
 from friction_hil.cli.work.tables import print_files, say
 from friction_hil.fleets import Fleet, fleet
 from friction_hil.numerics.readable import brief
@@ -39,10 +39,6 @@ def do_fleet(
     if linear:
         options |= {"kind": "linear"} if work == "health" else {"linear": True}
     with status_line(f"{work}: {len(sources)} sources") as show:
-
-        def on_done(name: str, share: float | None) -> None:
-            show(f"{work}: {os.path.basename(name)}", round(100.0 * (share or 0.0)), 100)
-
         found = fleet(
             work,
             sources,
@@ -52,7 +48,7 @@ def do_fleet(
             scale=scale,
             rate=rate_hz,
             where=where,
-            progress=on_done,
+            progress=by_share(show),
             **options,
         )
     if as_json:

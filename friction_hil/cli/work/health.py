@@ -23,8 +23,8 @@ from friction_hil.health.history import History, load, state_of
 from friction_hil.health.metrics import metrics_text
 from friction_hil.health.observe import COLUMNS, by_axis
 from friction_hil.numerics.readable import brief, named_constants
-from friction_hil.parallel.json_lines import append
 from friction_hil.recordings.given import expanded
+from friction_hil.recordings.json_lines import append
 from friction_hil.recordings.parts import is_of_fault, parts_of, started_s
 from friction_hil.reports.health_report import write_report
 

@@ -10,7 +10,7 @@ from friction_hil.api.identification import Identified
 from friction_hil.api.joints import IdentifiedJoints, check_configuration_path, identify_joints, of_joint
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.identify import first, print_result
-from friction_hil.cli.work.progress import status_line
+from friction_hil.cli.work.progress import by_share, status_line
 from friction_hil.cli.work.result_files import check_result_files
 from friction_hil.cli.work.tables import new_table, number, print_table, say
 from friction_hil.identification import Identification
@@ -65,7 +65,7 @@ def identify_all(
             where=where,
             arm_joints=named,
             signs=directions,
-            progress=lambda text, share: show(text),
+            progress=by_share(show),
             **options,
         )
     has_config = config is not None and found.is_usable

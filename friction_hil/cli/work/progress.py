@@ -44,6 +44,18 @@ def status_line(text: str) -> Iterator["ShowStep"]:
             yield show
 
 
+def by_share(show: "ShowStep") -> Callable[[str, float | None], None]:
+    """Return the callback of a public function that shows its steps, as per cent of what there is to do."""
+
+    def on_step(text: str, share: float | None) -> None:
+        if share is None:
+            show(text)
+        else:
+            show(text, min(round(100.0 * share) + 1, 100), 100)
+
+    return on_step
+
+
 class _Steps:
     """Count of the steps of a stage, with an estimate of the time that is left; ``clock`` returns the time, s."""
 

@@ -15,8 +15,8 @@ from friction_hil.health.chart import average_run_length, draw_chart, fit_baseli
 from friction_hil.health.history import History, load
 from friction_hil.health.metrics import metrics_text
 from friction_hil.health.observation import label
-from friction_hil.parallel.json_lines import append
 from friction_hil.recordings import Recording
+from friction_hil.recordings.json_lines import append
 
 DAY_S = 86400.0
 MOTION = Motion(1.0, 2.0)  # median speed, travel

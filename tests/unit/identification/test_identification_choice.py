@@ -19,13 +19,12 @@ from friction_hil.identification import (
     candidates,
     identify,
     plausible_fits,
-    workers,
 )
 from friction_hil.identification.choice import choose, log_likelihood_gain
 from friction_hil.identification.export import as_json, model_file
 from friction_hil.identification.least_squares import FitError, column_norms, least_norm_solution
 from friction_hil.identification.prediction_errors import PredictionError
-from friction_hil.identification.workers import in_parallel
+from friction_hil.parallel import in_parallel, threads
 from tests.unit.identification.test_identification import PERIOD_S, found, made, plain, recorded
 
 
@@ -193,7 +192,7 @@ def test_no_level_exceeds_what_was_ever_measured() -> None:
 
 
 def test_results_are_in_order_and_begin_is_called_in_this_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "processors", lambda: 3)
+    monkeypatch.setattr(threads, "processors", lambda: 3)
     barrier, begun = threading.Barrier(3, timeout=20.0), []
 
     def job(number: int) -> int:
@@ -210,7 +209,7 @@ def test_results_are_in_order_and_begin_is_called_in_this_thread(monkeypatch: py
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_the_first_failure_is_raised(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "processors", lambda: count)
+    monkeypatch.setattr(threads, "processors", lambda: count)
 
     def fails(text: str) -> None:
         raise FitError(text)
@@ -223,7 +222,7 @@ def test_the_number_of_processors_changes_no_bit(monkeypatch: pytest.MonkeyPatch
     recording = recorded("lugre", noise=0.02)
     values = []
     for count in (1, 4):
-        monkeypatch.setattr(workers, "processors", lambda count=count: count)
+        monkeypatch.setattr(threads, "processors", lambda count=count: count)
         values.append([(fit.label, fit.values) for fit in found(recording, families=("dahl", "lugre", "gms")).fits])
     assert values[0] == values[1]
 

@@ -1,17 +1,12 @@
-"""Independent fits on all processors, in threads: the compiled models release Python's global lock."""
+"""Independent jobs on all processors, in threads: the compiled models release Python's global lock."""
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+from friction_hil.parallel.pool import processors
+
 Result = TypeVar("Result")
-
-
-def processors() -> int:
-    """Return the number of processors that this process may use."""
-    available = getattr(os, "sched_getaffinity", None)  # not on every system
-    return len(available(0)) if available is not None else os.cpu_count() or 1
 
 
 def in_parallel(jobs: Sequence[Callable[[], Result]], begin: Callable[[int], None] = lambda _: None) -> list[Result]:
