@@ -23,8 +23,15 @@ OWN = Path(__file__).with_name("axes.yaml")
 @click.argument("files", nargs=-1, type=click.Path(path_type=Path, exists=True))
 @click.option("--only", help="Names of the axes to tune, separated by commas.")
 @click.option("--truth", "gain", type=float, help="Only show what the true friction reaches at this gain, untuned.")
+@click.option(
+    "--by",
+    type=click.Choice(["torque", "velocity", "position"]),
+    default="torque",
+    show_default=True,
+    help="With --truth: what the drive is given, a torque offset, a velocity offset or shifted set-points.",
+)
 @option_json
-def command(files: tuple[Path, ...], only: str | None, gain: float | None, as_json: bool) -> None:
+def command(files: tuple[Path, ...], only: str | None, gain: float | None, by: str, as_json: bool) -> None:
     """Print how close tune comes to the true friction of simulated axes.
 
     FILES are configurations of one simulated axis each; by default the axes are those of axes.yaml.
@@ -33,7 +40,7 @@ def command(files: tuple[Path, ...], only: str | None, gain: float | None, as_js
     results = []
     for name, configuration in axes.items():
         click.echo(f"{name} ...", err=True)
-        results.append(tune_axis(name, configuration) if gain is None else judge_truth(name, configuration, gain))
+        results.append(tune_axis(name, configuration) if gain is None else judge_truth(name, configuration, gain, by))
     if as_json:
         print_json(to_json(results))
     else:

@@ -15,6 +15,7 @@ from friction_hil_drivers.canopen.simulated.drives import SimulatedCanopenDrives
 
 from friction_hil.checked_yaml.text import dump
 from friction_hil.config import AxisConfig, Configuration, load
+from friction_hil.config.axis import VelocityOffset
 from friction_hil.models.files import load_model_file
 from friction_hil.models.model_file import ModelFile
 from friction_hil.motion.trajectory import Path as MotionPath
@@ -26,6 +27,7 @@ from friction_hil.servo.config import ServoConfig
 OWN, OTHERS = "own", ("fast", "small", "triangle", "slow", "tiny")
 ENOUGH = 0.8  # of the reduction by the truth
 _START_S = 2.0
+_OFFSET, _OFFSET_SLEW = 20.0, 1e5  # bounds of a velocity offset, rad/s and rad/s^2, which no axis here needs
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,14 +101,36 @@ def _written(content: dict[str, Any], file: Path) -> Configuration:
     return load(file, needs_models=False)
 
 
-def judge_truth(name: str, content: dict[str, Any], gain: float) -> AxisResult:
-    """Judge what the true friction of an axis reaches at a gain, without tuning it."""
+def judge_truth(name: str, content: dict[str, Any], gain: float, by: str = "torque") -> AxisResult:
+    """Judge what the true friction of an axis reaches at a gain, without tuning it.
+
+    ``by``: what the drive is given: ``torque``, or a ``velocity`` or ``position`` by the gains of its loops.
+    """
     with tempfile.TemporaryDirectory(prefix="friction-hil-") as folder:
         configuration = _written(content, Path(folder) / f"{name}.yaml")
     [axis] = configuration.axes.values()
-    axis = axis.model_copy(update={"compensation": axis.compensation.model_copy(update={"gain": gain})})
+    given = {"gain": gain, "velocity_offset": None if by == "torque" else _offset(axis, has_shift=by == "position")}
+    axis = axis.model_copy(update={"compensation": axis.compensation.model_copy(update=given)})
     reached = Rehearsals(axis, configuration.period_s).reductions(truth(axis))
     return AxisResult(name, reached, {}, "", "", 0.0, 0.0)
+
+
+def _offset(axis: AxisConfig, *, has_shift: bool) -> VelocityOffset:
+    """Return the velocity offset of a drive whose gains are known, made by its set-point with ``has_shift``."""
+    servo = axis.simulation
+    assert isinstance(servo, ServoConfig)
+    loops = servo.loops
+    offset = VelocityOffset(
+        velocity_gain=loops.velocity_gain, integral_hz=loops.integral_hz, limit=_OFFSET, slew=_OFFSET_SLEW
+    )
+    if not has_shift:
+        return offset
+    shift = {
+        "position_gain": loops.position_gain,
+        "velocity_feedforward": loops.velocity_feedforward,
+        "inertia": loops.inertia_feedforward * servo.mechanics.inertia,
+    }
+    return offset.model_copy(update=shift)
 
 
 def run_tune(file: Path, output: Path) -> "subprocess.CompletedProcess[str]":
