@@ -9,7 +9,7 @@ from friction_hil.config import load
 from friction_hil.errors import UsageError
 from tools.benchmarks.tune import OWN
 from tools.benchmarks.tune.axes import read_axes
-from tools.benchmarks.tune.judge import OTHERS, AxisResult, Rehearsals, judged_motions, truth
+from tools.benchmarks.tune.judge import OTHERS, AxisResult, Rehearsals, judge_truth, judged_motions, truth
 from tools.benchmarks.tune.judge import OWN as OWN_MOTION
 from tools.benchmarks.tune.report import summary
 
@@ -42,3 +42,11 @@ def test_the_truth_itself_has_a_ratio_of_one_and_no_model_one_of_zero(tmp_path) 
     assert true[OWN_MOTION].rms > 3.0
     assert (found["axes"], found["without_model"], found["enough_of_truth"]) == (2, 1, 1)
     assert (found["runs"], found["worse_than_none"], found["gain_cut"]) == (2, 0, 0)
+
+
+@pytest.mark.parametrize("by", ["velocity", "position"])
+def test_the_truth_helps_by_other_inputs_than_the_torque_too(by) -> None:
+    content = read_axes((OWN,), ("gms_17bit",))["gms_17bit"]
+    by_torque, found = (judge_truth("gms_17bit", content, 0.9, each).true for each in ("torque", by))
+    assert all(found[name].rms > 0.5 * by_torque[name].rms for name in found)
+    assert found[OWN_MOTION] != by_torque[OWN_MOTION]
