@@ -25,7 +25,8 @@ def command(**options: Any) -> None:
 
     urdf: <dynamics friction damping> of a joint.
 
-    bam: parameters of BAM, m1 to m6; friction that depends on the load is left out.
+    bam: parameters of BAM, m1 to m6, also of the package better-actuator-models; of a configuration with several
+    actuators --joint names one. Load shares that differ near rest are left out.
 
     Such a file states no errors, no range of validity and often no inertia: what is missing is printed, and stands in
     MODEL. Identify the axis for a model that carries them.

@@ -31,7 +31,7 @@ LOSSY = {
     "urdf": "joint of URDF: friction and damping",
     "mjcf": "joint of MuJoCo: frictionloss, damping, armature",
     "mjcf_lugre": "joint of MuJoCo 4 with LuGre friction and cogging",
-    "bam": "parameters of BAM, model m1 or m2",
+    "bam": "parameters of BAM, models m1 to m4",
     "isaaclab": "actuator values of Isaac Lab, for PhysX and Newton",
     "ax8000": "friction objects of Beckhoff's AX8000 and AMP8000 drives",
     "csv": "table of torque over velocity and temperature",

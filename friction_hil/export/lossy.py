@@ -161,7 +161,7 @@ def judge(
     points: Points,
     exported: Callable[[Points], Array],  # torque of the export at points, (n,), N m or N
     lost: Sequence[str] = (),  # what else is lost
-    # what the export holds, or `lost` says in other words: "presliding", "ripple", "directions"
+    # what the export holds, or `lost` says in other words: "presliding", "ripple", "directions", "load"
     carried: Collection[str] = (),
 ) -> Loss:
     """Compare an export with the model at the points."""
@@ -193,7 +193,7 @@ def judge(
 def not_steady(model_file: ModelFile, carried: Collection[str] = ()) -> list[str]:
     """Return sentences about the friction that no steady curve over velocity shows, with its size.
 
-    Those about ``carried``, "presliding" and "ripple", are left out.
+    Those about ``carried``, "presliding", "load" and "ripple", are left out.
     """
     model = model_file.friction_model
     torque, angle = ("N m", "rad") if model.axis == "rotary" else ("N", "m")
@@ -206,7 +206,9 @@ def not_steady(model_file: ModelFile, carried: Collection[str] = ()) -> list[str
         )
     elif not model.family.is_static or model.network is not None:
         lost.append(MEMORY)
-    if "load" in model.modifiers:
+    if "load" in carried:
+        pass
+    elif "load" in model.modifiers:
         factors = model.modifiers["load"]
         lost.append(f"Load: {factors['motoring']:g} (motoring) and {factors['driven']:g} (driven) of the load torque.")
     elif model.depends_on_load:

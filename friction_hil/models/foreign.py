@@ -3,9 +3,7 @@
 They hold less than a model file; what is missing is named in the result, and in the file that is written from it.
 """
 
-import json
 import math
-import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -17,11 +15,10 @@ from pydantic import ValidationError
 from friction_hil import __version__
 from friction_hil.dynamics import xml_input
 from friction_hil.errors import FrictionHilError, UsageError, choices
-from friction_hil.models import mjcf_joints
+from friction_hil.models import bam_file, mjcf_joints
 from friction_hil.models.model_file import ModelFile
 
 _MOST_BYTES = 100_000_000
-_LARGEST = sys.float_info.max  # JSON has whole numbers of any length
 _NEVER_THERE = (
     "standard errors, recordings and errors of a fit",
     "the range of velocity and temperature in which it holds",
@@ -41,6 +38,7 @@ class Stated:
     # what was done with numbers that have no place of their own, or was left out
     notes: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)  # friction that the file does not state
+    imported: dict[str, Any] = field(default_factory=dict)  # what else is kept for an export back to the same format
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +64,7 @@ def read(path: str | Path, source: str, joint: str | None = None) -> Imported:
     friction: dict[str, Any] = {"model": stated.model, "parameters": stated.parameters}
     if stated.modifiers:
         friction["modifiers"] = stated.modifiers
-    imported = {"path": Path(path).name, "format": source, **({"joint": joint} if joint else {})}
+    imported = {"path": Path(path).name, "format": source, **({"joint": joint} if joint else {}), **stated.imported}
     content: dict[str, Any] = {"version": 1, "axis": stated.axis, "friction": friction}
     if mechanics:
         content["mechanics"] = mechanics
@@ -164,39 +162,11 @@ def _dynamics(joint: ET.Element, path: str) -> list[float]:
 
 
 def _bam(content: bytes, path: str, joint: str | None) -> Stated:
-    if joint is not None:
-        raise UsageError("--joint: a file of BAM describes one actuator")
-    try:
-        given = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"{path} is not JSON: {error}") from None
-    if not isinstance(given, dict) or given.get("model") not in ("m1", "m2", "m3", "m4", "m5", "m6"):
-        raise UsageError(f"{path} is no file of BAM: it names no model m1 to m6")
-
-    def value(name: str, default: float | None = None) -> float:
-        number = given.get(name, default)
-        if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) <= _LARGEST:
-            raise UsageError(f"{path}: {name} must be a finite number, not {str(number)[:40]}")
-        return float(number)
-
-    parameters = {"coulomb": value("friction_base")}
-    model = "coulomb"
-    # BAM has a value of its own for what is absent, which is not zero
-    if given["model"] not in ("m1", "m3") and value("friction_stribeck") > 0.0:
-        model = "stribeck"
-        parameters |= {
-            "static": value("friction_base") + value("friction_stribeck"),
-            "stribeck_velocity": value("dtheta_stribeck"),
-            "stribeck_exponent": value("alpha"),
-        }
-    parameters["viscous"] = value("friction_viscous")
-    load = {name: given[name] for name in given if str(name).startswith("load_friction")}
-    notes = []
-    if load:
-        words = ", ".join(f"{name} {number}" for name, number in load.items())
-        notes.append(f"left out, because it depends on motor torque and external torque: {words}")
-    mechanics = {"inertia": value("armature", 0.0), "delay_s": value("command_delay", 0.0)}
-    return Stated("rotary", model, parameters, {}, mechanics, notes)
+    found = bam_file.find(content, path, joint)
+    imported = {"motor": found.motor} if found.motor else {}
+    return Stated(
+        "rotary", found.model, found.parameters, found.modifiers, found.mechanics, list(found.notes), imported=imported
+    )
 
 
 SOURCES: Mapping[str, Callable[[bytes, str, str | None], Stated]] = {"mjcf": _mjcf, "urdf": _urdf, "bam": _bam}

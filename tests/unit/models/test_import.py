@@ -93,9 +93,9 @@ def test_default_classes_of_mujoco_are_those_that_mujoco_finds(tmp_path):
 
 
 def test_the_command_writes_a_model_file_and_names_what_is_missing(tmp_path, capsys):
-    path = tmp_path / "m5.json"
+    path = tmp_path / "m2.json"
     parameters = {"friction_base": 0.05, "friction_stribeck": 0.02, "dtheta_stribeck": 0.2, "alpha": 1.5}
-    parameters |= {"friction_viscous": 0.01, "load_friction_motor": 0.2, "armature": 3e-3, "model": "m5", "kt": 1.2}
+    parameters |= {"friction_viscous": 0.01, "armature": 3e-3, "model": "m2", "load_friction_motor": 0.2, "kt": 1.2}
     path.write_text(json.dumps(parameters))
     output = tmp_path / "axis.yaml"
     words = ["import", str(path), "--from", "bam", "--output", str(output)]
@@ -167,8 +167,8 @@ def test_copies_of_a_body_have_the_friction_of_the_one(tmp_path):
 
 
 def test_a_name_with_a_line_break_stays_in_the_comment(tmp_path, capsys):
-    path, output = tmp_path / "m6.json", tmp_path / "axis.yaml"
-    given = {"model": "m6", "friction_base": 0.05, "friction_viscous": 0.01, "friction_stribeck": 0.0}
+    path, output = tmp_path / "m1.json", tmp_path / "axis.yaml"
+    given = {"model": "m1", "friction_base": 0.05, "friction_viscous": 0.01, "actuator": "a\nversion: 4"}
     path.write_text(json.dumps(given | {"load_friction_a\nversion: 3\nx": 0.1}))
     assert main(["import", str(path), "--from", "bam", "--output", str(output)]) == 0
     assert load_model_file(output).friction.parameters["coulomb"] == 0.05
@@ -206,10 +206,17 @@ BOMB = """<!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;
         ("[1]", "bam", None, "no file of BAM"),
         ("{", "bam", None, "is not JSON"),
         ('{"model": "m1", "friction_base": NaN}', "bam", None, "friction_base must be a finite number"),
-        ('{"model": "m1", "friction_base": -1, "friction_viscous": 0}', "bam", None, "makes no model"),
+        ('{"model": "m1", "friction_base": -1, "friction_viscous": 0}', "bam", None, "below zero"),
         ('{"model": "m1"}', "bam", "x", "one actuator"),
+        (
+            '{"model": "m2", "friction_base": 1, "friction_viscous": 0, "friction_stribeck": 1, "dtheta_stribeck": 0, '
+            '"alpha": 1}',
+            "bam",
+            None,
+            "makes no model",
+        ),
         ('{"model": "m1", "friction_base": 1' + 400 * "0" + "}", "bam", None, "friction_base must be a finite number"),
-        ('{"model": "m2", "friction_base": 1, "friction_viscous": 0}', "bam", None, "friction_stribeck must be"),
+        ('{"model": "m2", "friction_base": 1, "friction_viscous": 0}', "bam", None, "friction_stribeck is missing"),
         ("{}", "sdf", None, "no source 'sdf'"),
     ],
 )
