@@ -173,7 +173,8 @@ class Compensation(Section):
         le=MOST_VELOCITY,
     )
     gravity: bool = key(
-        "feed gravity and offset of the model file forward, from enabling on; false for a drive that does this itself. "
+        "feed gravity and offset of the model file, and the torque of an arm, forward from enabling on; false for a "
+        "drive that does this itself. "
         "Without enabled: true this is done in cst with a controller only; beside a master it is never done",
         default=True,
     )

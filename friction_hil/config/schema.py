@@ -8,6 +8,7 @@ from pydantic import PrivateAttr, model_validator
 
 from friction_hil.checked_yaml.messages import Mistake, refuse
 from friction_hil.checked_yaml.section import Section, key
+from friction_hil.config.arm import ArmConfig, arm_mistakes
 from friction_hil.config.axis import AxisConfig, Name
 from friction_hil.config.bus import BusConfig
 from friction_hil.config.live import LiveConfig
@@ -38,6 +39,7 @@ class Configuration(Section):
     period_s: float = key("period of the loop", "s", ge=1e-4, le=1)
     bus: BusConfig | None = key("CAN bus; not needed for drives on serial lines", default=None)
     axes: dict[Name, AxisConfig] = key("axes by name", min_length=1)
+    arm: ArmConfig | None = key("the arm that axes move", default=None)
     recording: RecordingConfig | None = key("recording of the run", default=None)
     live: LiveConfig | None = key("live data over the network", default=None)
     enable_timeout_s: float = key(
@@ -101,6 +103,8 @@ def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
                 yield ("axes", name, "trajectory", field), text
     if configuration.simulation is not None:
         yield from mechanism_mistakes(configuration.simulation.mechanism, configuration.axes)
+    if configuration.arm is not None:
+        yield from arm_mistakes(configuration.arm, configuration.axes)
     by_driver: dict[str, dict[str, AxisConfig]] = {}
     for name, axis in configuration.axes.items():
         by_driver.setdefault(axis.driver, {})[name] = axis

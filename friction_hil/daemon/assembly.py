@@ -240,8 +240,11 @@ def make_limits(config: "AxisConfig") -> SafetyLimits:
     )
 
 
-def make_controller(config: "AxisConfig") -> StructuredArray:
-    """Return the gains of the loop's own controller, all zero where the configuration has none."""
+def make_controller(config: "AxisConfig", *, is_of_arm: bool = False) -> StructuredArray:
+    """Return the gains of the loop's own controller, all zero where the configuration has none.
+
+    ``is_of_arm``: the inertia is fed forward as that of the arm, and must not be twice.
+    """
     record = np.zeros(1, CONTROLLER)
     given = config.controller
     if given is not None:
@@ -249,5 +252,5 @@ def make_controller(config: "AxisConfig") -> StructuredArray:
         record[0]["velocity_gain"] = given.velocity_gain
         record[0]["integral_hz"] = given.integral_hz
         record[0]["velocity_feedforward"] = 1.0
-        record[0]["inertia"] = config.model.mechanics.inertia
+        record[0]["inertia"] = 0.0 if is_of_arm else config.model.mechanics.inertia
     return record

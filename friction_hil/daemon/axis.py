@@ -46,6 +46,7 @@ class AxisLoop:
     ``facts``: resolution and delays, as found by the driver. ``path_time``: shared by all axes, so that they stay on
     their common path. ``shadow_names``: shadow models of all axes: the rows of all axes have the same columns.
     ``max_stale_cycles``: largest number of successive cycles without usable feedback that are bridged.
+    ``is_of_arm``: it is a joint of the arm, and `take_arm` comes before each cycle.
     """
 
     # slots here and in its parts: with a __dict__, the deep copy that warms the caches would be laid out differently,
@@ -59,12 +60,14 @@ class AxisLoop:
         "_standstill",
         "_states",
         "_velocity_offset",
+        "arm_load",
         "checks",
         "compensator",
         "facts",
         "following",
         "gaps",
         "is_broken",
+        "is_by_torque",
         "lacks_demand",
         "lead_s",
         "load",
@@ -88,6 +91,8 @@ class AxisLoop:
         path_time: PathTime,
         shadow_names: Sequence[str] = (),
         max_stale_cycles: int = MAX_STALE_CYCLES,
+        *,
+        is_of_arm: bool = False,
     ) -> None:
         check_torque(name, config, facts)
         check_velocity_offset(name, config, facts)
@@ -99,7 +104,11 @@ class AxisLoop:
         self.shadows = make_shadows(config, facts, period_s)
         self.motion = AxisMotion(name, unit, config, limits, facts, period_s, self.lead_s, path_time)
         self._velocity_offset = make_velocity_offset(config, facts, period_s)
-        self._command = CommandWriter(config, limits, self.motion, period_s, self.lead_s, self._velocity_offset)
+        self._command = CommandWriter(
+            config, limits, self.motion, period_s, self.lead_s, self._velocity_offset, is_of_arm=is_of_arm
+        )
+        self.is_by_torque = config.mode == "cst"
+        self.arm_load = math.nan  # torque that the arm puts on the axis, N m; NaN: it is in none
         self._has_offset = config.compensation.transmission is not None
         self._standstill = Standstill(limits.velocity, resolution, period_s)
         self.notices = AxisNotices(name, unit, period_s, self.compensator)
@@ -182,6 +191,31 @@ class AxisLoop:
         if self.load is not None:
             self.load.enter_path(self._command.held_position)
 
+    def arm_motion(self, cycle: int, state: LoopState, feedback: Feedback) -> tuple[float, float, float]:
+        """Return position, velocity and acceleration that count for the arm when this cycle's torque acts, SI.
+
+        They are those that are demanded; else the axis counts as at rest where it was in the cycle before, or, once its
+        computation has failed, where its drive says.
+        """
+        if self.is_broken:
+            is_known = feedback.is_fresh and math.isfinite(feedback.position)
+            return (feedback.position if is_known else self.supervisor.position), 0.0, 0.0
+        position, velocity, acceleration, ahead_s = self._demand_of_arm(cycle, state)
+        if math.isfinite(position + velocity + acceleration):
+            return position + ahead_s * velocity, velocity, acceleration
+        ahead_s = self.lead_s + self._period_s
+        return self.supervisor.position + ahead_s * self.compensator.velocity_estimate, 0.0, 0.0
+
+    def _demand_of_arm(self, cycle: int, state: LoopState) -> tuple[float, float, float, float]:
+        """Return demanded position, and velocity and acceleration ahead; and from that position until then, s."""
+        _, (position, _, velocity, acceleration) = self.motion.demand(cycle * self._period_s, state)
+        return position, velocity, acceleration, self.lead_s
+
+    def take_arm(self, load: float, torque: float) -> None:
+        """Take what the arm puts on the gear of the axis in this cycle, and what is fed forward to it, N m or N."""
+        self.arm_load = self._command.arm_load = load
+        self._command.arm_torque = torque
+
     def update(
         self, cycle: int, state: LoopState, running_s: float, feedback: Feedback, command: Command, row: AxisRow
     ) -> AxisUpdate:
@@ -247,6 +281,7 @@ class AxisLoop:
             self.schedule.is_on(state, running_s, (missed + 1) * self._period_s, supervisor.is_operating),
             acceleration_ahead,
             feedback.temperature,
+            self.arm_load,
         )
         if compensator.is_changing:  # its state is whole afterwards
             compensator.finish_change(*inputs)
@@ -285,6 +320,7 @@ class AxisLoop:
             row.write_load(self.load.position(feedback.load_position, position))
         self._count(inputs, shift, state, running_s, missed)
         row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)
+        row.write_feedforward(writer.static)
         row.write_estimates(compensator.load_estimate, compensator.temperature_estimate, compensator.offset_now[0])
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))

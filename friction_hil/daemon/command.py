@@ -80,10 +80,13 @@ class CommandWriter:
         "_static",
         "_torque",
         "_velocity_offset",
+        "arm_load",
+        "arm_torque",
         "effort",
         "held_position",
         "most",
         "offset_sent",
+        "static",
     )
 
     def __init__(
@@ -94,15 +97,19 @@ class CommandWriter:
         period_s: float,
         lead_s: float,
         velocity_offset: VelocityOffset | None = None,  # by which the compensation goes out
+        *,
+        is_of_arm: bool = False,  # whose inertia takes the place of the model's in the loop's own controller
     ) -> None:
         self._mode = Mode[config.mode.upper()]
         self._limits = limits
         self._motion = motion
         self._period_s = period_s
         self._lead_s = lead_s  # from sampling the position until the torque acts
-        self._static = static_torque(config)
+        self._static = static_torque(config, is_of_arm=is_of_arm)
+        self.arm_torque = self.arm_load = 0.0  # what the arm needs in this cycle, N m; see `StaticTorque.at`
+        self.static = 0.0  # feed-forward of gravity, offset and arm in the last cycle, N m
         self._fade = Fade(period_s)  # from the feed-forward before the last change
-        self._controller, self._integral = make_controller(config), 0.0
+        self._controller, self._integral = make_controller(config, is_of_arm=is_of_arm), 0.0
         self._is_held_by_loop = False  # the loop's own controller (cst) has carried the axis up to now
         self._keeps_setpoint = False  # the drive (csp) is at the last set-point of a motion, until it has no power
         self._error_left = 0.0  # following error with which it came to rest
@@ -154,7 +161,7 @@ class CommandWriter:
         """
         command.velocity = 0.0
         self._torque.begin(is_lost=feedback.is_setpoint_lost)
-        static = self._static_torque(position, velocity, now)
+        static = self.static = self._static_torque(position, velocity, now)
         if state not in MOVING:
             self._hold(command, state, position, velocity, compensation, static, feedback.state)
         elif self._mode is Mode.CST:
@@ -230,10 +237,10 @@ class CommandWriter:
             self._shift.clear()
 
     def _static_torque(self, position: float, velocity: float, now: Setpoint | None) -> float:
-        """Return the feed-forward of gravity and offset, N m: on the demanded path, without one at the axis."""
+        """Return the feed-forward of gravity, offset and arm, N m: on the demanded path, without one at the axis."""
         if now is not None:
             position, velocity = now.position, now.velocity
-        return self._fade.next(self._static.at(position + self._lead_s * velocity))
+        return self._fade.next(self._static.at(position + self._lead_s * velocity, self.arm_torque, self.arm_load))
 
     def _bounded(self, wanted: float) -> float:
         """Return the torque within `most`, and keep it as `effort`."""

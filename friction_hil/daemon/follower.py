@@ -14,7 +14,7 @@ from friction_hil.daemon.axis import AxisLoop, AxisUpdate
 from friction_hil.daemon.demand import DemandEstimator
 from friction_hil.daemon.figures import Condition
 from friction_hil.daemon.following import Following
-from friction_hil.daemon.motion import Demand
+from friction_hil.daemon.motion import NO_DEMAND, Demand
 from friction_hil.daemon.notices import MasterNotices
 from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.safety import LoopState, Supervisor
@@ -88,7 +88,7 @@ class FollowerAxis(AxisLoop):
     Its following error counts while the drive operates. The motion is the other controller's: its period is not known.
     """
 
-    __slots__ = ("_estimator", "_has_demand", "_master_notices")
+    __slots__ = ("_estimator", "_has_demand", "_heard", "_master_notices")
 
     supervisor: FollowerSupervisor
 
@@ -104,6 +104,7 @@ class FollowerAxis(AxisLoop):
         self.following = Following(self.name, unit, period_s, 0.0, math.inf, resolution)
         self._estimator = DemandEstimator(period_s, self.facts.setpoint_delay_s, self.lead_s)
         self._has_demand = False
+        self._heard: Demand = NO_DEMAND  # in the last cycle
         self._master_notices = MasterNotices(self.name, period_s)
 
     def enter_path(self) -> None:
@@ -120,10 +121,16 @@ class FollowerAxis(AxisLoop):
 
     def _demand(self, cycle: int, state: LoopState, feedback: Feedback) -> tuple[Setpoint | None, Demand]:
         """Return no set-point, and the demand that is heard of the master."""
-        if not self.supervisor.is_operating:
+        is_operating = self.supervisor.is_operating
+        if not is_operating:
             self._estimator.forget()
-            return None, self._estimator.take(cycle, math.nan)
-        return None, self._estimator.take(cycle, feedback.position_demand)
+        self._heard = self._estimator.take(cycle, feedback.position_demand if is_operating else math.nan)
+        return None, self._heard
+
+    def _demand_of_arm(self, cycle: int, state: LoopState) -> tuple[float, float, float, float]:
+        """Return the demand of the cycle before: that of this one is heard with the other inputs of the axis."""
+        position, _, velocity, acceleration = self._heard
+        return position, velocity, acceleration, self.lead_s + self._period_s
 
     def _count(self, inputs: CompensatorInputs, shift: float, state: LoopState, running_s: float, missed: int) -> None:
         """Count the following error of a cycle, in whatever state the axis is."""

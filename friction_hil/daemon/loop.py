@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from friction_hil.daemon.arm import ArmTorques
 from friction_hil.daemon.axis import AxisLoop, AxisUpdate
 from friction_hil.daemon.control.changes import Changes
 from friction_hil.daemon.control.journal import JournalReader
@@ -25,7 +26,7 @@ class Loop:
     """Drive some axes through a run.
 
     The drives are connected but not started, the axes in the order of theirs. ``path_time`` is that of all axes;
-    ``journal`` brings changes while the loop runs.
+    ``journal`` brings changes while the loop runs. ``arm``: of which some of the axes are joints.
     """
 
     def __init__(
@@ -38,8 +39,10 @@ class Loop:
         settings: LoopSettings,
         stop: StopRequest,
         journal: JournalReader | None = None,
+        arm: ArmTorques | None = None,
     ) -> None:
         self._drives, self._axes, self._clock, self._sink, self._settings = drives, axes, clock, sink, settings
+        self._arm = arm
         self._feedback = [Feedback() for _ in axes]
         self._states_while_disabling = [DriveState.UNKNOWN] * len(axes)
         self._commands = [Command() for _ in axes]
@@ -112,6 +115,8 @@ class Loop:
         """Compute all axes and fill their commands; a fault of one of them changes the requests to all."""
         updates, is_covered, time_s = [], [], cycle * self._settings.period_s
         requests, log = self._run.requests, self._log
+        if self._arm is not None and (text := self._arm.update(cycle, state, self._feedback)):
+            log.fault(cycle, text)
         for index, axis in enumerate(self._axes):
             feedback = self._feedback[index]
             update = axis.update(cycle, state, running_s, feedback, self._commands[index], self._parts[index])

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 # position and velocity now, velocity and acceleration when this cycle's torque acts
 Demand: TypeAlias = tuple[float, float, float, float]
-_NO_DEMAND: Demand = (math.nan, math.nan, math.nan, math.nan)
+NO_DEMAND: Demand = (math.nan, math.nan, math.nan, math.nan)
 
 _MARGIN = 0.01  # of the path's own extent, kept from the position limits: an axis overshoots a little
 _EXTENT_HZ = 1000.0  # rate at which a motion without a period is sampled for its extent
@@ -113,7 +113,7 @@ class AxisMotion:
     def demand(self, time_s: float, state: LoopState) -> tuple[Setpoint | None, Demand]:
         """Return the set-point at ``time_s``, None outside of the motion, and the demand for the compensator."""
         if not self.has_setpoint or state not in MOVING:
-            return None, _NO_DEMAND
+            return None, NO_DEMAND
         setpoint = self._trajectory.at(time_s)
         _, velocity_ahead, acceleration_ahead = self._trajectory.at(time_s + self.lead_s)
         return setpoint, (setpoint.position, setpoint.velocity, velocity_ahead, acceleration_ahead)

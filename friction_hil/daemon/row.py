@@ -28,6 +28,7 @@ _TEMPERATURE_ESTIMATE = columns.NAMES.index("temperature_estimate")
 _MOTOR_OFFSET = columns.NAMES.index("motor_offset")
 _VELOCITY_OFFSET = columns.NAMES.index("velocity_offset")
 _COMPENSATION = columns.NAMES.index("compensation")
+_FEEDFORWARD = columns.NAMES.index("feedforward")
 _COMMAND = columns.NAMES.index("command")
 _STATE = columns.NAMES.index("state")
 _DRIVE_STATE = columns.NAMES.index("drive_state")
@@ -86,6 +87,10 @@ class AxisRow:
         cells[_STATE] = state
         cells[_DRIVE_STATE] = drive_state
         cells[_CHECKSUM] = input_checksum(*inputs)
+
+    def write_feedforward(self, torque: float) -> None:
+        """Write the torque that is fed forward beside the compensation, N m."""
+        self._cells[_FEEDFORWARD] = torque
 
     def write_load(self, position: float) -> None:
         """Write the position by an encoder at the load."""

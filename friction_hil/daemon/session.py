@@ -14,6 +14,7 @@ from friction_hil.compensator.records import place
 from friction_hil.config import RecordingConfig, self_contained
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.load import only_driver
+from friction_hil.daemon.arm import ArmTorques
 from friction_hil.daemon.assembly import experiment_note, ramp_s
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare, state_folder
@@ -34,7 +35,7 @@ from friction_hil.daemon.notify import NotifyingSink, ServiceManager
 from friction_hil.daemon.processes import LEARNING, control_server, learning_process, live_server
 from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
 from friction_hil.daemon.run import LoopSettings
-from friction_hil.daemon.static_torque import static_torque_note
+from friction_hil.daemon.static_torque import largest_weights, static_torque_note
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.daemon.supervisor import Beside
 from friction_hil.daemon.uncertainty import uncertainty_table
@@ -199,14 +200,14 @@ def _prepare(
     driver = load_driver(only_driver(configuration))
     drives = driver.drives_for(configuration, configuration.axes, clock, dry_run=settings.dry_run)
     stack.callback(_close, drives, report)
-    facts = drives.connect()
+    facts, weights = drives.connect(), largest_weights(configuration)
     for fact in facts:
         report(f"{fact.name}: {fact.identity}")
         for line in unit_table(fact.name, fact.units):
             report(line)
         for note in (*fact.notes, *configuration.axes[fact.name].model.friction_model.notes):
             report(f"{fact.name}: {note}")
-        if note := static_torque_note(configuration.axes[fact.name]):
+        if note := static_torque_note(configuration.axes[fact.name], weights.get(fact.name)):
             report(f"{fact.name}: {note}")
     path_time = PathTime(ramp_s(configuration.axes.values()))
     shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})
@@ -223,6 +224,7 @@ def _prepare(
             path_time,
             shadows,
             max_stale,
+            is_of_arm=fact.name in weights,
         )
         for fact in facts
     ]
@@ -327,8 +329,9 @@ def _run(
                 stack.callback(manager.close)
                 stack.callback(manager.stopping)
                 sink = NotifyingSink(sink, manager, configuration.period_s)
-            loop = Loop(prepared.drives, prepared.axes, prepared.path_time, clock, sink, loop_settings, stop, journal)
-            return loop.run()
+            axes, path_time = prepared.axes, prepared.path_time
+            arm = None if configuration.arm is None else ArmTorques(configuration.arm, axes)
+            return Loop(prepared.drives, axes, path_time, clock, sink, loop_settings, stop, journal, arm).run()
 
 
 def _close(drives: Drives, report: Callable[[str], None]) -> None:

@@ -1,21 +1,25 @@
-"""Feed-forward of gravity and offset of a model file: how much of it an axis gets, and what is said about it."""
+"""Feed-forward of gravity and offset of a model file, or of an arm: what an axis gets of it, and what is said of it."""
 
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from friction_hil.compensator.load import gravity_torque
+from friction_hil.dynamics import torques
 from friction_hil.numerics.readable import FORCE_UNITS
 
 if TYPE_CHECKING:
-    from friction_hil.config import AxisConfig
+    from friction_hil.config import AxisConfig, Configuration
 
+_POSES = 1000  # of an arm that are looked at for the largest weight
 _NOTEWORTHY = 0.01  # of limits.torque: identification finds a small offset where there is none
 
 
 class StaticTorque(NamedTuple):
-    """Feed-forward torque that depends on nothing but the position, N m or N.
+    """Feed-forward torque that depends on nothing but the position, N m or N, and that of an arm.
 
-    The values beside the bound are ``mechanics.offset`` and ``mechanics.gravity`` of the model file.
+    The values beside bound and per_load are ``mechanics.offset`` and ``mechanics.gravity`` of the model file.
     """
 
     bound: float  # largest absolute torque; 0 where nothing is fed forward
@@ -23,13 +27,18 @@ class StaticTorque(NamedTuple):
     constant: float
     sine: float
     cosine: float
+    per_load: float = 0.0  # of the bound, that friction takes for each N m of the load of an arm
 
-    def at(self, position: float) -> float:
-        """Return the torque at a position (rad or m), N m or N; 0 where the position is not finite."""
+    def at(self, position: float, arm: float = 0.0, load: float = 0.0) -> float:
+        """Return the torque at a position (rad or m), N m or N; 0 where the position is not finite.
+
+        ``arm``, ``load``: what the arm needs on this axis, and what the gear carries of it, N m or N.
+        """
         if self.bound == 0.0 or not math.isfinite(position):
             return 0.0
-        torque = self.offset + float(gravity_torque(self.constant, self.sine, self.cosine, position))
-        return min(max(torque, -self.bound), self.bound)
+        torque = self.offset + float(gravity_torque(self.constant, self.sine, self.cosine, position)) + arm
+        bound = self.bound if self.per_load == 0.0 else max(self.bound - self.per_load * abs(load), 0.0)
+        return min(max(torque, -bound), bound)
 
     @property
     def largest(self) -> float:
@@ -63,8 +72,8 @@ class Fade:
         return wanted
 
 
-def static_torque(config: "AxisConfig") -> StaticTorque:
-    """Return the feed-forward of gravity and offset of an axis.
+def static_torque(config: "AxisConfig", *, is_of_arm: bool = False) -> StaticTorque:
+    """Return the feed-forward of gravity and offset of an axis; ``is_of_arm``: the arm's weight and inertia come to it.
 
     In csp and csv it is bounded by what ``limits.torque`` leaves beside the friction: a bound on the sum alone would
     take the compensation of one direction away. In cst, ``limits.torque`` is the limit of the whole.
@@ -72,19 +81,20 @@ def static_torque(config: "AxisConfig") -> StaticTorque:
     given, mechanics = config.compensation, config.model.mechanics
     gravity = mechanics.gravity
     torque = StaticTorque(0.0, mechanics.offset, gravity.constant, gravity.sine, gravity.cosine)
-    if not _is_fed(config) or torque.largest == 0.0:
+    if not _is_fed(config) or (torque.largest == 0.0 and not is_of_arm):
         return torque
     if config.mode == "cst":
         return torque._replace(bound=config.limits.torque)
     gain = max(given.gain, given.gain if given.gain_negative is None else given.gain_negative)
-    return torque._replace(bound=max(config.limits.torque - gain * _largest_friction(config, torque.largest), 0.0))
+    level, by_load = gain * config.model.friction_model.level, gain * _by_load(config)
+    bound = max(config.limits.torque - level - by_load * torque.largest, 0.0)
+    return torque._replace(bound=bound, per_load=by_load if is_of_arm else 0.0)
 
 
-def _largest_friction(config: "AxisConfig", weight: float) -> float:
-    """Return the largest torque of the model's friction in slow motion under a weight, N m or N."""
-    friction = config.model.friction_model
-    by_load = friction.modifiers.get("load", {})
-    return friction.level + weight * float(max(by_load.get("motoring", 0.0), by_load.get("driven", 0.0)))
+def _by_load(config: "AxisConfig") -> float:
+    """Return by how much a load raises the friction of the model at most, 1."""
+    by_load = config.model.friction_model.modifiers.get("load", {})
+    return float(max(by_load.get("motoring", 0.0), by_load.get("driven", 0.0)))
 
 
 def _is_fed(config: "AxisConfig") -> bool:
@@ -96,29 +106,52 @@ def _is_fed(config: "AxisConfig") -> bool:
     return config.compensation.gravity and is_wanted and config.trajectory.kind != "master"
 
 
-def static_torque_note(config: "AxisConfig") -> str:
-    """Return what is fed forward, and whether ``limits.torque`` is too small for it; empty for next to nothing."""
-    torque = static_torque(config)
-    if not _is_fed(config) or torque.largest <= _NOTEWORTHY * config.limits.torque:
+def largest_weights(configuration: "Configuration") -> dict[str, float]:
+    """Return the largest weight on each axis of the arm in many poses within ``limits.position``, N m or N.
+
+    Without these limits a hinge may have any angle, and a prismatic joint is at zero.
+    """
+    if configuration.arm is None:
+        return {}
+    names, arm = list(configuration.arm.joints), configuration.arm.dynamics
+    axes = [configuration.axes[name] for name in names]
+    reaches = [0.0 if axis.model.axis == "linear" else math.pi for axis in axes]
+    low, high = zip(*(axis.limits.position or (-r, r) for axis, r in zip(axes, reaches, strict=True)), strict=True)
+    work, known = torques.workspace(len(names))
+    largest = np.zeros(len(names))
+    for pose in np.random.default_rng(0).uniform(low, high, (_POSES, len(names))):
+        work[torques.Q] = pose
+        torques.find_torques(arm.links, arm.gravity_vector, work, known)
+        np.maximum(largest, np.abs(work[torques.LOAD]), out=largest)
+    return dict(zip(names, largest.tolist(), strict=True))
+
+
+def static_torque_note(config: "AxisConfig", weight: float | None = None) -> str:
+    """Return what is fed forward, and whether ``limits.torque`` is too small for it; empty for next to nothing.
+
+    ``weight``: of an axis of an arm, the largest one there, N m or N.
+    """
+    largest = static_torque(config).largest + (weight or 0.0)
+    if not _is_fed(config) or (largest <= _NOTEWORTHY * config.limits.torque and weight is None):
         return ""
-    text = (
-        f"gravity and offset of the model, up to {torque.largest:.3g} {_unit(config)}, are fed forward as soon as the "
-        "axis is enabled (compensation.gravity: false turns this off)"
-    )
-    shortage = static_torque_shortage(config)
+    what = f"gravity and offset of the model, up to {largest:.3g} {_unit(config)}, are"
+    if weight is not None:
+        what = f"weight, inertia and coupling of the arm, at rest up to {largest:.3g} {_unit(config)}, are"
+    text = f"{what} fed forward as soon as the axis is enabled (compensation.gravity: false turns this off)"
+    shortage = static_torque_shortage(config, weight)
     return f"{text}; limits.torque {shortage}" if shortage else text
 
 
-def static_torque_shortage(config: "AxisConfig") -> str:
+def static_torque_shortage(config: "AxisConfig", weight: float | None = None) -> str:
     """Return that ``limits.torque`` is too small for what is to be fed forward; empty where it is not."""
-    torque = static_torque(config)
-    if not _is_fed(config) or torque.largest <= torque.bound:
+    torque = static_torque(config, is_of_arm=weight is not None)
+    largest, bound = torque.largest + (weight or 0.0), max(torque.bound - torque.per_load * (weight or 0.0), 0.0)
+    if not _is_fed(config) or largest <= bound:
         return ""
     rest = "the axis cannot hold the rest" if config.mode == "cst" else "the loops of the drive have to hold the rest"
-    return (
-        f"leaves {torque.bound:.3g} {_unit(config)} for gravity and offset of the model, which need up to "
-        f"{torque.largest:.3g} {_unit(config)}: {rest}"
-    )
+    what = "gravity and offset of the model" if weight is None else "the weight of the arm"
+    unit = _unit(config)
+    return f"leaves {bound:.3g} {unit} for {what}, which need up to {largest:.3g} {unit}: {rest}"
 
 
 def _unit(config: "AxisConfig") -> str:

@@ -30,7 +30,7 @@ LINK = np.dtype(
     align=True,
 )
 
-_ROTATION, _ORIGIN, _W, _DW, _A, _F, _N, _WIDTH = 0, 9, 12, 15, 18, 21, 24, 27  # columns of what is known of a link
+_ROTATION, _ORIGIN, _W, _DW, _A, _F, _N, WIDTH = 0, 9, 12, 15, 18, 21, 24, 27  # columns of what is known of a link
 
 Vector = tuple[float, float, float]
 
@@ -146,7 +146,8 @@ def _along(link: np.void, f: Vector, n: Vector) -> float:
 
 
 @inlined
-def _inverse(links: StructuredArray, gravity: Array, q: Array, dq: Array, ddq: Array, known: Array, tau: Array) -> None:
+def inverse(links: StructuredArray, gravity: Array, q: Array, dq: Array, ddq: Array, known: Array, tau: Array) -> None:
+    """Set the torques or forces ``tau`` of one state; ``known``: (n, `WIDTH`) memory."""
     _move(links, gravity, q, dq, ddq, known)
     for i in range(len(links)):
         p = links[i]["parameters"]
@@ -174,7 +175,7 @@ def inverse_dynamics(links: StructuredArray, gravity: Array, q: Array, dq: Array
     n = len(links)
     if len(q) != n or len(dq) != n or len(ddq) != n or len(tau) != n:
         return False
-    _inverse(links, gravity, q, dq, ddq, np.empty((n, _WIDTH)), tau)
+    inverse(links, gravity, q, dq, ddq, np.empty((n, WIDTH)), tau)
     return True
 
 
@@ -183,20 +184,20 @@ def inverse_dynamics_of_rows(
     links: StructuredArray, gravity: Array, q: Array, dq: Array, ddq: Array, tau: Array
 ) -> None:
     """Set the torques or forces ``tau`` of a state in each row."""
-    known = np.empty((len(links), _WIDTH))
+    known = np.empty((len(links), WIDTH))
     for row in range(len(q)):
-        _inverse(links, gravity, q[row], dq[row], ddq[row], known, tau[row])
+        inverse(links, gravity, q[row], dq[row], ddq[row], known, tau[row])
 
 
 @compiled
 def inertia_matrices(links: StructuredArray, q: Array, matrices: Array) -> None:
     """Set the inertia matrix of the position in each row: column by column, what accelerates one joint."""
     n = len(links)
-    known, none, push, tau = np.empty((n, _WIDTH)), np.zeros(n), np.zeros(n), np.empty(n)
+    known, none, push, tau = np.empty((n, WIDTH)), np.zeros(n), np.zeros(n), np.empty(n)
     for row in range(len(q)):
         for k in range(n):
             push[k] = 1.0
-            _inverse(links, np.zeros(3), q[row], none, push, known, tau)
+            inverse(links, np.zeros(3), q[row], none, push, known, tau)
             push[k] = 0.0
             matrices[row, :, k] = tau
 
@@ -205,7 +206,7 @@ def inertia_matrices(links: StructuredArray, q: Array, matrices: Array) -> None:
 def regressors(links: StructuredArray, gravity: Array, q: Array, dq: Array, ddq: Array, y: Array) -> None:
     """Set the matrices that give tau, without the armatures, from the parameters of all links in the order of q."""
     n = len(links)
-    known = np.empty((n, _WIDTH))
+    known = np.empty((n, WIDTH))
     y[:] = 0.0
     for row in range(len(q)):
         _move(links, gravity, q[row], dq[row], ddq[row], known)

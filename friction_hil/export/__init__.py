@@ -95,6 +95,8 @@ def files(
 def joint_files(configuration: str | Path, *, name: str = "", joints: Sequence[str] | None = None) -> dict[str, str]:
     """Return the compensators of the joints of a loop in C, by the names of their files: one struct for all of them.
 
+    The dynamics of ``arm`` are not in it: the caller gives the load of each joint.
+
     Parameters
     ----------
     configuration : str or Path
@@ -122,7 +124,7 @@ def joint_files(configuration: str | Path, *, name: str = "", joints: Sequence[s
     read = load(path)
     if read.lacks_period:
         raise UsageError(f"{path} has no period_s: the export needs that of the loop")
-    made = make_joints(read, joints)
+    made = make_joints(read.model_copy(update={"arm": None}), joints)
     chosen = _checked(name or identifier(path.stem), "c")
     subjects = [
         Subject(_checked(f"{chosen}_{joint}", "c"), made.configuration.axes[joint].model, path.name, one)

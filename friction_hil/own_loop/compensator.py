@@ -17,13 +17,14 @@ from friction_hil.daemon.control.message import AxisChange
 from friction_hil.daemon.control.prepare import entry_of, prepare
 from friction_hil.daemon.notices import AxisNotices
 from friction_hil.drive.codes import FaultCode
+from friction_hil.dynamics import Arm
 from friction_hil.errors import UsageError, internal_error
 from friction_hil.numerics.jit import Array, ready
 from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.own_loop import kernel
 from friction_hil.own_loop.faults import as_array, check_first, fault_of
 from friction_hil.own_loop.joints import adopt, make_joints, remarks
-from friction_hil.own_loop.kernel import DQ, GIVEN, TAU, WRONG_SHAPE
+from friction_hil.own_loop.kernel import DQ, GIVEN, LOAD, TAU, WRONG_SHAPE
 from friction_hil.own_loop.memory import Memory
 from friction_hil.own_loop.pace import Pace
 
@@ -33,6 +34,7 @@ _WRONG_PERIOD = 0.1  # of the period, by which the mean of the measured ones may
 _LEAST_PERIOD = 0.5  # of the period: calls that come faster are a fault
 _MOST_NOTICES = 100
 _RECORD_S = 60.0
+_OF_THE_ARM = [GIVEN.index(name) for name in ("q", "q_des", "dq_des", "ddq_des", "load")]
 
 
 class Compensator:
@@ -103,6 +105,7 @@ class Compensator:
         self._number, self._models_of = 0, dict.fromkeys(made.names, 0)  # of the last change, of that of each model
         self._pending: deque[tuple[int, list[AxisChange | None]]] = deque()
         self._kernel: Any = ready(kernel.step)
+        self._find_loads: Any = None if made.arm is None else ready(kernel.find_loads)
         arrays = (made.settings, made.state, made.limits, made.loop, self._out)
         self._arrays = (*arrays, self._memory.rows, made.flat_state, self._memory.states)
         self._compile()
@@ -184,7 +187,8 @@ class Compensator:
             out at rest.
         load : array_like, optional
             Torque that the arm puts on each joint, N m or N, positive if it opposes positive motion: what holds the
-            joint at rest. Friction that depends on load follows it; it is no part of the result.
+            joint at rest. Friction that depends on load follows it; it is no part of the result. By default, and where
+            it is NaN, that of ``arm`` in the configuration: weight, and in demanded motion what its inertia takes.
         temperature : array_like, optional
             Measured temperatures, deg C, for models that depend on them.
         fresh : array_like of bool, optional
@@ -216,6 +220,8 @@ class Compensator:
             if self._is_plain:
                 nothing = self._nothing
                 try:
+                    if self._find_loads is not None:
+                        load = self._loads(passed, (q, q_des, dq_des, ddq_des, load))
                     fault = self._kernel(
                         *self._arrays,
                         passed,
@@ -235,7 +241,11 @@ class Compensator:
                     self._is_plain = False
             if fault < 0:
                 given = (q, dq, tau, q_des, dq_des, ddq_des, load, temperature, fresh)
-                fault = self._kernel(*self._arrays, passed, *self._converted(given))
+                converted = self._converted(given)
+                if self._find_loads is not None:
+                    q, q_des, dq_des, ddq_des, load = (converted[2 + k] for k in _OF_THE_ARM)
+                    converted[2 + LOAD] = self._loads(passed, (q, q_des, dq_des, ddq_des, load))
+                fault = self._kernel(*self._arrays, passed, *converted)
             if fault > 0 and self._fault is None:
                 self._stop(fault_of(self._joints, fault))
             self._countdown -= 1
@@ -257,6 +267,14 @@ class Compensator:
     def joints(self) -> tuple[str, ...]:
         """Names of the joints, in the order of the arrays."""
         return self._joints.names
+
+    @property
+    def dynamics(self) -> Arm | None:
+        """Dynamics of ``arm`` in the configuration, its joints in the order of `joints`; None without an arm.
+
+        A joint outside of the arm is left out of it.
+        """
+        return self._joints.arm
 
     @property
     def period_s(self) -> float:
@@ -405,6 +423,12 @@ class Compensator:
             self._notices.append(text)
             self._memory.note("notice", text)
 
+    def _loads(self, passed: float, given: Sequence[Any]) -> Any:
+        """Return the loads, those of the arm where none are given; ``given``: see `_OF_THE_ARM`."""
+        made, arrays = self._joints, [self._nothing if each is None else each for each in given]
+        own = (made.settings, made.state, made.limits, *made.arm_arrays)
+        return made.arm_arrays[-1] if self._find_loads(*own, passed * self._period_s, *arrays) else given[-1]
+
     def _compile(self) -> None:
         """Compile a cycle, and see to it that no array of another type is compiled for in the loop."""
         self._kernel.disable_compile(False)
@@ -412,6 +436,10 @@ class Compensator:
             copies = (each[: 2 * len(self._out)].copy() for each in self._arrays)
             self._kernel(*copies, 1.0, 0.0, 0.0, *[self._nothing] * (len(GIVEN) - 1), self._all)
         self._kernel.disable_compile()
+        if self._find_loads is not None:
+            self._find_loads.disable_compile(False)
+            self._loads(1.0, [self._nothing] * len(_OF_THE_ARM))
+            self._find_loads.disable_compile()
 
     def _stop(self, text: str, code: FaultCode | None = None) -> None:
         """Let all joints fade out, and say why."""

@@ -18,6 +18,7 @@ from friction_hil.daemon.control.message import AxisChange
 from friction_hil.daemon.safety import JUMP_MARGIN, SLACK_STEPS
 from friction_hil.daemon.velocity_check import VelocityCheck
 from friction_hil.drive import AxisFacts
+from friction_hil.dynamics import Arm, torques
 from friction_hil.errors import OptionError, UsageError, choices
 from friction_hil.numerics.jit import Array, StructuredArray
 from friction_hil.own_loop.kernel import JOINT, LOOP
@@ -36,6 +37,9 @@ class Joints:
     flat_state: Array  # (2 n, width), the same memory
     limits: StructuredArray  # (n,) `JOINT`
     loop: StructuredArray  # (1,) `LOOP`
+    arm: Arm | None  # whose joints are those of ``names`` that it has, in their order
+    # of the kernel: place of each joint in the arm, -1 outside; links and gravity; workspace; loads, (n,)
+    arm_arrays: tuple[Any, ...]
 
     def places(self, names: Sequence[str]) -> list[int]:
         """Return the places of joints in the arrays; a `UsageError`: there is none of a name."""
@@ -66,7 +70,22 @@ def make_joints(configuration: Configuration, names: Sequence[str] | None) -> Jo
     loop = np.zeros(1, LOOP)
     loop["period_s"], loop["most_stale"], loop["is_on"] = period_s, configuration.realtime.max_missed, 1.0
     limits = np.array([_limits(axis, fact, period_s) for axis, fact in pairs], JOINT)
-    return Joints(chosen, configuration, facts, tuple(made), settings, state, flat_state, limits, loop)
+    arm, arrays = _arm(configuration, chosen)
+    return Joints(chosen, configuration, facts, tuple(made), settings, state, flat_state, limits, loop, arm, arrays)
+
+
+def _arm(configuration: Configuration, names: Sequence[str]) -> tuple[Arm | None, tuple[Any, ...]]:
+    """Return the arm of some joints, with arrays for the kernel; a `UsageError`: not all of its joints are there."""
+    given, places = configuration.arm, np.full(len(names), -1)
+    if given is None:
+        return None, ()
+    if lacking := [name for name in given.joints if name not in names]:
+        text = f"joints: {', '.join(lacking)} is missing, without whose position the torques of the arm are not known"
+        raise UsageError(text)
+    own = [k for k, name in enumerate(names) if name in given.joints]
+    places[own] = np.arange(len(own))
+    arm = given.ordered([names[k] for k in own])
+    return arm, (places, arm.links, arm.gravity_vector, *torques.workspace(len(own)), np.zeros(len(names)))
 
 
 def _chosen(configuration: Configuration, names: Sequence[str] | None) -> tuple[str, ...]:

@@ -13,14 +13,16 @@ from friction_hil.checked_yaml.section import MOST_ACCELERATION, MOST_POSITION, 
 from friction_hil.compensator.kernel import whole_step
 from friction_hil.daemon import velocity_check
 from friction_hil.daemon.fast_steps import MOST_FAST_CYCLES
+from friction_hil.dynamics import torques
 from friction_hil.numerics.jit import Array, StructuredArray, compiled_for_one_sample, inlined
 
 BoolArray = NDArray[np.bool_]
+IntegerArray = NDArray[np.int64]
 _compare = inlined(velocity_check.take)
 
 # what the caller gives for each joint; NaN where nothing is given
 GIVEN = ("q", "dq", "tau", "q_des", "dq_des", "ddq_des", "load", "temperature", "fresh")
-DQ, TAU = GIVEN.index("dq"), GIVEN.index("tau")
+DQ, TAU, LOAD = GIVEN.index("dq"), GIVEN.index("tau"), GIVEN.index("load")
 
 JOINT = np.dtype(
     [
@@ -150,6 +152,54 @@ def _fault(
     if math.isfinite(position_demand) and not abs(position_demand - j.position) <= j.following_error:
         return FOLLOWING
     return NOT_FINITE if is_faulty > 0.0 else NONE
+
+
+@compiled_for_one_sample
+def find_loads(
+    settings: StructuredArray,
+    state: StructuredArray,
+    joints: StructuredArray,
+    places: IntegerArray,
+    links: StructuredArray,
+    gravity: Array,
+    work: Array,
+    known: Array,
+    found: Array,
+    elapsed_s: float,
+    q: Array,
+    q_des: Array,
+    dq_des: Array,
+    ddq_des: Array,
+    given: Array,
+) -> bool:
+    """Set the loads of the joints of an arm that are not given, (n,), before a `step`; False: for a wrong shape.
+
+    A joint without a demand counts as at rest where it was in the cycle before.
+    """
+    n = len(places)
+    for size in (q.size, q_des.size, dq_des.size, ddq_des.size, given.size):
+        if size != n:
+            return False
+    for k in range(n):
+        i, j, lead_s = places[k], joints[k], settings[k].lead_s
+        if i < 0:
+            continue
+        position, acceleration = _within(q_des[k], MOST_POSITION), _within(ddq_des[k], MOST_ACCELERATION)
+        velocity = _within(dq_des[k], MOST_VELOCITY)
+        _, ahead = demand(position, velocity, acceleration, j.position_demand, j.velocity_demand, elapsed_s, lead_s)
+        if math.isfinite(position) and math.isfinite(ahead):
+            work[torques.Q, i], work[torques.DQ, i] = position + lead_s * ahead, ahead
+            work[torques.DDQ, i] = acceleration if math.isfinite(acceleration) else 0.0
+        else:
+            moved = (lead_s + elapsed_s) * state[k].motion.velocity
+            work[torques.Q, i] = j.position + moved if math.isfinite(j.position) else q[k]
+            work[torques.DQ, i] = work[torques.DDQ, i] = 0.0
+    torques.find_loads(links, gravity, work, known)
+    for k in range(n):
+        found[k] = given[k]
+        if places[k] >= 0 and not math.isfinite(found[k]):
+            found[k] = work[torques.LOAD, places[k]]
+    return True
 
 
 @compiled_for_one_sample

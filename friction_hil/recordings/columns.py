@@ -70,6 +70,12 @@ COLUMNS = (
         "velocity_estimate",
         is_sparse=True,
     ),
+    ColumnMeaning(
+        "feedforward",
+        "N m",
+        "gravity, offset and dynamics of an arm that are fed forward beside compensation while the drive has power",
+        is_sparse=True,
+    ),
     ColumnMeaning("command", "N m", "torque written to the drive: offset in csp and csv, the whole in cst"),
     ColumnMeaning("state", "", "state of the loop (LoopState)"),
     ColumnMeaning("drive_state", "", "state of the drive (DriveState)"),

@@ -100,6 +100,12 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
     for name in names:
         refuse_shared_beam(name, configuration)
         experiment_of(name, configuration.axes[name])
+        if configuration.arm is not None and name in configuration.arm.joints:
+            raise UsageError(
+                f"{name} is a joint of arm, and 'tune' finds a weight of its own for each axis, which would stand "
+                "beside the arm's: record the arm with 'run', and find the friction of all joints with "
+                "'friction-hil identify RUN.mcap --joints all --urdf FILE'"
+            )
         if not settings.is_simulated:
             refuse_unwritable_model(name, configuration.axes[name])
     claim(settings.folder)

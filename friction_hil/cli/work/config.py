@@ -20,7 +20,7 @@ from friction_hil.config.annotated import FILL_IN_MARK
 from friction_hil.config.examples import copied, examples, summary
 from friction_hil.config.new_file import SCHEMA_FILE, Wanted, new_configuration
 from friction_hil.daemon.assembly import velocity_offset_shortage
-from friction_hil.daemon.static_torque import static_torque_shortage
+from friction_hil.daemon.static_torque import largest_weights, static_torque_shortage
 from friction_hil.errors import ConfigurationError, OptionError, Problem, UsageError
 
 _SUFFIXES = (".yaml", ".yml")
@@ -90,10 +90,11 @@ def _inert_adaptations(file: str, configuration: Configuration) -> list[Problem]
 def _short_limits(file: str, configuration: Configuration) -> list[Problem]:
     """Return a note for each limit of a torque or velocity offset that is too small for gravity or friction."""
     found: list[Problem] = []
+    weights = largest_weights(configuration)
     for name, axis in configuration.axes.items():
         if text := velocity_offset_shortage(axis):
             found += located(file, OptionError(name, "compensation.velocity_offset.limit", text)).problems
-        if text := static_torque_shortage(axis):
+        if text := static_torque_shortage(axis, weights.get(name)):
             found += located(file, OptionError(name, "limits.torque", text)).problems
     return found
 

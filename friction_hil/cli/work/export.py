@@ -109,6 +109,8 @@ def _export_joints(
         return
     for path in paths:
         click.echo(f"{path}: {path.stat().st_size} bytes")
+    if load(config).arm is not None:
+        click.echo("The arm is not in it: give the load of each joint in `load`, else its friction knows no weight.")
 
 
 def _export_lossy(

@@ -91,7 +91,7 @@ def _static(numbers: Array, present: StructuredArray) -> StaticTorque:
     if numbers.size != _STATIC_ROOM or not np.isfinite(numbers).all():
         raise ValueError("the feed-forward of gravity is damaged")
     static = StaticTorque(*numbers.tolist())
-    if not 0.0 <= static.bound <= present[0]["torque_limit"]:
+    if not (0.0 <= static.bound <= present[0]["torque_limit"] and static.per_load >= 0.0):
         raise ValueError("the feed-forward of gravity is out of its range")
     return static
 

@@ -95,6 +95,7 @@ def prepare(
             "\n".join(_shortened(str(problem), source) for problem in error.problems[:MOST_PRINTED])
         ) from None
     changes: list[AxisChange | None] = []
+    joints = () if new.arm is None else new.arm.joints
     for fact in facts:
         name, after, one = fact.name, new.axes[fact.name], None
         if name in changed | switched:
@@ -112,7 +113,7 @@ def prepare(
                     record = compensator.record
                 if is_enabled:
                     _check_takes_torque(fact)
-                one = AxisChange(is_enabled, record, friction, static_torque(after))
+                one = AxisChange(is_enabled, record, friction, static_torque(after, is_of_arm=name in joints))
             except OptionError as error:
                 problems.append(f"{error.axis}.{error.key}: {error.text}")
             except FrictionHilError as error:

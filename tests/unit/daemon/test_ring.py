@@ -186,9 +186,10 @@ def test_every_value_stands_in_the_column_of_its_name():
     one.write_timing(11.5, 12.5, 13.5, 19.0)
     one.write_estimates(16.5, 17.5, 18.5)
     one.write_velocity_offset(20.5)
+    one.write_feedforward(22.5)
     expected = INPUTS._asdict() | OTHERS | {"time_s": 0.007, "late_us": 11.5, "exchange_us": 12.5, "path_lag_s": 13.5}
     expected |= {"change": 19.0, "load_estimate": 16.5, "temperature_estimate": 17.5, "motor_offset": 18.5}
-    expected |= {"velocity_offset": 20.5}
+    expected |= {"velocity_offset": 20.5, "feedforward": 22.5}
     expected |= {"checksum": input_checksum(*INPUTS)}
     unknown = dict.fromkeys(("torque_demand", "load_position", "compensation_uncertainty"), math.nan)
     written = dict(zip(columns.NAMES, one.values.tolist(), strict=True))
