@@ -1,12 +1,14 @@
 """Tasks on the workers of an existing Dask cluster.
 
-If a worker dies, Dask runs its tasks again on another one.
+If a worker dies, Dask runs its tasks again on another one. Scheduling costs some milliseconds a request, more than
+short tasks take: a request has several of many tasks, and the worker gives back those that it has no time for.
 """
 
 import asyncio
 import importlib
 import logging
 import pickle
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -17,6 +19,9 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 PATIENCE_S = 10.0
+_MOST_TASKS = 32  # of a request
+_LEAST_REQUESTS = 64  # so that all workers have some; of fewer tasks, each is a request
+_REQUEST_S = 0.25  # after which a worker begins no other task of a request
 RETRIES = 2  # of a task that raised: a bad file gives an outcome, so it was memory, a disk or the network
 
 
@@ -44,35 +49,54 @@ def run_on_cluster(
     _check_scheduler(distributed, address)
     try:
         with distributed.Client(address, timeout=PATIENCE_S, set_as_default=False) as client:
-            for index, future in _futures(distributed, client, function, tasks, address, on_note):
-                yield index, _result(distributed, future, tasks[index], address, died)
+            yield from _answers(distributed, client, function, tasks, address, died, on_note)
     except (distributed.CancelledError, distributed.comm.CommClosedError):
         raise FrictionHilError(
             f"the connection to the scheduler at {address} was lost, or the tasks were cancelled"
         ) from None
 
 
-def _futures(
+def _answers(
     distributed: Any,
     client: Any,
     function: Callable[[Task], Result],
     tasks: Sequence[Task],
     address: str,
+    died: Callable[[Task, FrictionHilError], Result],
     on_note: Callable[[str], None],
-) -> Iterator[tuple[int, Any]]:
-    requests = [pickle.dumps((function, task)) for task in tasks]
-    # not pure: a file may have changed since Dask last read one of this name
-    futures = client.map(_request_runner(__version__), requests, pure=False, retries=RETRIES)
-    indices = {future: index for index, future in enumerate(futures)}
-    del futures  # the worker frees a result once no future refers to it
+) -> Iterator[tuple[int, Result]]:
+    runner = _request_runner(__version__)
+
+    def submit(indices: Sequence[int], size: int) -> dict[Any, Sequence[int]]:
+        pieces = [indices[first : first + size] for first in range(0, len(indices), size)]
+        requests = [pickle.dumps((function, [tasks[index] for index in piece])) for piece in pieces]
+        # not pure: a file may have changed since Dask last read one of this name
+        return dict(zip(client.map(runner, requests, pure=False, retries=RETRIES), pieces, strict=True))
+
+    # the worker frees a result once no future refers to it
+    waiting = submit(range(len(tasks)), max(1, min(_MOST_TASKS, len(tasks) // _LEAST_REQUESTS)))
     try:
         if not _has_worker(client):
             on_note(f"no worker yet at {address}; waiting for one (dask worker {address})")
-        for future in distributed.as_completed(list(indices), loop=client.loop):
-            yield indices.pop(future), future
+        completed = distributed.as_completed(list(waiting), loop=client.loop)
+        for future in completed:
+            piece, size = waiting.pop(future), 1
+            try:
+                found = _results(future, address)
+                size = max(1, len(found))
+            except distributed.KilledWorker as error:
+                found = []
+                if len(piece) == 1:
+                    text = f"workers died while they computed it, the last of them {error.last_worker.address}"
+                    found = [died(tasks[piece[0]], FrictionHilError(text))]
+            left = submit(piece[len(found) :], size)
+            waiting |= left
+            completed.update(list(left))
+            del future
+            yield from zip(piece, found, strict=False)
     finally:
-        if indices and client.status == "running":
-            client.cancel(list(indices))
+        if waiting and client.status == "running":
+            client.cancel(list(waiting))
 
 
 def _library() -> Any:
@@ -131,24 +155,22 @@ def _request_runner(version: str) -> Callable[[bytes], tuple[str, bytes]]:
 
 
 def answer(request: bytes) -> bytes:
-    """Run one pickled task in a worker; return its result, pickled."""
-    function, task = pickle.loads(request)
-    return pickle.dumps(function(task))
+    """Run the tasks of a request in a worker, at least one and others while there is time; return results, pickled."""
+    function, tasks = pickle.loads(request)
+    results, end_s = [], time.monotonic() + _REQUEST_S
+    for task in tasks:
+        results.append(function(task))
+        if time.monotonic() > end_s:
+            break
+    return pickle.dumps(results)
 
 
-def _result(
-    distributed: Any, future: Any, task: Task, address: str, died: Callable[[Task, FrictionHilError], Result]
-) -> Result:
-    try:
-        version, content = future.result()
-    except distributed.KilledWorker as error:
-        return died(
-            task, FrictionHilError(f"workers died while they computed it, the last of them {error.last_worker.address}")
-        )
+def _results(future: Any, address: str) -> list[Any]:
+    version, content = future.result()
     if version != __version__:
         raise UsageError(
             f"a worker of {address} has {f'friction-hil {version}' if version else 'no friction-hil'}, here is "
             f"{__version__}: results could differ; install the same version on both sides"
         )
-    found: Result = pickle.loads(content)
+    found: list[Any] = pickle.loads(content)
     return found

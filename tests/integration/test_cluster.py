@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -264,3 +265,18 @@ def test_a_fleet_has_the_same_table_whoever_dies_and_goes_on_with_the_same_comma
     here = tmp_path_factory.mktemp("here")
     assert main(words(here, *files)) == 0
     assert parquet.read_table(there / "table.parquet") == parquet.read_table(here / "table.parquet")
+
+
+def test_short_tasks_share_a_request_and_a_killed_worker_costs_none_of_them(tmp_path):
+    own = Cluster(tmp_path)  # in the other one a worker has been killed: nobody would be left
+    tasks = [0.005] * 400 + [0.3] + [0.005] * 400
+    seen = []
+    try:
+        for index, _ in cluster.run_on_cluster(time.sleep, tasks, own.address, died=lambda *_: pytest.fail("it died")):
+            seen.append(index)
+            if len(seen) == 100:
+                own.workers[0].kill()
+    finally:
+        own.stop()
+    assert sorted(seen) == list(range(len(tasks)))
+    assert any(after == before + 1 for before, after in pairwise(seen[:40])), "several come back at once"
