@@ -16,7 +16,6 @@ from friction_hil.compensator.compensator import (
     CompensatorInputs,
     CompensatorSettings,
     ThermalObserver,
-    input_checksum,
 )
 from friction_hil.compensator.kernel import RESULTS, whole_step
 from friction_hil.compensator.records import STATE
@@ -31,6 +30,5 @@ __all__ = [
     "CompensatorInputs",
     "CompensatorSettings",
     "ThermalObserver",
-    "input_checksum",
     "whole_step",
 ]

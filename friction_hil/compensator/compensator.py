@@ -1,8 +1,6 @@
 """The compensator as an object: made from a model and settings, it gives one torque a cycle."""
 
 import math
-import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -38,17 +36,10 @@ class CompensatorInputs(NamedTuple):
 
 
 INPUTS = CompensatorInputs._fields
-_PACKED_INPUTS = struct.Struct(f"<{len(INPUTS)}d")
-_NO_LOAD = struct.pack("<d", math.nan)
 _UNCERTAIN_FRACTION = 0.2  # of the friction level, standard deviation of the torque unknown to the Kalman observer
 _UNCERTAIN_S = 0.01  # correlation time of that torque
 _RESTING_COUNTS, _RESTING_DEFLECTIONS = 3.0, 1.5  # encoder counts, or presliding deflections, that count as rest
 _LEAST_ADAPTATION_S = 5.0 * adaptation.FILTER_S  # adaptation must be slower than its own filter
-
-
-def input_checksum(*inputs: float) -> float:
-    """Return the CRC-32 of one cycle's `INPUTS`, given in their order; a load that is not given is no part of it."""
-    return float(zlib.crc32(_PACKED_INPUTS.pack(*inputs).removesuffix(_NO_LOAD)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,8 +48,10 @@ class _Ring:
             raise ValueError("the shared memory is not a ring of this version")
         self.width = self._header[_WIDTH]
         self.capacity = self._header[_CAPACITY]
-        rows = np.frombuffer(self._memory, np.float64, offset=_HEADER_BYTES + EVENT_SLOTS * _EVENT_BYTES)
-        self._rows = rows.reshape(self.capacity, self.width + 2)
+        values = np.frombuffer(self._memory, np.float64, offset=_HEADER_BYTES + EVENT_SLOTS * _EVENT_BYTES)
+        size = self.capacity * (self.width + 2)
+        self._rows = values[:size].reshape(self.capacity, self.width + 2)
+        self.tail = values[size:]  # behind the rows, which the ring does not look at
         self._numbers = self._rows.view(np.int64)
 
     @property
@@ -89,14 +91,14 @@ class _Ring:
 
 
 class RingWriter(_Ring):
-    """Writing end, used by the loop; creates the memory for ``capacity`` rows of ``width`` values."""
+    """Writing end, used by the loop; creates the memory of ``capacity`` rows of ``width`` values, and ``tail`` more."""
 
-    def __init__(self, width: int, capacity: int) -> None:
+    def __init__(self, width: int, capacity: int, tail: int = 0) -> None:
         if width < 1 or capacity < 1:
             raise ValueError(f"a ring has at least one row of one value, not {capacity} of {width}")
         descriptor = os.memfd_create("friction_hil-ring")
         os.fchmod(descriptor, 0o400)  # whoever gets a descriptor for reading cannot open it again for writing
-        os.ftruncate(descriptor, _HEADER_BYTES + EVENT_SLOTS * _EVENT_BYTES + capacity * (width + 2) * 8)
+        os.ftruncate(descriptor, _HEADER_BYTES + EVENT_SLOTS * _EVENT_BYTES + (capacity * (width + 2) + tail) * 8)
         os.pwrite(descriptor, struct.pack("<3q", _MAGIC_NUMBER, width, capacity), 0)
         super().__init__(descriptor)
         # Views are made once: slicing in the loop would cost more than the copy.
@@ -193,8 +195,13 @@ class RingReader(_Ring):
         rows = self._numbers[slots]
         wanted = np.arange(start + 1, end + 1)
         whole = (rows[:, -1] == wanted) & (self._numbers[slots, 0] == wanted)
+        whole[whole] = self._accepts(wanted[whole])
         self._row_cursor.take(wanted[whole], end)
         return rows[whole, 1:-1].view(np.float64)
+
+    def _accepts(self, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which rows that are whole are taken, by their numbers; the others count as lost."""
+        return np.ones(len(numbers), np.bool_)
 
     def drain_events(self) -> list[tuple[float, str, str]]:
         """Take all events present: cycle, name, text."""

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import cast
 
-from friction_hil.compensator import CompensatorInputs, input_checksum
+from friction_hil.compensator import CompensatorInputs
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
 
@@ -86,7 +86,7 @@ class AxisRow:
         cells[_COMMAND] = command
         cells[_STATE] = state
         cells[_DRIVE_STATE] = drive_state
-        cells[_CHECKSUM] = input_checksum(*inputs)
+        cells[_CHECKSUM] = columns.input_checksum(*inputs)
 
     def write_feedforward(self, torque: float) -> None:
         """Write the torque that is fed forward beside the compensation, N m."""

@@ -2,6 +2,7 @@
 
 import math
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -27,11 +28,10 @@ from friction_hil.own_loop.joints import adopt, make_joints, remarks
 from friction_hil.own_loop.kernel import DQ, GIVEN, LOAD, TAU, WRONG_SHAPE
 from friction_hil.own_loop.memory import Memory
 from friction_hil.own_loop.pace import Pace
+from friction_hil.own_loop.recorder import Recorder
 
 _LOOK_S = 0.25  # between two looks at what there is to be said
 _PATIENCE_S = 1.0  # for the first positions
-_WRONG_PERIOD = 0.1  # of the period, by which the mean of the measured ones may be off before it is told
-_LEAST_PERIOD = 0.5  # of the period: calls that come faster are a fault
 _MOST_NOTICES = 100
 _RECORD_S = 60.0
 _OF_THE_ARM = [GIVEN.index(name) for name in ("q", "q_des", "dq_des", "ddq_des", "load")]
@@ -55,6 +55,9 @@ class Compensator:
         Names of the axes in the order of the loop's arrays; by default all, in the order of the file.
     record_s : float, optional
         How much of the past the recording in memory keeps, s; 0 for none. A joint takes 136 bytes a cycle.
+    record : str or Path, optional
+        New MCAP file to be written while the loop runs, by a process beside it, in place of the recording in memory;
+        `close` ends it. Linux alone.
     clock : callable, optional
         Monotonic time in nanoseconds, by which `step` measures the periods.
 
@@ -83,6 +86,7 @@ class Compensator:
         *,
         joints: Sequence[str] | None = None,
         record_s: float = _RECORD_S,
+        record: str | Path | None = None,
         clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         if not 0.0 <= record_s <= 86_400.0:
@@ -92,7 +96,9 @@ class Compensator:
         self._pace = Pace(self._period_s, clock)
         self._nothing, self._all, self._out = np.full(n, math.nan), np.ones(n, np.bool_), np.zeros(n)
         self._blind = [*[self._nothing] * (len(GIVEN) - 1), ~self._all]  # neither feedback nor demand
-        self._memory = Memory(made, record_s)
+        self._recorder = None if record is None else Recorder(made, Path(record))
+        self._memory: Memory | Recorder = self._recorder or Memory(made, record_s)
+        self._end_recording = weakref.finalize(self, self._memory.close)
         self._is_first, self._is_plain, self._is_busy, self._is_period_told = True, False, False, False
         self._fault: str | None = None
         self._looks = self._countdown = max(round(_LOOK_S / self._period_s), 1)
@@ -124,6 +130,7 @@ class Compensator:
         period_s: float | None = None,
         joints: Sequence[str] | None = None,
         record_s: float = _RECORD_S,
+        record: str | Path | None = None,
     ) -> "Compensator":
         """Read a configuration, make its compensator, and compile it: the first call of `step` is as fast as any.
 
@@ -134,7 +141,7 @@ class Compensator:
             driver, ``position_resolution``.
         period_s : float, optional
             Period of the loop, s, where the file has none.
-        joints, record_s
+        joints, record_s, record
             As for `Compensator`.
 
         Returns
@@ -151,7 +158,7 @@ class Compensator:
         configuration = load_configuration(path, period_s=period_s)
         if configuration.lacks_period:
             raise UsageError(f"{path} has no period_s: add it there, or give load(..., period_s=) that of your loop")
-        return cls(configuration, joints=joints, record_s=record_s)
+        return cls(configuration, joints=joints, record_s=record_s, record=record)
 
     def step(
         self,
@@ -260,6 +267,8 @@ class Compensator:
                 with suppress(Exception):
                     self._kernel(*self._arrays, 1.0, 0.0, 0.0, *self._blind)
         finally:
+            if self._recorder is not None:
+                self._recorder.push()
             self._is_busy = False
         return self._out
 
@@ -416,6 +425,14 @@ class Compensator:
             self._tell(f"{path} has the last {seconds}; the {dropped} cycles before were dropped")
         return path
 
+    def close(self) -> None:
+        """End the recording of ``record``, which the end of the program does too; `notices` says what it lacks.
+
+        Call it where the loop rests. `step` goes on, without a recording.
+        """
+        for problem in self._end_recording() or ():
+            self._tell(problem)
+
     def _tell(self, text: str) -> None:
         """Give a notice, once."""
         if text not in self._told:
@@ -482,25 +499,23 @@ class Compensator:
     def _look(self) -> None:
         """Give what notices there are; every quarter of a second."""
         self._countdown = self._looks
+        for problem in () if self._recorder is None else self._recorder.tend():
+            self._tell(problem)
         estimates, given = self._joints.state["motion"]["velocity"], self._joints.limits["temperature"]
         for k, (teller, one) in enumerate(zip(self._tellers, self._joints.compensators, strict=True)):
             if text := teller.next(one, estimates.item(k), given.item(k)):
                 self._tell(text)
-        if self._pace.missed:
-            self._tell("the loop misses periods: `missed` counts them; the compensation goes on over them")
-        if self._pace.invalid:
-            self._tell("dt is not above zero, or no number: a call without a time counts as a period")
+        for text in self._pace.remarks():
+            self._tell(text)
         if not self._joints.loop["has_begun"]:
             if self._pace.calls * self._period_s > _PATIENCE_S:
                 places = np.flatnonzero(np.isnan(self._joints.limits["position"]))
                 text = f"no position of {', '.join(self.joints[k] for k in places)} so far: nothing is compensated yet"
                 self._tell(FaultCode.FIRST_FEEDBACK_MISSING.append_to(text))
         elif self._pace.calls >= self._looks:
-            mean_s = self._pace.mean_s()
-            ratio, text = mean_s / self._period_s, f"a call comes every {1e3 * mean_s:.3g} ms"
-            text += f", and period_s is {1e3 * self._period_s:g} ms"
-            if ratio < _LEAST_PERIOD:
-                self._stop(f"{text}: the velocities would be too low by as much")
-            elif abs(ratio - 1.0) > _WRONG_PERIOD and not self._is_period_told:
+            text, is_fault = self._pace.judge()
+            if is_fault:
+                self._stop(text)
+            elif text and not self._is_period_told:
                 self._is_period_told = True
-                self._tell(f"{text}: the velocities are wrong by as much")
+                self._tell(text)

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from friction_hil.compensator import INPUTS, STATE, input_checksum
+from friction_hil.compensator import INPUTS, STATE
 from friction_hil.config import self_contained
-from friction_hil.daemon.safety import LoopState
-from friction_hil.drive import DriveState
+from friction_hil.daemon.companion.own_rows import daemon_rows
 from friction_hil.errors import UsageError
 from friction_hil.numerics.jit import Array
 from friction_hil.own_loop.joints import Joints
@@ -25,10 +24,11 @@ from friction_hil.recordings.mcap_writer import McapWriter
 from friction_hil.recordings.recording import CHANGE
 from friction_hil.recordings.source import new_file
 
-_STATE_S = 1.0  # between two states from which a replay can start
+COLUMNS = (*INPUTS, *RESULTS)  # of a recorded row of a joint
+STATE_S = 1.0  # between two states from which a replay can start
 _MOST_EVENTS = 1000
 _ROWS_AT_ONCE = 5000
-_WIDTH = STATE.itemsize // 8
+WIDTH = STATE.itemsize // 8
 
 
 class Memory:
@@ -39,14 +39,14 @@ class Memory:
 
     def __init__(self, joints: Joints, duration_s: float) -> None:
         period_s, n = joints.configuration.period_s, len(joints.names)
-        every = max(round(_STATE_S / period_s), 1)
+        every = max(round(STATE_S / period_s), 1)
         places = math.ceil(duration_s / period_s / every) + (
             duration_s > 0.0
         )  # the oldest are dropped a second at once
         self._joints, self._every = joints, every
         # filled, so that no page of it is first touched in the loop
-        self.rows: Array = np.full((places * every, n, len(INPUTS) + len(RESULTS)), math.nan)
-        self.states: Array = np.full((places, n, _WIDTH), math.nan)
+        self.rows: Array = np.full((places * every, n, len(COLUMNS)), math.nan)
+        self.states: Array = np.full((places, n, WIDTH), math.nan)
         joints.loop["rows_between_states"] = every
         self._events: deque[tuple[float, str, str]] = deque(maxlen=_MOST_EVENTS)
         self._changes: list[tuple[float, float, dict[str, Any]]] = []  # rows before it, cycle, entry
@@ -72,6 +72,10 @@ class Memory:
             each for each, is_kept in zip(changes, is_used, strict=True) if is_kept or each[2]["number"] in models
         ]
 
+    def close(self) -> list[str]:
+        """Do nothing; what is in memory can still be saved."""
+        return []
+
     def save(self, path: Path, *, overwrite: bool) -> tuple[int, int]:
         """Write what is in memory; return the rows written and those before them that were dropped."""
         capacity, every = len(self.rows), self._every
@@ -88,9 +92,9 @@ class Memory:
                 part,
                 self._joints.names,
                 columns.NAMES,
-                state_width=_WIDTH,
+                state_width=WIDTH,
                 started_unix_ns=self._started_ns,
-                metadata=self._metadata(),
+                metadata=metadata(self._joints),
                 overwrite=True,
             )
             try:
@@ -107,25 +111,17 @@ class Memory:
                 writer.close()
         return end - first, first
 
-    def _metadata(self) -> dict[str, Any]:
-        made = zip(self._joints.facts, self._joints.compensators, strict=True)
-        return {
-            "configuration": self_contained(self._joints.configuration),
-            "facts": [{**asdict(fact), "lead_s": one.settings.lead_s} for fact, one in made],
-            "fingerprint": fingerprint(),
-        }
-
     def _table(self, rows: Array, states: Array) -> Array:
         """Return rows as the daemon has them: (m, n * (columns + width))."""
-        m, n = rows.shape[:2]
-        table = np.full((m, n, len(columns.NAMES) + _WIDTH), math.nan)
-        named = dict(zip((*INPUTS, *RESULTS), np.moveaxis(rows, 2, 0), strict=True))
-        named[columns.TIME] = named[columns.CYCLE] * self._joints.configuration.period_s
-        named["command"] = named["compensation"]
-        inputs = rows[:, :, : len(INPUTS)].reshape(m * n, -1).tolist()
-        named["checksum"] = np.reshape([input_checksum(*each) for each in inputs], (m, n))
-        fixed = {"motor_offset": 0.0, "state": LoopState.RUNNING, "drive_state": DriveState.OPERATION_ENABLED}
-        for name, values in {**named, **fixed}.items():
-            table[:, :, columns.NAMES.index(name)] = values
-        table[:, :, len(columns.NAMES) :] = states
-        return table.reshape(m, -1)
+        values = daemon_rows(rows, COLUMNS, self._joints.configuration.period_s)
+        return np.concatenate([values, states], axis=2).reshape(len(rows), -1)
+
+
+def metadata(joints: Joints) -> dict[str, Any]:
+    """Return what a replay of a recording of these joints has to know."""
+    made = zip(joints.facts, joints.compensators, strict=True)
+    return {
+        "configuration": self_contained(joints.configuration),
+        "facts": [{**asdict(fact), "lead_s": one.settings.lead_s} for fact, one in made],
+        "fingerprint": fingerprint(),
+    }

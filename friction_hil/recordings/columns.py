@@ -3,6 +3,9 @@
 The meanings are part of the schema in every MCAP file that the daemon writes.
 """
 
+import math
+import struct
+import zlib
 from dataclasses import dataclass
 from typing import Literal
 
@@ -99,7 +102,13 @@ CHANGE = NAMES[-1]
 UNCERTAINTY = "compensation_uncertainty"
 SHADOW_PREFIX = "shadow_"
 
+_NO_LOAD = struct.pack("<d", math.nan)
 _BY_NAME = {column.name: column for column in COLUMNS}
+
+
+def input_checksum(*inputs: float) -> float:
+    """Return the checksum of one cycle's inputs of the compensator, in their order; a load that is NaN is no part."""
+    return float(zlib.crc32(struct.pack(f"<{len(inputs)}d", *inputs).removesuffix(_NO_LOAD)))
 
 
 def shadow(model: str) -> str:

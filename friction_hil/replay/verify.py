@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from friction_hil.compensator import INPUTS, RESULTS, Compensator, input_checksum
+from friction_hil.compensator import INPUTS, RESULTS, Compensator
 from friction_hil.compensator.velocity_offset import VelocityOffset
 from friction_hil.config import AxisConfig, Configuration, from_dict
 from friction_hil.daemon.assembly import make_compensator, make_shadows, make_velocity_offset
@@ -118,7 +118,7 @@ def _altered_row(recording: Recording) -> int | None:
     """Return the first row whose inputs do not match their checksum, if there is one."""
     inputs = zip(*(recording.columns[name] for name in INPUTS), strict=True)
     for row, (values, checksum) in enumerate(zip(inputs, recording.columns["checksum"], strict=True)):
-        if input_checksum(*values) != checksum:
+        if columns.input_checksum(*values) != checksum:
             return row
     return None
 

@@ -26,6 +26,7 @@ from friction_hil.errors import RecordingError
 COMPANION = "the companion process"
 _RING_S = 8.0  # of rows: what a restart of the companion may take, and an unfinished chunk
 _RING_ROWS_MIN = 1024
+_SPARE_STATES = 3  # of a loop of the user's own: a state outlives the rows that begin with it
 _PATIENCE_S = 10.0  # without any progress, for the end of the recording
 _END_S = 5.0  # for that of the processes
 _SLICE_S = 0.1
@@ -46,7 +47,9 @@ class CompanionReport:
 
 def ring_of(job: Job) -> RingWriter:
     """Return the ring of a job."""
-    return RingWriter(job.row_width, max(_RING_ROWS_MIN, math.ceil(_RING_S / job.period_s)))
+    rows = max(_RING_ROWS_MIN, math.ceil(_RING_S / job.period_s))
+    states = rows // job.rows_between_states + _SPARE_STATES if job.rows_between_states else 0
+    return RingWriter(job.row_width, rows, tail=states * len(job.axes) * job.state_width)
 
 
 class Companion:
@@ -56,7 +59,7 @@ class Companion:
     companion takes in time are lost, and counted.
     """
 
-    def __init__(self, job: Job, journal: int, others: Sequence[Beside], ring: RingWriter) -> None:
+    def __init__(self, job: Job, journal: int, others: Sequence[Beside], ring: RingWriter, *, adopts: bool) -> None:
         self._ring = ring
         self.push = ring.push  # methods of `friction_hil.daemon.ring.RingWriter`
         self.push_event = ring.push_event
@@ -88,19 +91,25 @@ class Companion:
         self._reports = -1
         self._own = [*(each for each in given if each not in (journal, -1)), lives, self._plan, self._life]
         self._poll = select.poll()
-        # what outlives a supervisor becomes a child of this process: it stays in its tree
-        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+        if adopts:  # what outlives a supervisor becomes a child of this process: it stays in its tree
+            ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
         self._launch()
 
     @classmethod
     def start(
-        cls, job: Job, journal: int = -1, others: Sequence[Beside] = (), ring: RingWriter | None = None
+        cls,
+        job: Job,
+        journal: int = -1,
+        others: Sequence[Beside] = (),
+        ring: RingWriter | None = None,
+        *,
+        adopts: bool = True,
     ) -> "Companion":
         """Start the processes; return when the companion has opened its file and is ready for rows.
 
         Missing folders of the path are made. ``journal``: that of the changes of the run, see
         `friction_hil.daemon.control.journal`; -1 for none. ``others`` are started with it; ``ring`` is that which they
-        know, from `ring_of`.
+        know, from `ring_of`. ``adopts``: orphans of all processes become children of this one; not in a user's.
 
         Raises `UsageError`: the path does not end in ``.mcap``; `RecordingError`: the file cannot be made or exists
         already, or the process does not start.
@@ -108,7 +117,7 @@ class Companion:
         if job.path is not None:
             prepare(Path(job.path), overwrite=job.overwrite)
         try:
-            companion = cls(job, journal, others, ring or ring_of(job))
+            companion = cls(job, journal, others, ring or ring_of(job), adopts=adopts)
         except OSError as error:  # too many processes, no memory
             raise RecordingError(f"{COMPANION} cannot be started: {error.strerror}") from error
         try:

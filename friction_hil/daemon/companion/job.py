@@ -20,7 +20,8 @@ _OUTPUT = 1
 class Job:
     """Job of the companion.
 
-    A row of the ring holds, for each axis in turn, its ``columns`` and then ``state_width`` values of state.
+    A row of the ring holds, for each axis in turn, its ``columns`` and then ``state_width`` values of state. With
+    ``ring_columns``, see `friction_hil.daemon.companion.own_rows`.
     """
 
     axes: list[str]
@@ -48,11 +49,14 @@ class Job:
     uncertainty: dict[str, dict[str, list[float]]] = field(default_factory=dict)
     # places in the state of the factors on the model's torque beside the gain
     factors: list[int] = field(default_factory=list)
+    # of a loop of the user's own: what its rows hold of each axis, and how many rows share a state behind them
+    ring_columns: list[str] = field(default_factory=list)
+    rows_between_states: int = 0
 
     @property
     def row_width(self) -> int:
         """Number of values in a row of the ring."""
-        return len(self.axes) * (len(self.columns) + self.state_width)
+        return len(self.axes) * (len(self.ring_columns) or len(self.columns) + self.state_width)
 
 
 def signal_text(number: int) -> str:

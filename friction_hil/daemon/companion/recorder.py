@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from friction_hil.daemon.companion.black_box import ABANDONED
 from friction_hil.daemon.companion.budget import Budget
@@ -84,8 +85,13 @@ class Recorder:
             self.budget.keep(path, self._size)
         return path
 
-    def take(self, rows: Array, events: list[tuple[float, str, str]]) -> None:
-        """Write rows and events that were drained from the ring."""
+    def take(
+        self, rows: Array, events: list[tuple[float, str, str]], has_state: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Write rows and events that were drained from the ring.
+
+        ``has_state``, (n,): rows whose state is known; without it all are.
+        """
         if self._writer is None and not self._resume():
             self._ring.discard()
             return
@@ -102,10 +108,10 @@ class Recorder:
                 for event in self._file_changes.ahead_of(rows[:count], left):
                     self._added += 1
                     self._writer.write_event(*event)
-                self._writer.write(rows[:count])
+                self._writer.write(rows[:count], None if has_state is None else has_state[:count])
                 if self._cycle_column is not None:  # a change belongs into the file of its first rows
                     self._file_changes.write(self._writer, left, float(rows[count - 1, self._cycle_column]))
-                rows = rows[count:]
+                rows, has_state = rows[count:], None if has_state is None else has_state[count:]
             self._file_changes.write(self._writer, left, math.inf)
             self._flush_idle_chunk()
         except (OSError, RecordingError) as error:

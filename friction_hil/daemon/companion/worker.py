@@ -9,6 +9,7 @@ from friction_hil.daemon.companion.black_box import BlackBox
 from friction_hil.daemon.companion.history import History
 from friction_hil.daemon.companion.job import Job, say, warn
 from friction_hil.daemon.companion.memory import allocate
+from friction_hil.daemon.companion.own_rows import OwnRingReader
 from friction_hil.daemon.companion.recorder import Recorder
 from friction_hil.daemon.companion.status import StatusLine
 from friction_hil.daemon.companion.uncertainty import UncertaintyColumn
@@ -28,7 +29,8 @@ def work(job: Job, ring_descriptor: int, memory: int, journal: int, heir: Heir) 
     The first companion of a run reports that its file cannot be opened; a later one writes the next file of the
     recording. ``memory``: of the last minute, which all companions of a run share; -1 if faults get no files.
     """
-    ring, number = RingReader(ring_descriptor), heir.lives.starts(COMPANION)
+    number = heir.lives.starts(COMPANION)
+    ring = OwnRingReader(ring_descriptor, job) if job.ring_columns else RingReader(ring_descriptor)
     outputs = _Outputs(job, ring, None if memory < 0 else allocate(job, memory), journal)
     path = None
     if outputs.recorder is not None:
@@ -82,6 +84,9 @@ class _Outputs:
         self._black_box = None if self._history is None else BlackBox(job, self._history, journal, budget)
 
     def take(self, rows: Array, events: list[tuple[float, str, str]]) -> None:
+        has_state = None
+        if isinstance(self._ring, OwnRingReader):
+            rows, has_state = self._ring.in_full(rows)
         self._uncertainty.fill(rows)
         if self._history is not None and self._black_box is not None:
             self._history.append(rows)
@@ -90,7 +95,7 @@ class _Outputs:
         if self.recorder is None:
             self._ring.release(len(rows), len(events))
         else:
-            self.recorder.take(rows, events)
+            self.recorder.take(rows, events, has_state)
 
     def close(self, *, was_abandoned: bool) -> None:
         if self.recorder is not None:

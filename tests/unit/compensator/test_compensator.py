@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import friction_hil as fh
-from friction_hil.compensator import INPUTS, input_checksum, reference
+from friction_hil.compensator import INPUTS, reference
 from friction_hil.errors import UsageError
+from friction_hil.recordings.columns import input_checksum
 from tests import friction_models
 from tests.compensators import (
     EVERY_SOURCE,

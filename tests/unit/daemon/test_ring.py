@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from friction_hil.compensator import CompensatorInputs, input_checksum
+from friction_hil.compensator import CompensatorInputs
 from friction_hil.daemon.companion.job import Job
 from friction_hil.daemon.companion.memory import allocate
 from friction_hil.daemon.companion.worker import _Outputs
 from friction_hil.daemon.ring import EVENT_SLOTS, RingReader, RingWriter
 from friction_hil.daemon.row import AxisRow, row_width
 from friction_hil.recordings import columns, read
-from friction_hil.recordings.columns import CYCLE, NAMES, TIME
+from friction_hil.recordings.columns import CYCLE, NAMES, TIME, input_checksum
 from tests.loop_run import Drives, axis
 from tests.servo_drives import configuration, make_loop
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from friction_hil import __version__, recordings
-from friction_hil.compensator import INPUTS, RESULTS, input_checksum
+from friction_hil.compensator import INPUTS, RESULTS
 from friction_hil.config import from_dict, self_contained
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.loop import Loop
@@ -21,6 +21,7 @@ from friction_hil.daemon.stop import StopRequest
 from friction_hil.errors import RecordingError
 from friction_hil.motion.trajectory import PathTime
 from friction_hil.recordings import columns
+from friction_hil.recordings.columns import input_checksum
 from friction_hil.recordings.fingerprint import fingerprint
 from friction_hil.recordings.mcap_writer import McapWriter
 from friction_hil.replay.verify import verify
