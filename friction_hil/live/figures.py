@@ -115,7 +115,10 @@ class _AxisFigures:
         self._errors = RollingErrors(facts.period_s, facts.ramp_s, window_s)
         self._compensation = Window(round(window_s / facts.period_s))
         has_torque = facts.drives.get(name, {}).get("torque_delay_s") is not None
-        self._friction = FrictionTracer(name, facts.period_s, _MAP_WINDOWS * window_s, has_torque=has_torque)
+        is_of_arm = name in (facts.configuration.get("arm") or {"joints": ()})["joints"]
+        self._friction = FrictionTracer(
+            name, facts.period_s, _MAP_WINDOWS * window_s, has_torque=has_torque, is_of_arm=is_of_arm
+        )
         self._last = dict.fromkeys(_LAST, math.nan)
         self._told: ErrorFigures | None = None
         self._error = math.nan

@@ -24,6 +24,7 @@ _LEAST_OVERLAP = 100  # rows
 _MOST_POINTS = 20_000
 _COLUMNS = ("time_s", "position", "velocity", "torque")
 _NO_TORQUE = "the drive does not report its torque"
+_OF_AN_ARM = "the arm's weight and inertia are in the measured torque"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,10 +46,13 @@ class FrictionTracer:
 
     Rows are prepared as `friction_hil.replay` prepares those of a recording.
 
-    ``window_s``: duration of the window, s of motion. ``has_torque``: the drive reports its torque.
+    ``window_s``: duration of the window, s of motion. ``has_torque``: the drive reports its torque. ``is_of_arm``: the
+    axis is a joint of the arm, and nothing is measured.
     """
 
-    def __init__(self, axis: str, period_s: float, window_s: float, *, has_torque: bool) -> None:
+    def __init__(
+        self, axis: str, period_s: float, window_s: float, *, has_torque: bool, is_of_arm: bool = False
+    ) -> None:
         self._axis, self._period_s = axis, period_s
         self._overlap = max(round(_OVERLAP_S / period_s), _LEAST_OVERLAP)
         self._block = 2 * self._overlap
@@ -57,7 +61,7 @@ class FrictionTracer:
         self._points = Window(round(window_s / period_s / self._step), 2)
         self._rows = np.empty((0, len(_COLUMNS)))
         self._new = 0  # of the rows: not prepared yet
-        self._has_torque = has_torque
+        self._has_torque, self._obstacle = has_torque and not is_of_arm, _OF_AN_ARM if is_of_arm else _NO_TORQUE
         self._model: ModelFile | None = None
         self._curve: tuple[float, tuple[Array, Array]] | None = None
 
@@ -97,7 +101,7 @@ class FrictionTracer:
         points = self._points.values()
         bins = _binned(points[:, 0], points[:, 1])
         fastest = float(np.max(np.abs(points[:, 0]), initial=0.0))
-        note = "" if len(points) else "no motion yet" if self._has_torque else _NO_TORQUE
+        note = "" if len(points) else "no motion yet" if self._has_torque else self._obstacle
         return FrictionMap(*bins, *self._steady(fastest), note)
 
     def _prepare(self) -> None:

@@ -5,7 +5,7 @@ import math
 import os
 import threading
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from unittest import mock
 
 import numpy as np
@@ -162,6 +162,15 @@ def test_friction_is_the_measured_torque_less_inertia_gravity_and_offset():
     assert traced.count.sum() == pytest.approx(5700 / 3, rel=0.05)  # of the last minute, 20000 points
     curve = np.interp(1.0, traced.curve_velocity, traced.curve_torque)
     assert curve == pytest.approx(0.12, rel=1e-3)
+
+
+def test_no_friction_is_measured_on_a_joint_of_an_arm():
+    arm = {"file": "arm.urdf", "joints": {"x": "joint1"}}
+    figures = LiveFigures(replace(facts(), configuration={**CONFIGURATION, "arm": arm}))
+    figures.take(reading(rows(6000, velocity=1.0, torque=0.3)))
+    traced = figures.snapshot().axes["x"].friction
+    assert traced.count.sum() == 0
+    assert "weight" in traced.note
 
 
 def test_faults_stay_until_they_are_reset_and_have_their_remedy():
