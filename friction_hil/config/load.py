@@ -18,6 +18,7 @@ from friction_hil.config.axis import NAME_PATTERN, AxisConfig, split_options
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.own_loop import NOMINAL_PERIOD_S, OWN_LOOP, REFUSAL, is_own_loop
 from friction_hil.config.schema import Configuration
+from friction_hil.config.simulation import check_joints
 from friction_hil.errors import ConfigurationError, OptionError, Problem, UsageError
 
 # Model of an axis whose model file does not exist yet. The tiny inertia has no effect; it satisfies the options that
@@ -32,7 +33,7 @@ _KEYS_OF_A_MODEL = ("friction", "axis", "mechanics")
 
 
 def load(path: str | Path, *, needs_models: bool = True, period_s: float | None = None) -> Configuration:
-    """Read a configuration file, and the model files and the arm that it refers to.
+    """Read a configuration file, and the model files and arms that it refers to.
 
     Unless ``needs_models``, a missing model file is no mistake: the axis gets a model without friction whose
     ``source_path`` is the path of the missing file, and whose kind of axis is ``experiment.axis``. ``period_s``: of the
@@ -45,11 +46,12 @@ def load(path: str | Path, *, needs_models: bool = True, period_s: float | None 
     configuration._source_path = Path(path).absolute()
     if configuration.arm is not None:
         read_arm(configuration.arm, configuration.axes, _Origins(document).locate)
+    check_joints(configuration, _Origins(document).locate)
     return configuration
 
 
 def from_dict(data: Mapping[str, Any], source: str, *, reads_files: bool = True) -> Configuration:
-    """Create a configuration from plain values, e.g. those in a recording; the file of an arm is not read.
+    """Create a configuration from plain values, e.g. those in a recording; the files of arms are not read.
 
     ``data``: as returned by `self_contained`, or as in a file. ``source``: origin of the values, for messages.
     ``reads_files``: False for values inside a recording, which are whole: whoever made it must not choose which files
@@ -173,8 +175,9 @@ def _configuration(
     configuration = validated(Configuration, value, origins, problems)
     configuration._lacks_period = lacks_period and period_s is None
     axes = {name: _anchored(axis, directory.absolute()) for name, axis in configuration.axes.items()}
-    arm = configuration.arm and _with_paths(configuration.arm, directory.absolute())
-    configuration = configuration.model_copy(update={"axes": axes, "arm": arm})
+    shared = {"arm": configuration.arm, "simulation": configuration.simulation}
+    anchored = {name: part and _with_paths(part, directory.absolute()) for name, part in shared.items()}
+    configuration = configuration.model_copy(update={"axes": axes, **anchored})
     for steps, path in files.items():
         axis = configuration.axes[str(steps[1])]
         model_file = axis.model if steps[2] == "model" else axis.shadows[int(steps[3])].model

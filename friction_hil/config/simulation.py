@@ -1,35 +1,89 @@
-"""What the simulated drives of several axes share: the mechanism that two of them move."""
+"""What the simulated drives of several axes share: the mechanism that they move."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field
 
 from friction_hil.checked_yaml.messages import Mistake
-from friction_hil.checked_yaml.section import Section, key
+from friction_hil.checked_yaml.section import POSITION, Section, key
+from friction_hil.config.arm import ArmConfig, ArmPayload, Coordinate
+from friction_hil.config.axis import Name
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
 from friction_hil.config.external_torque import external_content, simulated_servo
-from friction_hil.errors import choices
+from friction_hil.dynamics import Arm
+from friction_hil.errors import ConfigurationError, Problem, UsageError, choices
 from friction_hil.servo.config import ServoConfig
-from friction_hil.servo.mechanisms import Gantry, Mechanism, TwoLinkArm, axis_mistakes
+from friction_hil.servo.mechanisms import Gantry, Linkage, ToolForces, TwoLinkArm, axis_mistakes
 
 if TYPE_CHECKING:
+    from friction_hil.checked_yaml.text import FieldPath
     from friction_hil.config.axis import AxisConfig
     from friction_hil.config.schema import Configuration
     from friction_hil.servo.coupled_servos import CoupledServos
     from friction_hil.servo.servo import Servo
 
 
+class Tool(Section):
+    """Point at which a force acts."""
+
+    position: tuple[Coordinate, Coordinate, Coordinate] = key("in the frame of the link", "m", default=(0.0, 0.0, 0.0))
+    link: str | None = key("link or body that has it; by default that of the last axis", default=None)
+
+
+class UrdfArm(Section):
+    """An arm of any number of joints from a file; keys that `ArmConfig` has too mean the same."""
+
+    kind: Literal["urdf"] = key("urdf: an arm of any number of joints, from a URDF or MJCF file")
+    file: Path = key("URDF or MJCF of the arm: a path relative to this file")
+    axes: dict[Name, str] = key("joint of the file by axis; joints that are left out are locked", min_length=1)
+    signs: dict[Name, Literal[1, -1]] = key("-1 for an axis that counts against its joint", default={})
+    locked: dict[str, Coordinate] = key(
+        "position of joints that are left out, by default as the file draws them", POSITION, default={}
+    )
+    payload: ArmPayload | None = key("what the arm carries besides what the file states", default=None)
+    gravity: tuple[Coordinate, Coordinate, Coordinate] | None = key(
+        "acceleration of gravity in the frame of the base; by default that of the file, or [0, 0, -9.81]",
+        "m/s^2",
+        default=None,
+    )
+    tool: Tool = key("point at which tool_force acts", default=Tool())
+    tool_force: ToolForces = ()
+
+    def linkage(self) -> Linkage:
+        """Read the file and return the arm; errors are those of `friction_hil.dynamics.load`."""
+        arm, tool = self._loaded(self.payload), ArmPayload(mass=1.0, center=self.tool.position, link=self.tool.link)
+        alone = self._loaded(tool).parameters - self._loaded(None).parameters
+        return Linkage(tuple(self.axes), arm, arm.with_parameters(alone), self.tool_force)
+
+    def _loaded(self, payload: ArmPayload | None) -> Arm:
+        rotors = dict.fromkeys(self.axes, 0.0)  # in place of those of the file: `mechanics.inertia` has the motor's
+        given = {name: getattr(self, name) for name in ("file", "signs", "locked", "gravity")}
+        arm = ArmConfig(joints=self.axes, payload=payload, rotor_inertia=rotors, **given)
+        arm.read()
+        return arm.dynamics
+
+
+Mechanism = Annotated[Gantry | TwoLinkArm | UrdfArm, Field(discriminator="kind")]
+
+
 class SimulationConfig(Section):
     """What the simulated drives share; each axis has the rest under its own ``simulation``."""
 
-    mechanism: Mechanism = key("mechanism that two axes move together: gantry or two_link_arm")
+    mechanism: Mechanism = key("mechanism that axes move together: gantry, two_link_arm or urdf")
 
 
-def mechanism_mistakes(mechanism: Gantry | TwoLinkArm, axes: "Mapping[str, AxisConfig]") -> Iterator[Mistake]:
+def mechanism_mistakes(mechanism: Mechanism, axes: "Mapping[str, AxisConfig]") -> Iterator[Mistake]:
     """Check the axes of a mechanism."""
     here = ("simulation", "mechanism", "axes")
     servos: dict[str, ServoConfig] = {}
-    for index, name in enumerate(mechanism.axes):
-        axis = axes.get(name)
+    is_urdf = isinstance(mechanism, UrdfArm)
+    for name in mechanism.signs if isinstance(mechanism, UrdfArm) else ():
+        if name not in mechanism.axes:
+            yield (*here[:2], "signs", name), f"is no axis of the mechanism; {choices(name, mechanism.axes)}"
+    for position, name in enumerate(mechanism.axes):
+        axis, index = axes.get(name), name if is_urdf else position
         if axis is None:
             yield (*here, index), f"there is no axis {name!r}; {choices(name, axes)}"
         elif not isinstance(axis.simulation, ServoConfig):
@@ -42,14 +96,39 @@ def mechanism_mistakes(mechanism: Gantry | TwoLinkArm, axes: "Mapping[str, AxisC
             )
         else:
             servos[name] = axis.simulation
-            for field, text in axis_mistakes(mechanism, name, axis.simulation):
+            for field, text in (
+                () if isinstance(mechanism, UrdfArm) else axis_mistakes(mechanism, name, axis.simulation)
+            ):
                 yield ("axes", name, "simulation", *field.split(".")), text
-    if len(servos) == len(mechanism.axes):
-        first, second = mechanism.axes
-        rate, other = (servos[name].integration_hz for name in mechanism.axes)
+    rates = {name: servo.integration_hz for name, servo in servos.items()}
+    for name, rate in rates.items():
+        first, other = next(iter(rates.items()))
         if rate != other:
-            text = f"is {other:g}, but that of {first} is {rate:g}: axes of one mechanism need the same"
-            yield ("axes", second, "simulation", "integration_hz"), text
+            text = f"is {rate:g}, but that of {first} is {other:g}: axes of one mechanism need the same"
+            yield ("axes", name, "simulation", "integration_hz"), text
+
+
+def check_joints(configuration: "Configuration", locate: "Callable[[FieldPath, str], Problem]") -> None:
+    """Check the axes of an arm against the joints of its file.
+
+    Raises `ConfigurationError`: the file has mistakes, or does not go with the axes or other keys.
+    """
+    mechanism = None if configuration.simulation is None else configuration.simulation.mechanism
+    if not isinstance(mechanism, UrdfArm):
+        return
+    try:
+        linkage = mechanism.linkage()
+    except ConfigurationError:
+        raise
+    except UsageError as error:
+        raise ConfigurationError([locate(("simulation", "mechanism"), str(error))]) from None
+    problems = [
+        locate(("axes", name, "simulation", *field.split(".")), text)
+        for name in mechanism.axes
+        for field, text in axis_mistakes(linkage, name, _config(configuration.axes[name]))
+    ]
+    if problems:
+        raise ConfigurationError(problems)
 
 
 def simulated_servos(configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> "dict[str, Servo]":
@@ -69,15 +148,21 @@ def simulated_servos(configuration: "Configuration", axes: "Mapping[str, AxisCon
 
 
 def coupled_servos(
-    mechanism: Gantry | TwoLinkArm, configs: Sequence[ServoConfig], positions: Sequence[float] = (0.0, 0.0)
+    mechanism: Mechanism, configs: Sequence[ServoConfig], positions: Sequence[float] | None = None
 ) -> "CoupledServos":
-    """Return the simulated servos of a mechanism, with the files of their external torques read.
+    """Return the simulated servos of a mechanism, with the files of arm and external torques read.
 
-    Raises `UsageError`: a file cannot be read.
+    Raises `UsageError`: a file cannot be read, or a joint of it does not go with its axis.
     """
     from friction_hil.servo.coupled_servos import CoupledServos
 
-    return CoupledServos(mechanism, configs, positions, [external_content(config) for config in configs])
+    externals = [external_content(config) for config in configs]
+    return CoupledServos(moved(mechanism), configs, positions, externals)
+
+
+def moved(mechanism: Mechanism) -> Gantry | TwoLinkArm | Linkage:
+    """Return a mechanism as the simulated servos take it, with its file read; errors are those of `UrdfArm.linkage`."""
+    return mechanism.linkage() if isinstance(mechanism, UrdfArm) else mechanism
 
 
 def _config(axis: "AxisConfig") -> ServoConfig:

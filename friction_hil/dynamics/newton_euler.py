@@ -226,3 +226,57 @@ def regressors(links: StructuredArray, gravity: Array, q: Array, dq: Array, ddq:
                     f = _to_parent(known, j, f)
                     m = _sum(_to_parent(known, j, m), _cross(_get(known, j, _ORIGIN), f))
                     j = links[j]["parent"]
+
+
+@inlined
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def _turned(v: Vector, axis: Vector, along: float, cosine: float, sine: float) -> Vector:
+    """Return the sum of what is along an axis, of what is across it, and of that turned backwards, each by a factor."""
+    rest, across = (along - cosine) * _dot(axis, v), _cross(axis, v)
+    return (
+        cosine * v[0] + rest * axis[0] - sine * across[0],
+        cosine * v[1] + rest * axis[1] - sine * across[1],
+        cosine * v[2] + rest * axis[2] - sine * across[2],
+    )
+
+
+@compiled
+def potential_energy(links: StructuredArray, gravity: Array, middle: Array, half: Array) -> tuple[float, float]:
+    """Return mean and difference of the potentials at ``middle + half`` and ``middle - half``, J.
+
+    That of a mass at the origin of the base is 0. Mean and difference of gravity in each frame and of the height of its
+    origin are passed outwards, so that the difference is exact to rounding of itself, not of the potentials.
+    """
+    known, mean, difference = np.empty((len(links), WIDTH)), 0.0, 0.0
+    for i in range(len(links)):
+        link = links[i]
+        k, p, o, a, parent = link["order"], link["parameters"], link["origin"], link["axis"], link["parent"]
+        g, dg, height, rise = (gravity[0], gravity[1], gravity[2]), (0.0, 0.0, 0.0), 0.0, 0.0
+        if parent >= 0:
+            g, dg, height, rise = _get(known, parent, _F), _get(known, parent, _N), known[parent, _A], known[parent, _W]
+        for j in range(9):
+            known[i, j] = link["rotation"][j]
+        axis, angle, turn = (a[0], a[1], a[2]), link["sign"] * middle[k] - link["zero"], link["sign"] * half[k]
+        at, moved = (o[0], o[1], o[2]), (0.0, 0.0, 0.0)
+        if link["kind"] == PRISMATIC:
+            way = _to_parent(known, i, axis)
+            at = _sum(at, (angle * way[0], angle * way[1], angle * way[2]))
+            moved = (2.0 * turn * way[0], 2.0 * turn * way[1], 2.0 * turn * way[2])
+            angle = turn = 0.0
+        height += _dot(g, at) + 0.25 * _dot(dg, moved)
+        rise += _dot(dg, at) + _dot(g, moved)
+        g, dg = _from_parent(known, i, g), _from_parent(known, i, dg)
+        cosine, sine = np.cos(angle) * np.cos(turn), np.sin(angle) * np.cos(turn)  # means, then differences
+        dcosine, dsine = -2.0 * np.sin(angle) * np.sin(turn), 2.0 * np.cos(angle) * np.sin(turn)
+        after = _sum(_turned(g, axis, 1.0, cosine, sine), _turned(dg, axis, 0.0, 0.25 * dcosine, 0.25 * dsine))
+        dg = _sum(_turned(dg, axis, 1.0, cosine, sine), _turned(g, axis, 0.0, dcosine, dsine))
+        _put(known, i, _F, after)
+        _put(known, i, _N, dg)
+        known[i, _A], known[i, _W] = height, rise
+        mean -= p[0] * height + _dot(after, (p[1], p[2], p[3]))
+        difference -= p[0] * rise + _dot(dg, (p[1], p[2], p[3]))
+    return mean, difference

@@ -1,7 +1,7 @@
 """Closed loop of the daemon and simulated servos over a whole motion, compiled.
 
 A cycle of an axis is a decision on a sample, which moves nothing, and its commands, which act after the delay of the
-axis. Between the two, time passes: for one servo, or for two that share a mechanism.
+axis. Between the two, time passes: for one servo, or for those that share a mechanism.
 """
 
 import math
@@ -47,7 +47,7 @@ _compensate = compensator.whole_step
 
 
 class Axis(NamedTuple):
-    """Records of an axis, each an array of length 1."""
+    """Records of an axis, each an array of length 1; of the axes of a mechanism, each an array of all of them."""
 
     daemon: StructuredArray  # `DAEMON`
     loop: StructuredArray  # `LOOP`
@@ -189,46 +189,40 @@ def follow(axis: Axis, demand: Array, measured: Array, correction: tuple[float, 
 
 
 @inlined
-def _pass(mechanism: StructuredArray, mechanism_state: StructuredArray, one: Axis, other: Axis, steps: int) -> None:
-    coupled.advance(
-        mechanism,
-        mechanism_state,
-        one.servo,
-        one.controller,
-        one.state,
-        other.servo,
-        other.controller,
-        other.state,
-        steps,
+def _one(axes: Axis, i: int) -> Axis:
+    """Return one of several axes."""
+    return Axis(
+        axes.daemon[i : i + 1],
+        axes.loop[i : i + 1],
+        axes.own_controller[i : i + 1],
+        axes.servo[i : i + 1],
+        axes.controller[i : i + 1],
+        axes.state[i : i + 1],
+        axes.settings[i : i + 1],
+        axes.compensator_state[i : i + 1],
+        axes.offset_settings[i : i + 1],
+        axes.offset_state[i : i + 1],
+        axes.shift[i : i + 1],
     )
 
 
 @compiled
-def run_coupled(
-    mechanism: StructuredArray,  # `friction_hil.servo.records.MECHANISM`
-    mechanism_state: StructuredArray,  # `friction_hil.servo.records.MECHANISM_STATE`
-    one: Axis,  # the axes are in the order of the mechanism, with one period
-    other: Axis,
-    demands: tuple[Array, Array],  # as for `run`, of each axis
-    traces: tuple[Array, Array],  # as for `run`, of each axis
-) -> None:
-    """Simulate a motion of the two axes of a mechanism, which are sampled at the same time."""
-    steps = int(one.daemon[0].period_steps)
-    until, other_until = int(one.daemon[0].delay_steps) % steps, int(other.daemon[0].delay_steps) % steps
-    first, last = min(until, other_until), max(until, other_until)
-    _begin(one)
-    _begin(other)
-    for k in range(demands[0].shape[0]):
-        _decide(one, k, demands[0][k], traces[0])
-        _decide(other, k, demands[1][k], traces[1])
-        _pass(mechanism, mechanism_state, one, other, first)
-        if until == first:
-            _act(one)
-        if other_until == first:
-            _act(other)
-        _pass(mechanism, mechanism_state, one, other, last - first)
-        if until > first:
-            _act(one)
-        if other_until > first:
-            _act(other)
-        _pass(mechanism, mechanism_state, one, other, steps - last)
+def run_coupled(mechanism: coupled.Coupled, axes: Axis, order: Any, demands: Array, traces: Array) -> None:
+    """Simulate a motion of the axes of a mechanism, which are sampled at the same time.
+
+    ``axes``: in the order of the mechanism, with one period. ``order``: indices of them by the moment in the period at
+    which a set-point takes effect. ``demands`` and ``traces``: as for `run`, of each axis.
+    """
+    steps = int(axes.daemon[0].period_steps)
+    for i in order:
+        _begin(_one(axes, i))
+    for k in range(demands.shape[1]):
+        passed = 0
+        for i in order:
+            _decide(_one(axes, i), k, demands[i, k], traces[i])
+        for i in order:
+            until = int(axes.daemon[i].delay_steps) % steps
+            coupled.advance(mechanism, until - passed)
+            _act(_one(axes, i))
+            passed = until
+        coupled.advance(mechanism, steps - passed)

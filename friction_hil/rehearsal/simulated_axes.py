@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
+from friction_hil.config.simulation import Mechanism
 from friction_hil.errors import UsageError
 from friction_hil.numerics.readable import POSITION_UNITS
 from friction_hil.servo.config import ServoConfig
-from friction_hil.servo.mechanisms import Gantry, TwoLinkArm
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
@@ -34,8 +34,8 @@ class SimulatedAxis:
 class SimulatedMachine:
     """Axes that are simulated together."""
 
-    axes: tuple[SimulatedAxis, ...]  # one, or the two of the mechanism, in its order
-    mechanism: Gantry | TwoLinkArm | None = None  # what two axes move
+    axes: tuple[SimulatedAxis, ...]  # one, or those of the mechanism, in its order
+    mechanism: Mechanism | None = None  # what the axes move
 
 
 def simulated_machines(configuration: "Configuration") -> tuple[SimulatedMachine, ...]:
@@ -54,7 +54,7 @@ def simulated_machines(configuration: "Configuration") -> tuple[SimulatedMachine
             "examples)"
         )
     mechanism = None if configuration.simulation is None else configuration.simulation.mechanism
-    coupled = () if mechanism is None else mechanism.axes
+    coupled = () if mechanism is None else tuple(mechanism.axes)
     machines = []
     for name, each in found.items():
         if name not in coupled:

@@ -1,4 +1,4 @@
-"""Rehearsal of axes that are simulated together: one alone, or two that move one mechanism."""
+"""Rehearsal of axes that are simulated together: one alone, or those that move one mechanism."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from friction_hil.config.simulation import coupled_servos
+from friction_hil.config.simulation import Mechanism, coupled_servos
 from friction_hil.numerics.jit import Array
 from friction_hil.rehearsal import kernel
 from friction_hil.rehearsal.rehearsal import Motion, Rehearsal
@@ -14,7 +14,6 @@ from friction_hil.rehearsal.rehearsal import Motion, Rehearsal
 if TYPE_CHECKING:
     from friction_hil.models.model_file import ModelFile
     from friction_hil.servo.config import ServoConfig
-    from friction_hil.servo.mechanisms import Gantry, TwoLinkArm
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,29 +32,29 @@ class AxisRun:
 
 
 def rehearse(
-    mechanism: "Gantry | TwoLinkArm | None", runs: Sequence[AxisRun], *, is_compensated: bool = True
+    mechanism: Mechanism | None, runs: Sequence[AxisRun], *, is_compensated: bool = True
 ) -> tuple[dict[str, Array], ...]:
     """Simulate the motions of a machine; return the signals of each axis, as `Rehearsal.trace` does.
 
-    Two axes start and end together: the longer ramp is that of both, and the shorter motion is repeated before its part
-    that is scored. ``mechanism``: what two axes move; None: there is one axis. ``runs``: one, or those of the axes of
+    All axes start and end together: the longest ramp is that of all, and a shorter motion is repeated before its part
+    that is scored. ``mechanism``: what the axes move; None: there is one axis. ``runs``: one, or those of the axes of
     the mechanism, in its order and with one period.
     """
     if mechanism is None:
         [run] = runs
         return (run.rehearsal.trace(run.servo, run.model, run.motion, is_compensated=is_compensated),)
-    one, other = (replace(run, motion=motion) for run, motion in zip(runs, together(runs), strict=True))
-    demands = one.demand, other.demand
-    coupled = coupled_servos(mechanism, [one.servo, other.servo], [float(demand[0, 0]) for demand in demands])
-    servo, other_servo = coupled.servos
-    traces = np.empty((len(kernel.TRACE), len(demands[0]))), np.empty((len(kernel.TRACE), len(demands[1])))
-    kernel.run_coupled(
-        *coupled.records,
-        one.rehearsal.records(servo, one.model, is_compensated=is_compensated),
-        other.rehearsal.records(other_servo, other.model, is_compensated=is_compensated),
-        demands,
-        traces,
-    )
+    runs = [replace(run, motion=motion) for run, motion in zip(runs, together(runs), strict=True)]
+    demands = np.array([run.demand for run in runs])
+    coupled = coupled_servos(mechanism, [run.servo for run in runs], [float(each[0, 0]) for each in demands])
+    axes = [
+        run.rehearsal.records(servo, run.model, is_compensated=is_compensated)
+        for run, servo in zip(runs, coupled.servos, strict=True)
+    ]
+    records, all_axes = coupled.records, kernel.Axis(*map(np.concatenate, zip(*axes, strict=True)))
+    all_axes = all_axes._replace(servo=records.plants, controller=records.controllers, state=records.states)
+    daemon, traces = all_axes.daemon, np.empty((len(runs), len(kernel.TRACE), demands.shape[1]))
+    order = np.argsort(daemon["delay_steps"] % daemon["period_steps"], kind="stable")
+    kernel.run_coupled(records, all_axes, order, demands, traces)
     return tuple(dict(zip(kernel.TRACE, trace, strict=True)) for trace in traces)
 
 

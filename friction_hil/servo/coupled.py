@@ -1,29 +1,31 @@
-"""Motion of two simulated servos that share one mechanism. Compiled.
+"""Motion of simulated servos that share one mechanism. Compiled.
 
-The joints are rigid: the positions q of the two motors are the coordinates of the mechanism. One step of h takes
-position and velocity from t to t + h, with v and u the velocities before and after it and w their mean::
+The joints are rigid: the positions q of the motors are the coordinates of the mechanism. One step of h takes position
+and velocity from t to t + h, with v and u the velocities before and after it and w their mean::
 
-    (J + M) (u - v) / h  =  T - F - L - N                q += h w
+    J (u - v) / h  =  T - F - L - N                q += h w
 
-with the inertias of the motors J (diagonal), the inertia matrix of the mechanism M, the torques of the motors T,
-friction F, the load torques of the single axes L, and the forces N of the mechanism:
+with the inertias of the motors J (diagonal), the torques of the motors T, friction F, the load torques of the single
+axes L, and the torques N that move the mechanism:
 
-- Gantry. The beam's translation and yaw are the product of a constant Jacobian and q; M is constant, and N is the yaw
-  stiffness and damping of the guides at the mean of the step.
-- Two-link arm. M depends on the elbow angle (Spong, Hutchinson and Vidyasagar, Robot Modeling and Control, 2nd ed.,
-  section 6.4). M is the mean of its values before and after the step; gravity is the difference of its potential over
-  that of the angles (a discrete gradient, Gonzalez, J. Nonlinear Sci. 6, 1996); Coriolis and centrifugal forces are
-  those for which ``w' N h`` and ``w' M (u - v)`` together are the exact change of kinetic energy. A force at the tool
-  acts through the transposed Jacobian.
+- Gantry. The beam's translation and yaw are the product of a constant Jacobian and q; N is a constant inertia matrix
+  times the acceleration, and the yaw stiffness and damping of the guides at the mean of the step.
+- Arm. N is its inverse dynamics (`friction_hil.dynamics`) in the middle of the step, at the velocity w and the
+  acceleration (u - v) / h, and a torque in the direction of w, of the order of h^2, with which ``w' N h`` is the exact
+  change of its kinetic and potential energy (after Gonzalez, J. Nonlinear Sci. 6, 1996). A force at the tool acts
+  through the transposed Jacobian.
 
 So the mechanism never creates energy, at any step. Everything is implicit and symmetric in time, hence of second
-order; friction is taken as in `friction_hil.servo.mechanics`. The equations of the arm are solved by fixed-point
-iteration, which gains some four digits each time.
+order; friction is taken as in `friction_hil.servo.mechanics`. The equations are solved by Newton's method with the
+inertia matrix as derivative; what is left out of it is of the order of h, so that an iteration gains some four digits.
 """
 
-import math
+from typing import NamedTuple
 
-from friction_hil.numerics.jit import StructuredArray, compiled, inlined, inner
+import numpy as np
+
+from friction_hil.dynamics import newton_euler
+from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined, inner
 from friction_hil.servo.mechanics import (
     BALANCE,
     external_torque,
@@ -33,74 +35,140 @@ from friction_hil.servo.mechanics import (
     velocity_ahead,
 )
 from friction_hil.servo.plant import driven, is_braked
-from friction_hil.servo.records import TWO_LINK_ARM
+from friction_hil.servo.records import GANTRY
 
-_PASSES = 5  # each but the last holds or releases one of the two motors
-_ITERATIONS = 12
-_NEAR = 1e-14  # relative difference of velocities below which the iteration ends
-_SMALL = 1e-4  # rad; below it, three terms of a series are exact to rounding
+_ITERATIONS = 30
+_NEAR = 1e-14  # relative error of velocities below which the iteration ends
+_GAIN = 1e-2  # of an iteration, at least
+_TURNED = 1e-3  # rad or m, after which the inertia matrix is computed anew
+_LEAST = 1e-8  # mean velocity over half of its change, below which a reversal takes and leaves the same energy
+
+
+class Coupled(NamedTuple):
+    """Records of servos and their mechanism, which the compiled functions read and change."""
+
+    mechanism: StructuredArray  # `MECHANISM`, of length 1
+    total: StructuredArray  # `MECHANISM_STATE`, of length 1
+    joints: StructuredArray  # `JOINT`, of length n, as the next three
+    plants: StructuredArray  # `MACHINE`
+    controllers: StructuredArray  # `friction_hil.motion.controller.CONTROLLER`
+    states: StructuredArray  # `MACHINE_STATE`
+    links: StructuredArray  # of an arm, `friction_hil.dynamics.newton_euler.LINK`; else empty
+    tool: StructuredArray  # the same links, of which only one has a mass: 1 kg at the tool
+    gravity: Array  # (3,), m/s^2
+    matrix: Array  # (n, n), derivative of N by half of the change of velocity, N m s/rad
+    factor: Array  # (n, n), scratch
+
+
+@inlined
+def _set_gantry_torques(c: Coupled) -> None:
+    """Set N of a gantry."""
+    k, j, dt = c.mechanism[0], c.joints, c.plants[0].step_s
+    yaw = (c.states[1].position - c.states[0].position + 0.5 * dt * (j[1].mean_velocity - j[0].mean_velocity)) / k.span
+    turning = (k.yaw_stiffness * yaw + k.yaw_damping * (j[1].mean_velocity - j[0].mean_velocity) / k.span) / k.span
+    for i in range(2):
+        j[i].torque = k.inertia[2 * i] * j[0].acceleration + k.inertia[2 * i + 1] * j[1].acceleration
+        j[i].torque += turning if i == 1 else -turning
+
+
+@inlined
+def _set_arm_torques(c: Coupled) -> None:
+    """Set N of an arm, and its kinetic energy at the end of the step."""
+    j, dt = c.joints, c.plants[0].step_s
+    newton_euler.inverse_dynamics(c.links, c.gravity, j["middle"], j["mean_velocity"], j["acceleration"], j["torque"])
+    newton_euler.inverse_dynamics(c.links, np.zeros(3), j["end"], j["rest"], j["end_velocity"], j["momentum"])
+    missing = newton_euler.potential_energy(c.links, c.gravity, j["middle"], j["way"])[1] - c.total[0].kinetic
+    after = moved = changed = 0.0  # the last two: inertia times squares of mean velocity and half of its change
+    for i in range(len(j)):
+        after += 0.5 * j[i].end_velocity * j[i].momentum
+        missing -= dt * j[i].mean_velocity * j[i].torque
+        moved += c.matrix[i, i] * j[i].mean_velocity * j[i].mean_velocity
+        changed += c.matrix[i, i] * j[i].half * j[i].half
+    c.total[0].kinetic_after = after
+    if moved > _LEAST * _LEAST * changed:
+        for i in range(len(j)):
+            j[i].torque += (missing + after) / (dt * moved) * c.matrix[i, i] * j[i].mean_velocity
 
 
 @inner
-def _sinc(angle: float) -> float:
-    """Return sin(angle) / angle."""
-    if abs(angle) < _SMALL:
-        return 1.0 - angle * angle / 6.0
-    return math.sin(angle) / angle
+def _set_torques(c: Coupled) -> None:
+    """Set N and the motion in this step for ``half`` of the change of velocity."""
+    dt = c.plants[0].step_s
+    for i in range(len(c.joints)):
+        j, r = c.joints[i], c.states[i]
+        j.mean_velocity, j.end_velocity, j.acceleration = (
+            r.velocity + j.half,
+            r.velocity + 2.0 * j.half,
+            2.0 / dt * j.half,
+        )
+        j.way = 0.5 * dt * j.mean_velocity
+        j.middle, j.end = r.position + j.way, r.position + 2.0 * j.way
+    if c.mechanism[0].kind == GANTRY:
+        _set_gantry_torques(c)
+    else:
+        _set_arm_torques(c)
 
 
 @inner
-def _cosine(angle: float) -> float:
-    return 1.0 - 0.5 * angle * angle if abs(angle) < _SMALL else math.cos(angle)
+def _set_matrix(c: Coupled) -> None:
+    """Set the derivative of N, with the inertia matrix of an arm where it stands now."""
+    m, rate, n = c.mechanism[0], 2.0 / c.plants[0].step_s, len(c.joints)
+    if m.kind == GANTRY:
+        turning = (m.yaw_damping + m.yaw_stiffness / rate) / (m.span * m.span)
+        for i in range(n):
+            for k in range(n):
+                c.matrix[i, k] = rate * m.inertia[2 * i + k] + (turning if i == k else -turning)
+        return
+    for k in range(n):  # column by column
+        c.joints[k].matrix_at = c.states[k].position
+        for i in range(n):
+            c.joints[i].acceleration = rate if i == k else 0.0
+        motion = c.states["position"], c.joints["rest"], c.joints["acceleration"]
+        newton_euler.inverse_dynamics(c.links, np.zeros(3), *motion, c.joints["momentum"])
+        for i in range(n):
+            c.matrix[i, k] = c.joints[i].momentum
 
 
-@inner
-def _turned(sine: float, cosine: float, angle: float) -> tuple[float, float]:
-    """Return sine and cosine of an angle to which ``angle`` is added."""
-    if abs(angle) < 0.1 * _SMALL:
-        half = 0.5 * angle * angle
-        return sine + angle * cosine - half * sine, cosine - angle * sine - half * cosine
-    c, s = math.cos(angle), math.sin(angle)
-    return sine * c + cosine * s, cosine * c - sine * s
+@compiled
+def prepare(c: Coupled) -> None:
+    """Set what a step takes from the one before it, for a mechanism at rest."""
+    _set_matrix(c)
+    _set_torques(c)
+    for i in range(len(c.joints)):
+        c.joints[i].bias = c.joints[i].bias_before = c.joints[i].torque
 
 
-@inner
-def _arm(
-    mechanism: StructuredArray,  # the `MECHANISM` record
-    v1: float,  # velocities before the step, rad/s
-    v2: float,
-    d1: float,  # mean velocities less these
-    d2: float,
-    s1: float,  # sines and cosines of the angles in the middle of the step
-    c1: float,
-    s2: float,
-    c2: float,
-    dt: float,  # step, s
-) -> tuple[float, float, float, float, float]:
-    """Return the inertia matrix M11, M12, M22 and the forces N1, N2 of the arm for a step."""
-    k = mechanism[0]
-    w1, w2 = v1 + d1, v2 + d2
-    half1, half2 = 0.5 * dt * w1, 0.5 * dt * w2
-    swing = k.swing * c2 * _cosine(half2)
-    bend = -k.swing * s2 * _sinc(half2)  # derivative of the swing
-    gravity2 = k.gravity2 * (s1 * c2 + c1 * s2) * _sinc(half1 + half2)
-    n1 = bend * w2 * (2.0 * w1 + w2) + k.gravity1 * s1 * _sinc(half1) + gravity2
-    n2 = bend * (d1 * d1 + d1 * d2 - w1 * w1) + gravity2
-    return k.inertia11 + 2.0 * swing, k.inertia12 + swing, k.inertia22, n1, n2
+@inlined
+def _predict(c: Coupled) -> None:
+    """Set ``half`` as it was in the step before, and N with what does not depend on it extrapolated."""
+    n, is_turned = len(c.joints), False
+    for i in range(n):
+        j, r = c.joints[i], c.states[i]
+        j.half = 0.0 if r.velocity == 0.0 else 0.5 * (r.velocity - r.velocity_before)
+        j.torque = 2.0 * j.bias - j.bias_before
+        is_turned = is_turned or abs(r.position - j.matrix_at) > _TURNED
+        for k in range(n):
+            c.factor[i, k] = c.matrix[i, k]
+    if is_turned and c.mechanism[0].kind != GANTRY:
+        _set_matrix(c)
+    for i in range(n):
+        for k in range(n):
+            c.joints[i].torque += c.factor[i, k] * c.joints[k].half
+            c.joints[i].bias += (c.factor[i, k] - c.matrix[i, k]) * c.joints[k].half
 
 
-@inner
-def _tool_torques(
-    mechanism: StructuredArray, s1: float, c1: float, s2: float, c2: float, time: float
-) -> tuple[float, float]:
-    """Return the torques at the joints of the force at the tool, N m, positive in the direction of motion."""
-    k = mechanism[0]
-    x = y = 0.0
-    for i in range(int(k.tool_forces[0])):
-        if time >= k.tool_forces[1 + 3 * i]:
-            x, y = k.tool_forces[2 + 3 * i], k.tool_forces[3 + 3 * i]
-    second = k.length2 * (x * (c1 * c2 - s1 * s2) + y * (s1 * c2 + c1 * s2))
-    return k.length1 * (x * c1 + y * s1) + second, second
+@inlined
+def _set_pull(c: Coupled, time: float) -> None:
+    """Set the torques of the force at the tool: those that hold a mass there where gravity is the force, reversed."""
+    j, forces, last = c.joints, c.mechanism[0].tool_forces, -1
+    for i in range(int(forces[0])):
+        if time >= forces[1 + 4 * i]:
+            last = i
+    if last >= 0:
+        for i in range(len(j)):
+            j[i].middle = c.states[i].position + 0.5 * c.plants[0].step_s * (c.states[i].velocity + j[i].half)
+        reversed_force = forces[2 + 4 * last : 5 + 4 * last]
+        newton_euler.inverse_dynamics(c.tool, reversed_force, j["middle"], j["rest"], j["rest"], j["pull"])
 
 
 @inner
@@ -128,161 +196,155 @@ def _friction(
     return friction, is_balanced and abs(v) <= c.stick_velocity
 
 
-@inlined
-def _finish(
-    plant: StructuredArray,
-    s: StructuredArray,
-    torque: float,
-    velocity: float,
-    friction: float,
-    outside: float,
-    inertial: float,
-) -> None:
-    """Move an axis to the end of the step; ``inertial`` is the torque that accelerates its motor, N m."""
-    finish_rigid(plant, s, torque, velocity, friction, outside, torque - friction - inertial)
-    s[0].shaft_torque = torque
-    s[0].steps += 1.0
+@inner
+def _factorise(c: Coupled) -> None:
+    """Set Cholesky's factor of the derivative of the equations of the joints that are not held."""
+    rate = 2.0 / c.plants[0].step_s
+    for i in range(len(c.joints)):
+        for k in range(i + 1):
+            rest = c.matrix[i, k]
+            if i == k:
+                rest += rate * c.plants[i].inertia
+            for m in range(k):
+                rest -= c.factor[i, m] * c.factor[k, m]
+            if c.joints[i].is_held > 0.0 or c.joints[k].is_held > 0.0:
+                c.factor[i, k] = 1.0 if i == k else 0.0
+            else:
+                c.factor[i, k] = np.sqrt(rest) if i == k else rest / c.factor[k, k]
 
 
 @inner
-def _leaves(u: float, v: float, excess: float) -> bool:
-    """Return True if static friction stops a velocity that changes its sign, or one against its own drive."""
-    return u * v < 0.0 or (v == 0.0 and u * excess < 0.0)
+def _correct(c: Coupled) -> float:
+    """Correct ``half``, with N, to what the equations are then to first order; return the square of the correction.
 
-
-@compiled
-def move(
-    mechanism: StructuredArray,
-    m: StructuredArray,
-    plant1: StructuredArray,
-    s1: StructuredArray,
-    torque1: float,
-    plant2: StructuredArray,
-    s2: StructuredArray,
-    torque2: float,
-) -> None:
-    """Advance both axes and their mechanism by one step.
-
-    Records are `MECHANISM` and `MECHANISM_STATE`, and `MACHINE` and `MACHINE_STATE` of each axis. Torques of the motors
-    are held over the step, N m.
+    It is weighted by the inertia of each joint, and relative to the velocities.
     """
-    k, a, b = mechanism[0], s1[0], s2[0]
-    dt, v1, v2 = plant1[0].step_s, a.velocity, b.velocity
-    j1, j2 = plant1[0].inertia, plant2[0].inertia
-    rate = 2.0 / dt
-    time = (a.steps + 0.5) * dt
-    middle1, middle2 = a.position + 0.5 * dt * v1, b.position + 0.5 * dt * v2
-    outside1 = plant1[0].load_torque + external_torque(plant1, s1, time)
-    outside2 = plant2[0].load_torque + external_torque(plant2, s2, time)
-    load1, load2 = static_load(plant1, outside1, middle1), static_load(plant2, outside2, middle2)
+    rate, n = 2.0 / c.plants[0].step_s, len(c.joints)
+    for i in range(n):
+        j = c.joints[i]
+        if j.is_held > 0.0:
+            j.step = -0.5 * c.states[i].velocity - j.half
+    for i in range(n):
+        j = c.joints[i]
+        if j.is_held == 0.0:
+            j.step = j.push - j.torque - j.friction - rate * c.plants[i].inertia * j.half
+            for k in range(n):
+                if c.joints[k].is_held > 0.0:
+                    j.step -= c.matrix[i, k] * c.joints[k].step
+            for k in range(i):
+                j.step -= c.factor[i, k] * c.joints[k].step
+            j.step /= c.factor[i, i]
+    size = whole = 0.0
+    for i in range(n - 1, -1, -1):
+        j = c.joints[i]
+        if j.is_held == 0.0:
+            for k in range(i + 1, n):
+                j.step -= c.factor[k, i] * c.joints[k].step
+            j.step /= c.factor[i, i]
+        weight = c.matrix[i, i] + rate * c.plants[i].inertia
+        j.half += j.step
+        size += weight * j.step * j.step
+        whole += weight * (c.states[i].velocity * c.states[i].velocity + j.half * j.half)
+    for i in range(n):
+        c.total[0].kinetic_after += 2.0 * c.joints[i].momentum * c.joints[i].step
+        for k in range(n):
+            c.joints[i].torque += c.matrix[i, k] * c.joints[k].step
+    return size / whole if size > 0.0 else 0.0
 
-    # half of the change of velocity, at first that of the step before
-    d1, d2 = 0.5 * (v1 - a.velocity_before), 0.5 * (v2 - b.velocity_before)
-    is_arm = k.kind == TWO_LINK_ARM
-    guess1, guess2 = d1, d2
-    sine1 = sine2 = tool1 = tool2 = damping = turning = 0.0
-    cosine1 = cosine2 = 1.0
-    m11, m12, m22, n1, n2 = k.inertia11, k.inertia12, k.inertia22, 0.0, 0.0
-    if is_arm:
-        angle1, angle2 = middle1 + 0.5 * dt * d1, middle2 + 0.5 * dt * d2
-        sine1, cosine1, sine2, cosine2 = math.sin(angle1), math.cos(angle1), math.sin(angle2), math.cos(angle2)
-        if k.tool_forces[0] > 0.0:
-            tool1, tool2 = _tool_torques(mechanism, sine1, cosine1, sine2, cosine2, time)
-        m11, m12, m22, n1, n2 = _arm(mechanism, v1, v2, d1, d2, sine1, cosine1, sine2, cosine2, dt)
-    else:
-        inverse = 1.0 / (k.span * k.span)
-        damping = k.yaw_damping * inverse
-        turning = damping + 0.5 * dt * k.yaw_stiffness * inverse  # resists a difference of the velocities
-        n2 = k.yaw_stiffness * inverse * (b.position - a.position) + turning * (v2 - v1)
-        n1 = -n2
-    push1, push2 = torque1 + tool1 - load1, torque2 + tool2 - load2
 
-    # friction at the acceleration of the step before, on which load and hold depend
-    slow = turning * (d1 - d2)
-    applied1, applied2 = push1 - n1 - slow - rate * m12 * d2, push2 - n2 + slow - rate * m12 * d1
-    expected1 = load1 - tool1 + n1 + slow + rate * (m11 * d1 + m12 * d2)
-    expected2 = load2 - tool2 + n2 - slow + rate * (m12 * d1 + m22 * d2)
-    friction1, is_held1 = _friction(plant1, s1, middle1, expected1, applied1)
-    friction2, is_held2 = _friction(plant2, s2, middle2, expected2, applied2)
-    excess1, excess2 = applied1 - friction1, applied2 - friction2
-    is_held1, is_held2 = is_held1 or is_braked(plant1, s1), is_held2 or is_braked(plant2, s2)
-    is_free1 = plant1[0].is_friction_static == 0.0 or is_held1
-    is_free2 = plant2[0].is_friction_static == 0.0 or is_held2
-
-    u1 = u2 = rest1 = rest2 = 0.0
-    for _ in range(_PASSES):
-        for _ in range(_ITERATIONS):
-            a11, a12, a22 = rate * (j1 + m11) + turning, rate * m12 - turning, rate * (j2 + m22) + turning
-            b1, b2 = push1 - n1 - friction1, push2 - n2 - friction2
-            before1, before2 = d1, d2
-            if is_held1:
-                d1 = -0.5 * v1
-                d2 = -0.5 * v2 if is_held2 else (b2 - a12 * d1) / a22
-            elif is_held2:
-                d2 = -0.5 * v2
-                d1 = (b1 - a12 * d2) / a11
-            else:
-                determinant = a11 * a22 - a12 * a12
-                d1, d2 = (a22 * b1 - a12 * b2) / determinant, (a11 * b2 - a12 * b1) / determinant
-            near = _NEAR * (abs(v1) + abs(v2) + abs(d1) + abs(d2))
-            if not is_arm or (abs(d1 - before1) <= near and abs(d2 - before2) <= near):
-                break
-            e1, e2 = 0.5 * dt * (d1 - guess1), 0.5 * dt * (d2 - guess2)
-            turned1, turned2 = _turned(sine1, cosine1, e1), _turned(sine2, cosine2, e2)
-            m11, m12, m22, n1, n2 = _arm(mechanism, v1, v2, d1, d2, turned1[0], turned1[1], turned2[0], turned2[1], dt)
-        u1, u2 = 0.0 if is_held1 else v1 + 2.0 * d1, 0.0 if is_held2 else v2 + 2.0 * d2
-        slow = turning * (d1 - d2)
-        rest1 = push1 - n1 - slow - rate * ((j1 + m11) * d1 + m12 * d2)  # friction that a held motor needs
-        rest2 = push2 - n2 + slow - rate * (m12 * d1 + (j2 + m22) * d2)
-        if not is_free1 and not is_held1 and _leaves(u1, v1, excess1):
-            is_held1 = True
-        elif not is_free1 and is_held1 and rest1 * v1 < 0.0:  # the other torques reverse it within the step
-            is_held1, is_free1, friction1 = False, True, 0.0
-        elif not is_free2 and not is_held2 and _leaves(u2, v2, excess2):
-            is_held2 = True
-        elif not is_free2 and is_held2 and rest2 * v2 < 0.0:
-            is_held2, is_free2, friction2 = False, True, 0.0
-        else:
+@inlined
+def _solve(c: Coupled) -> None:
+    """Set ``half`` and N for the joints that are held and their friction."""
+    _factorise(c)
+    _correct(c)
+    last = 0.0
+    for _ in range(_ITERATIONS):
+        _set_torques(c)
+        size = _correct(c)
+        gain = _GAIN * _GAIN if last == 0.0 else size / last
+        if c.mechanism[0].kind == GANTRY or size * gain <= _NEAR * _NEAR or gain >= 1.0:  # or no longer nearer
             break
-    if is_held1:
-        friction1 = rest1
-    if is_held2:
-        friction2 = rest2
+        last = size
 
-    w1, w2 = 0.5 * (v1 + u1), 0.5 * (v2 + u2)
-    m[0].heat += damping * (w2 - w1) * (w2 - w1) * dt
-    m[0].tool_work += (tool1 * w1 + tool2 * w2) * dt
-    _finish(plant1, s1, torque1, u1, friction1, outside1, rate * j1 * d1)
-    _finish(plant2, s2, torque2, u2, friction2, outside2, rate * j2 * d2)
+
+@inlined
+def _changes_hold(c: Coupled) -> bool:
+    """Hold or release one of the joints that static friction stops or lets go; return False if there is none."""
+    rate = 2.0 / c.plants[0].step_s
+    for i in range(len(c.joints)):
+        j, v = c.joints[i], c.states[i].velocity
+        if j.is_free > 0.0:
+            continue
+        u = v + 2.0 * j.half
+        rest = j.push - j.torque - rate * c.plants[i].inertia * j.half  # friction that a held motor needs
+        if j.is_held == 0.0 and (u * v < 0.0 or (v == 0.0 and u * j.excess < 0.0)):
+            j.is_held = 1.0  # its velocity would change its sign, or be against its own drive
+            return True
+        if j.is_held > 0.0 and rest * v < 0.0:  # the other torques reverse it within the step
+            j.is_held, j.is_free, j.friction = 0.0, 1.0, 0.0
+            return True
+    return False
+
+
+@inner
+def _move(c: Coupled) -> None:
+    """Advance all axes and their mechanism by one step; ``joints`` has the torques of the motors, ``drive``."""
+    n, dt = len(c.joints), c.plants[0].step_s
+    rate = 2.0 / dt
+    time = (c.states[0].steps + 0.5) * dt
+    _predict(c)
+    _set_pull(c, time)
+    for i in range(n):  # friction at the acceleration of the step before, on which load and hold depend
+        j, plant, s = c.joints[i], c.plants[i : i + 1], c.states[i : i + 1]
+        middle = s[0].position + 0.5 * dt * s[0].velocity
+        j.outside = plant[0].load_torque + external_torque(plant, s, time)
+        load = static_load(plant, j.outside, middle)
+        j.push = j.drive + j.pull - load
+        applied = j.push - j.torque + c.matrix[i, i] * j.half
+        j.friction, is_held = _friction(plant, s, middle, load - j.pull + j.torque, applied)
+        j.excess = applied - j.friction
+        j.is_held = 1.0 if is_held or is_braked(plant, s) else 0.0
+        j.is_free = 1.0 if plant[0].is_friction_static == 0.0 or j.is_held > 0.0 else 0.0
+    _solve(c)
+    for _ in range(2 * n):
+        if not _changes_hold(c):
+            break
+        _solve(c)
+    if c.mechanism[0].kind == GANTRY:
+        yawed = c.states[1].velocity + c.joints[1].half - c.states[0].velocity - c.joints[0].half
+        c.total[0].heat += c.mechanism[0].yaw_damping * (yawed / c.mechanism[0].span) ** 2 * dt
+    for i in range(n):
+        j, plant, s = c.joints[i], c.plants[i : i + 1], c.states[i : i + 1]
+        inertial = rate * plant[0].inertia * j.half
+        u = s[0].velocity + 2.0 * j.half
+        if j.is_held > 0.0:
+            u, j.friction = 0.0, j.push - j.torque - inertial
+        c.total[0].tool_work += j.pull * (s[0].velocity + j.half) * dt
+        finish_rigid(plant, s, j.drive, u, j.friction, j.outside, j.drive - j.friction - inertial)
+        s[0].shaft_torque = j.drive
+        s[0].steps += 1.0
+        j.bias_before, j.bias, j.pull = j.bias, j.torque, 0.0
+        for k in range(n):
+            j.bias -= c.matrix[i, k] * c.joints[k].half
+    c.total[0].kinetic = c.total[0].kinetic_after
 
 
 @compiled
-def advance(
-    mechanism: StructuredArray,
-    m: StructuredArray,
-    plant1: StructuredArray,
-    controller1: StructuredArray,
-    s1: StructuredArray,
-    plant2: StructuredArray,
-    controller2: StructuredArray,
-    s2: StructuredArray,
-    steps: int,
-) -> None:
-    """Simulate ``steps`` integration steps of two servos and their mechanism; for the records see `move`."""
+def advance(c: Coupled, steps: int) -> None:
+    """Simulate ``steps`` integration steps of servos and their mechanism."""
     for _ in range(steps):
-        torque1 = driven(plant1, controller1, s1)
-        torque2 = driven(plant2, controller2, s2)
-        move(mechanism, m, plant1, s1, torque1, plant2, s2, torque2)
+        for i in range(len(c.joints)):
+            c.joints[i].drive = driven(c.plants[i : i + 1], c.controllers[i : i + 1], c.states[i : i + 1])
+        _move(c)
 
 
 @compiled
-def stored_energy(mechanism: StructuredArray, q1: float, q2: float, v1: float, v2: float) -> float:
+def stored_energy(c: Coupled) -> float:
     """Return kinetic energy and energy of yaw stiffness and gravity of the mechanism, without the motors, J."""
-    k = mechanism[0]
-    swing = k.swing * math.cos(q2) if k.kind == TWO_LINK_ARM else 0.0
-    m11, m12 = k.inertia11 + 2.0 * swing, k.inertia12 + swing
-    energy = 0.5 * (m11 * v1 * v1 + k.inertia22 * v2 * v2) + m12 * v1 * v2
-    if k.kind == TWO_LINK_ARM:
-        return energy + k.gravity1 * (1.0 - math.cos(q1)) + k.gravity2 * (1.0 - math.cos(q1 + q2))
-    yaw = (q2 - q1) / k.span
-    return energy + 0.5 * k.yaw_stiffness * yaw * yaw
+    k, r, j = c.mechanism[0], c.states, c.joints
+    if k.kind == GANTRY:
+        yaw = (r[1].position - r[0].position) / k.span
+        moved = k.inertia[0] * r[0].velocity ** 2 + k.inertia[3] * r[1].velocity ** 2
+        moved += 2.0 * k.inertia[1] * r[0].velocity * r[1].velocity
+        return 0.5 * (moved + k.yaw_stiffness * yaw * yaw)
+    return c.total[0].kinetic + newton_euler.potential_energy(c.links, c.gravity, r["position"], j["rest"])[0]

@@ -1,17 +1,26 @@
-"""Two simulated servos that share a mechanism, as objects."""
+"""Simulated servos that share a mechanism, as objects."""
 
-import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
+from friction_hil.dynamics.newton_euler import LINK, potential_energy
 from friction_hil.errors import UsageError
 from friction_hil.numerics.jit import Array, StructuredArray
 from friction_hil.servo import coupled, mechanics
 from friction_hil.servo.assembly import machine_record
 from friction_hil.servo.config import ServoConfig
-from friction_hil.servo.mechanisms import Gantry, TwoLinkArm, axis_mistakes, mechanism_record, reflected_inertias
-from friction_hil.servo.records import MECHANISM_STATE
+from friction_hil.servo.mechanisms import (
+    Gantry,
+    Linkage,
+    TwoLinkArm,
+    axis_mistakes,
+    mechanism_record,
+    planar,
+    reflected_inertias,
+)
+from friction_hil.servo.records import JOINT, MECHANISM_STATE
 from friction_hil.servo.servo import Energy, Servo
 
 
@@ -29,6 +38,12 @@ class _CoupledServo(Servo):
         self._inertia = inertia
         self._advance = advance
         super().__init__(config, position, external)
+
+    def share(self, plant: StructuredArray, controller: StructuredArray, state: StructuredArray) -> None:
+        """Use these records, of the same content, from now on."""
+        self._plant, self._controller, self._state = plant, controller, state
+        self._s = state.view(np.float64)
+        self._get = self._s.item
 
     def _plant_record(self) -> StructuredArray:
         return machine_record(self.config, self._external)
@@ -49,87 +64,95 @@ class _CoupledServo(Servo):
 
 
 class CoupledServos:
-    """Two servos and the mechanism that they move.
+    """Servos and the mechanism that they move.
 
     Each of `servos` is a `Servo` like any other: it has set-points, and `Servo.advance` lets its time pass. The
-    mechanism, and the other servo with it, moves up to the latest time that any of them has reached; the other one's
-    calls then take it there without moving anything again. So it makes no difference which of two drives is served
-    first at a SYNC, as long as both have their set-points before the next one. Raises `UsageError`: a servo does not go
-    with the mechanism.
+    mechanism, and the other servos with it, moves up to the latest time that any of them has reached; the others' calls
+    then take them there without moving anything again. So it makes no difference which of the drives is served first at
+    a SYNC, as long as all have their set-points before the next one. Raises `UsageError`: a servo does not go with the
+    mechanism.
     """
 
     def __init__(
         self,
-        mechanism: Gantry | TwoLinkArm,  # its `axes` name the servos, in messages
-        configs: Sequence[ServoConfig],  # two, in the order of `axes`, with one `integration_hz`
-        positions: Sequence[float] = (0.0, 0.0),  # initial ones, at rest, rad or m
-        externals: Sequence[Array | None] = (None, None),  # see `Servo`
+        mechanism: Gantry | TwoLinkArm | Linkage,  # its `axes` name the servos, in messages
+        configs: Sequence[ServoConfig],  # in the order of `axes`, with one `integration_hz`
+        positions: Sequence[float] | None = None,  # initial ones, at rest, rad or m; 0 by default
+        externals: Sequence[Array | None] | None = None,  # see `Servo`
     ) -> None:
         for name, config in zip(mechanism.axes, configs, strict=True):
             for key, text in axis_mistakes(mechanism, name, config):
                 raise UsageError(f"{name}: {key} {text}")
-        if configs[0].integration_hz != configs[1].integration_hz:
+        if len({config.integration_hz for config in configs}) > 1:
             raise UsageError(f"{' and '.join(mechanism.axes)} need the same integration_hz")
+        n, inertias = len(configs), reflected_inertias(mechanism)
+        positions = [0.0] * n if positions is None else positions
+        externals = [None] * n if externals is None else externals
         self.mechanism = mechanism
-        self._record = mechanism_record(mechanism)
-        self._state = np.zeros(1, MECHANISM_STATE)
-        self._ahead = [0, 0]  # steps that a servo has moved, but that have not passed for it
-        inertias = reflected_inertias(mechanism)
-        self.servos: tuple[Servo, Servo] = (
-            _CoupledServo(configs[0], positions[0], externals[0], inertias[0], lambda steps: self._pass(0, steps)),
-            _CoupledServo(configs[1], positions[1], externals[1], inertias[1], lambda steps: self._pass(1, steps)),
+        self._moved, self._passed = 0, [0] * n  # integration steps of the mechanism, and of each servo
+        servos = [
+            _CoupledServo(configs[i], positions[i], externals[i], inertias[i], partial(self._pass, i)) for i in range(n)
+        ]
+        plants, controllers, states = map(np.concatenate, zip(*(servo.records for servo in servos), strict=True))
+        for i, servo in enumerate(servos):
+            servo.share(plants[i : i + 1], controllers[i : i + 1], states[i : i + 1])
+        self.servos: tuple[Servo, ...] = tuple(servos)
+        moved = planar(mechanism) if isinstance(mechanism, TwoLinkArm) else mechanism
+        none = np.zeros(0, LINK)
+        self.records = coupled.Coupled(
+            mechanism=mechanism_record(moved),
+            total=np.zeros(1, MECHANISM_STATE),
+            joints=np.zeros(n, JOINT),
+            plants=plants,
+            controllers=controllers,
+            states=states,
+            links=none if isinstance(moved, Gantry) else moved.arm.links,
+            tool=none if isinstance(moved, Gantry) else moved.tool.links,
+            gravity=np.zeros(3) if isinstance(moved, Gantry) else moved.arm.gravity_vector,
+            matrix=np.zeros((n, n)),
+            factor=np.zeros((n, n)),
         )
-        self._axes = (*self.servos[0].records, *self.servos[1].records)
+        coupled.prepare(self.records)
 
     def advance(self, steps: int) -> None:
-        """Simulate ``steps`` integration steps of both servos."""
+        """Simulate ``steps`` integration steps of all servos."""
         for servo in self.servos:
             servo.advance(steps)
 
     def _pass(self, index: int, steps: int) -> None:
         """Let time pass for one of the servos."""
-        done = min(self._ahead[index], steps)
-        self._ahead[index] -= done
-        if steps > done:
-            coupled.advance(self._record, self._state, *self._axes, steps - done)
-            self._ahead[1 - index] += steps - done
-
-    @property
-    def records(self) -> tuple[StructuredArray, StructuredArray]:
-        """Mechanism and its state as the compiled functions of `friction_hil.servo.coupled` take them, live."""
-        return self._record, self._state
+        self._passed[index] += steps
+        if self._passed[index] > self._moved:
+            coupled.advance(self.records, self._passed[index] - self._moved)
+            self._moved = self._passed[index]
 
     @property
     def energy(self) -> Energy:
-        """Energies of both axes and the mechanism since the start, J.
+        """Energies of all axes and the mechanism since the start, J.
 
         ``load_work`` includes that of the force at the tool; ``coupling_heat`` is that of the yaw damping.
         """
-        first, second = self.servos
-        stored = coupled.stored_energy(
-            self._record, first.true_position, second.true_position, first.true_velocity, second.true_velocity
-        )
-        works = {"motor_work": 0.0, "load_work": float(self._state[0]["tool_work"]), "friction_heat": 0.0}
+        total = self.records.total[0]
+        stored = coupled.stored_energy(self.records)
+        works = {"motor_work": 0.0, "load_work": float(total["tool_work"]), "friction_heat": 0.0}
         for servo in self.servos:
             plant, _, state = servo.records
             stored += mechanics.stored_energy(plant, state)
             for name in works:
                 works[name] += float(state[0][name])
-        return Energy(stored=stored, load_friction_heat=0.0, coupling_heat=float(self._state[0]["heat"]), **works)
+        return Energy(stored=stored, load_friction_heat=0.0, coupling_heat=float(total["heat"]), **works)
 
     @property
-    def tool(self) -> tuple[float, float]:
+    def tool(self) -> tuple[float, ...]:
         """What the motors move.
 
-        Arm: position of the tool from the shoulder, x to the right and y upwards, m. Gantry: position of the payload,
-        m, and yaw of the beam, rad.
+        Arm: position of the tool in the frame of the base, m: x, y and z, or of a two-link arm x to the right and y
+        upwards from the shoulder. Gantry: position of the payload, m, and yaw of the beam, rad.
         """
-        q1, q2 = (servo.true_position for servo in self.servos)
+        q = np.array([servo.true_position for servo in self.servos])
         if isinstance(self.mechanism, Gantry):
-            yaw = (q2 - q1) / self.mechanism.span
-            return 0.5 * (q1 + q2) + yaw * self.mechanism.payload.position, yaw
-        first, second = (link.length for link in self.mechanism.links)
-        return (
-            first * math.sin(q1) + second * math.sin(q1 + q2),
-            -first * math.cos(q1) - second * math.cos(q1 + q2),
-        )
+            yaw = (q[1] - q[0]) / self.mechanism.span
+            return float(0.5 * (q[0] + q[1]) + yaw * self.mechanism.payload.position), float(yaw)
+        # 1 kg at the tool has the potential of its position where gravity is 1 m/s^2 against an axis
+        space = 2 if isinstance(self.mechanism, TwoLinkArm) else 3
+        return tuple(potential_energy(self.records.tool, -axis, q, 0.0 * q)[0] for axis in np.eye(3)[:space])

@@ -2,7 +2,7 @@
 
 A rigid servo has the records `PLANT` and `STATE`. One with any further part has `MACHINE` and `MACHINE_STATE`, which
 begin with the same fields. Kernels are compiled for the type of the record, so that a rigid servo contains no code of
-parts that it does not have. Two servos that share a mechanism are `MACHINE` too, with a `MECHANISM` between them.
+parts that it does not have. Servos that share a mechanism are `MACHINE` too, with a `MECHANISM` between them.
 """
 
 from typing import Any
@@ -169,21 +169,14 @@ MACHINE_STATE = np.dtype(
     ]
 )
 
-FORCES_ROOM = 1 + 3 * MOST_TIMES  # number of times; time and both components of each
-GANTRY, TWO_LINK_ARM = 0, 1
+FORCES_ROOM = 1 + 4 * MOST_TIMES  # number of times; time and three components of each, reversed
+GANTRY, ARM = 0, 1
 
 MECHANISM = np.dtype(
     [
         ("kind", "f8"),
-        ("inertia11", "f8"),  # constant part of the inertia matrix, without the motors
-        ("inertia12", "f8"),
-        ("inertia22", "f8"),
-        ("swing", "f8"),  # factor of the cosine of the elbow in it
-        ("gravity1", "f8"),  # N m; factor of the sine of the first link's angle from hanging down
-        ("gravity2", "f8"),  # of the second one's
-        ("length1", "f8"),
-        ("length2", "f8"),
         ("tool_forces", "f8", (FORCES_ROOM,)),
+        ("inertia", "f8", (4,)),  # matrix of a gantry, without the motors, row by row
         ("span", "f8"),
         ("yaw_stiffness", "f8"),
         ("yaw_damping", "f8"),
@@ -194,6 +187,23 @@ MECHANISM_STATE = np.dtype(
     [
         ("heat", "f8"),  # dissipated by the mechanism, J
         ("tool_work", "f8"),  # by the force at the tool, J
+        ("kinetic", "f8"),  # energy of an arm at the beginning of the step, J
+        ("kinetic_after", "f8"),  # at its end
+    ]
+)
+
+JOINT = np.dtype(  # what a step of a mechanism knows of each of its axes
+    [
+        ("bias", "f8"),  # torque that the mechanism took without that of the change of velocity, in the last step
+        ("bias_before", "f8"),  # in the one before
+        ("matrix_at", "f8"),  # position for which the inertia matrix was computed
+        *((name, "f8") for name in ("drive", "outside", "pull")),  # torques of motor, load and force at the tool
+        *((name, "f8") for name in ("push", "friction", "excess")),  # all that move it, what brakes it, and the rest
+        ("torque", "f8"),  # that the mechanism takes
+        *((name, "f8") for name in ("is_held", "is_free")),  # by friction or brake; not to be held or released any more
+        *((name, "f8") for name in ("half", "step")),  # of the change of velocity, and what it is corrected by
+        *((name, "f8") for name in ("middle", "mean_velocity", "acceleration", "way")),  # way: half of it
+        *((name, "f8") for name in ("end", "end_velocity", "momentum", "rest")),  # rest: 0
     ]
 )
 

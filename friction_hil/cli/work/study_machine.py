@@ -12,12 +12,12 @@ from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.study import study_progress
 from friction_hil.cli.work.tables import print_table, say
 from friction_hil.config import load, located
+from friction_hil.config.simulation import Mechanism
 from friction_hil.errors import OptionError
 from friction_hil.rehearsal import AxisRun, Rehearsal, SimulatedMachine, rehearse, simulated_machines
 from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.study.machine import notes, write_machine_report
 from friction_hil.reports.study.report import claim
-from friction_hil.servo.mechanisms import Gantry, TwoLinkArm
 from friction_hil.study.machine import Course, MachineStudy, Run, scored, study_machine
 from friction_hil.tuning.rehearsal_motions import simulated_motions
 
@@ -75,9 +75,7 @@ def _runs(machine: SimulatedMachine) -> dict[str, dict[str, Run]]:
     }
 
 
-def courses(
-    mechanism: Gantry | TwoLinkArm | None, runs: Sequence[AxisRun], *, is_compensated: bool
-) -> tuple[Course, ...]:
+def courses(mechanism: Mechanism | None, runs: Sequence[AxisRun], *, is_compensated: bool) -> tuple[Course, ...]:
     """Return the part of each axis's motion that is scored; the parameters are those of `rehearse`."""
     traces = rehearse(mechanism, runs, is_compensated=is_compensated)
     return tuple(

@@ -21,7 +21,7 @@ from friction_hil.config import Configuration, from_dict, load, self_contained
 from friction_hil.config.simulation import simulated_servos
 from friction_hil.daemon.assembly import periodic_path
 from friction_hil.daemon.safety import LoopState
-from friction_hil.errors import ConfigurationError, OptionError
+from friction_hil.errors import ConfigurationError, OptionError, UsageError
 from friction_hil.rehearsal import AxisRun, Motion, Rehearsal, rehearse, simulated_machines
 from friction_hil.tuning import TuneSettings, tune
 from tests.servo_drives import ServoDrives, make_loop
@@ -102,6 +102,55 @@ def test_mistakes_are_reported_with_their_line(tmp_path: Path, old: str, new: st
     [problem] = [each for each in caught.value.problems if each.field == field]
     assert re.search(words, problem.message)
     assert problem.line is not None
+
+
+SIX = "six_joint_arm"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field", "words"),
+    [
+        (f"file: {SIX}", "file: nowhere", "simulation.mechanism", "nowhere.urdf cannot be read"),
+        ("elbow: joint3", "elbow: joint9", "simulation.mechanism", "no joint 'joint9'"),
+        ("elbow: joint3", "elbows: joint3", "simulation.mechanism.axes.elbows", "no axis 'elbows'.*'elbow'"),
+        (
+            "    payload:",
+            "    signs: {arm: -1}\n    payload:",
+            "simulation.mechanism.signs.arm",
+            "no axis of the mechanism",
+        ),
+        (
+            "{inertia: 0.04, ",
+            "{axis: linear, inertia: 0.04, ",
+            "axes.flange.simulation.mechanics.axis",
+            "rotary.*joint6",
+        ),
+        ("{inertia: 0.04, ", f"{{{LOAD.strip()}, inertia: 0.04, ", "axes.flange.simulation.mechanics.load", "rigid"),
+    ],
+)
+def test_mistakes_of_an_arm_are_reported_with_their_line(
+    tmp_path: Path, old: str, new: str, field: str, words: str
+) -> None:
+    path, text = tmp_path / "arm.yaml", (FOLDER / f"{SIX}.yaml").read_text()
+    (tmp_path / f"{SIX}.urdf").write_bytes((FOLDER / f"{SIX}.urdf").read_bytes())
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new))
+    with pytest.raises(ConfigurationError) as caught:
+        load(path)
+    [problem] = [each for each in caught.value.problems if each.field == field]
+    assert re.search(words, problem.message)
+    assert problem.line is not None
+
+
+def test_the_file_of_an_arm_stands_beside_its_configuration_and_a_recording_does_not_read_it(tmp_path: Path) -> None:
+    configuration = load(FOLDER / f"{SIX}.yaml")
+    data = self_contained(configuration)
+    assert data["simulation"]["mechanism"]["file"] == str(FOLDER / f"{SIX}.urdf")
+    assert len(simulated_servos(configuration, configuration.axes)) == 6
+    data["simulation"]["mechanism"]["file"] = str(tmp_path / "gone.urdf")
+    alone = from_dict(data, "test", reads_files=False)
+    with pytest.raises(UsageError, match=r"gone\.urdf cannot be read"):
+        simulated_servos(alone, alone.axes)
 
 
 MODBUS = {"driver": "modbus", "line": {"port": "/dev/ttyUSB0"}, "description": "kinco_fd5p.yaml", "mode": "csv"}

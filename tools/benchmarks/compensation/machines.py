@@ -9,6 +9,7 @@ from pathlib import Path
 
 from friction_hil.cli.work.study_machine import courses
 from friction_hil.config import AxisConfig, load
+from friction_hil.config.simulation import moved
 from friction_hil.errors import FrictionHilError, UsageError
 from friction_hil.models.model_file import ModelFile
 from friction_hil.rehearsal import AxisRun, Motion, Rehearsal, SimulatedAxis, SimulatedMachine, simulated_machines
@@ -107,8 +108,9 @@ class BenchMachine:
     @cached_property
     def compensations(self) -> dict[str, list[tuple[ModelFile, Rehearsal]]]:
         """Model and loop of each axis by condition; only conditions that all of them have."""
-        shares = (0.0,) if self.machine.mechanism is None else reflected_inertias(self.machine.mechanism)
-        swings = (0.0,) if self.machine.mechanism is None else hanging_gravity(self.machine.mechanism)
+        mechanism = self.machine.mechanism
+        shares = (0.0,) if mechanism is None else reflected_inertias(moved(mechanism))
+        swings = (0.0,) if mechanism is None else hanging_gravity(moved(mechanism))
         each = [
             self._compensations_of(axis, identified, share, swing)
             for axis, identified, share, swing in zip(self.machine.axes, self.identified, shares, swings, strict=True)

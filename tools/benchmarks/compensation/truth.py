@@ -3,11 +3,12 @@
 from typing import Any
 
 from friction_hil import models
+from friction_hil.config.simulation import Mechanism, UrdfArm
 from friction_hil.errors import UsageError
 from friction_hil.models import FrictionModel
 from friction_hil.models.model_file import Gravity, ModelFile
 from friction_hil.servo.config import ServoConfig, TrueFriction
-from friction_hil.servo.mechanisms import Gantry, TwoLinkArm
+from friction_hil.servo.mechanisms import Gantry
 from tools.benchmarks.compensation.belief import converted
 
 _ADDED = ("coulomb", "static", "viscous", "sigma2")
@@ -82,11 +83,12 @@ def without_gravity(model: ModelFile) -> ModelFile:
     return model.model_copy(update={"mechanics": mechanics})
 
 
-def without_forces(mechanism: Gantry | TwoLinkArm) -> Gantry | TwoLinkArm:
+def without_forces(mechanism: Mechanism) -> Mechanism:
     """Return a mechanism without weight and without force at its tool; its inertia and its springs stay."""
     if isinstance(mechanism, Gantry):
         return mechanism
-    return mechanism.model_copy(update={"gravity": 0.0, "tool_force": ()})
+    none = (0.0, 0.0, 0.0) if isinstance(mechanism, UrdfArm) else 0.0
+    return mechanism.model_copy(update={"gravity": none, "tool_force": ()})
 
 
 def model_file(
