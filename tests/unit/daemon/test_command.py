@@ -99,6 +99,21 @@ def test_a_shifted_set_point_is_sent_while_the_axis_moves_and_the_shift_begins_a
     assert sent(RUNNING, 9.0)[0] == pytest.approx(3.05)
 
 
+@pytest.mark.parametrize("state", [RUNNING, FAULT_STOPPING, ENABLING])
+def test_what_an_arm_needs_is_fed_as_a_weight_is_within_what_its_load_leaves(state):
+    axis = Axis(weight=0.0, slew=1e6)
+    writer = axis.writer
+    assert (writer.arm_torque, writer.arm_load, writer.static) == (0.0, 0.0, 0.0)
+    writer.adopt(StaticTorque(0.8, 0.1, 0.0, 0.0, 0.0, per_load=0.5), 0.0, 0.0)
+    found = []
+    for torque, load in ((0.2, 0.3), (0.9, 0.4), (-0.9, -0.4), (0.9, 9.0)):
+        writer.arm_torque, writer.arm_load = torque, load
+        sent = axis.write(state, compensation=0.0).torque
+        assert sent == writer.static
+        found.append(sent)
+    assert found == pytest.approx([0.3, 0.6, -0.6, 0.0])
+
+
 @pytest.mark.parametrize("is_compiled", [False, True])
 @pytest.mark.parametrize("mode", ["csp", "csv", "cst"])
 def test_the_torque_rises_from_zero_by_a_step_in_each_period(mode, is_compiled):
