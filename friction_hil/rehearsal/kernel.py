@@ -17,6 +17,7 @@ from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined
 from friction_hil.servo import coupled, plant
 
 MOST_DELAY_CYCLES = 4
+_RISE_CYCLES = 50  # of a torque that holds the axis at the start
 
 DAEMON = np.dtype(
     [
@@ -165,18 +166,37 @@ def run(axis: Axis, demand: Array, trace: Array) -> None:
         plant.advance(axis.servo, axis.controller, axis.state, steps - until)
 
 
+@inlined
+def _hold(axis: Axis, torque: float) -> None:
+    """Let the integral part of the velocity loop hold the axis where it is, by a torque that has risen slowly."""
+    if axis.own_controller[0].velocity_gain > 0.0:
+        axis.loop[0].integral = torque / axis.own_controller[0].velocity_gain
+    r, gain = axis.state[0], axis.controller[0].velocity_gain
+    if not gain > 0.0:
+        return
+    position = r.position
+    for k in range(1, _RISE_CYCLES + 1):
+        r.integral = torque / gain * k / _RISE_CYCLES
+        plant.advance(axis.servo, axis.controller, axis.state, int(axis.daemon[0].period_steps))
+        r.position, r.velocity = position, 0.0
+
+
 @compiled
-def follow(axis: Axis, demand: Array, measured: Array, correction: tuple[float, float], ahead: Array) -> None:
+def follow(
+    axis: Axis, demand: Array, measured: Array, torque: float, correction: tuple[float, float], ahead: Array
+) -> None:
     """Simulate a recorded motion of one axis, and correct position and velocity by what was measured, cycle by cycle.
 
-    ``demand``: (n, 7), as for `run`. ``measured``: (n,), position; NaN: unknown, no correction. ``correction``: of
-    position and velocity (1/s), times the difference of the position. ``ahead``: (n,), is filled with that difference,
-    measured less predicted before the correction; NaN where it is unknown.
+    ``demand``: (n, 7), as for `run`. ``measured``: (n,), position; NaN: unknown, no correction. ``torque``: by which
+    the axis is held at the start, N m or N. ``correction``: of position and velocity (1/s), times the difference of the
+    position. ``ahead``: (n,), is filled with that difference, measured less predicted before the correction; NaN where
+    it is unknown.
     """
     trace = np.empty((len(TRACE), demand.shape[0]))
     steps = int(axis.daemon[0].period_steps)
     until = int(axis.daemon[0].delay_steps) % steps
     _begin(axis)
+    _hold(axis, torque)
     for k in range(demand.shape[0]):
         ahead[k] = measured[k] - axis.state[0].position
         if not math.isnan(ahead[k]):

@@ -87,12 +87,18 @@ class Rehearsal:
         return dict(zip(kernel.TRACE, trace, strict=True))
 
     def ahead(
-        self, servo: "ServoConfig", model: "ModelFile", demand: Array, measured: Array, correction: tuple[float, float]
+        self,
+        servo: "ServoConfig",
+        model: "ModelFile",
+        demand: Array,
+        measured: Array,
+        torque: float,
+        correction: tuple[float, float],
     ) -> Array:
         """Return measured less predicted positions (n,) of a recorded motion: see `kernel.follow`."""
         simulated = simulated_servo(servo, float(measured[np.isfinite(measured)][0]))
         found = np.empty(len(demand))
-        kernel.follow(self.records(simulated, model, is_compensated=False), demand, measured, correction, found)
+        kernel.follow(self.records(simulated, model, is_compensated=False), demand, measured, torque, correction, found)
         return found
 
     def records(self, simulated: "Servo", model: "ModelFile", *, is_compensated: bool) -> kernel.Axis:

@@ -107,7 +107,8 @@ def closed_loop_starts(
     """Return where searches in closed loop begin: the family that predicts the torque best, LuGre and GMS.
 
     They begin at their fits to the torque, LuGre on the steady curve of the slow sweeps. If the recording shows no
-    presliding, only LuGre begins, with a deflection of a count; if it shows no hump either, none does.
+    presliding, only LuGre begins, with a deflection of a count, at all and at half of the hump; if it shows no hump
+    either, none does.
     """
     first, curve = found[0], _steady_curve(parts, configuration)
     wanted = {name for name in chosen_families(tuple(families)) if not models.describe(name).is_static}
@@ -144,9 +145,17 @@ def closed_loop_starts(
         if family == _LUGRE and not fits:
             level = float(np.sqrt(np.mean(first.best.curves.friction**2)))
             values["sigma0"] = level / facts_of(parts[0].recording.metadata, parts[0].recording).position_resolution
+            values["sigma1"] = math.inf
         if "sigma1" in values:  # a fit to the torque makes up for a state that it does not resolve by damping
             values["sigma1"] = min(values["sigma1"], math.sqrt(values["sigma0"] * values["inertia"]))
         starts.append(Start(first, fits[0] if fits else first.best, structure, values))
+        if not fits and family == _LUGRE:  # slow sweeps alone hardly show how high the hump is
+            lower = {
+                name: 0.5 * (value + values[name.replace("static", "coulomb")])
+                for name, value in values.items()
+                if name.rpartition(".")[2] == "static"
+            }
+            starts.append(replace(starts[-1], values={**values, **lower}))
     return starts
 
 

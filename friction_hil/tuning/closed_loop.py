@@ -40,6 +40,7 @@ from friction_hil.rehearsal import Rehearsal
 from friction_hil.replay.verify import facts_of
 from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.model_files import model_content
+from friction_hil.tuning.motions import uncompensated
 from friction_hil.tuning.settings import ShowStep
 from friction_hil.tuning.simulated import SOFT_HZ, simulated_axis
 
@@ -64,6 +65,7 @@ class _Motion:
     demand: Array  # (n, 7), as for `friction_hil.rehearsal.kernel.run`
     measured: Array  # (n,), middle of the count; NaN where no sample was recorded
     error: Array  # (n,), following error
+    torque: float  # by which the drive holds the axis at the start, N m or N
 
 
 def _recorded(recording: Recording, axis: AxisConfig, period_s: float) -> _Motion:
@@ -84,7 +86,11 @@ def _recorded(recording: Recording, axis: AxisConfig, period_s: float) -> _Motio
     measured[(cycle - cycle[0]).astype(int)[is_fresh]] = running["position"][is_fresh] + 0.5 * resolution
     columns = position, velocity, acceleration, velocity, acceleration
     demand = np.column_stack([*columns, np.round(sent / resolution) * resolution, sent_velocity])
-    return _Motion(Rehearsal(axis, facts, period_s), demand, measured, position - measured)
+    is_held = np.abs(running["position_demand"] - position[0]) < resolution
+    held = running["torque"][np.logical_and.accumulate(is_held)]
+    known = held[np.isfinite(held)]
+    torque = float(np.mean(known)) if known.size else 0.0
+    return _Motion(Rehearsal(axis, facts, period_s), demand, measured, position - measured, torque)
 
 
 class ClosedLoop:
@@ -97,7 +103,8 @@ class ClosedLoop:
         loops: DriveLoops | None,  # None: the daemon's own, which are in the configuration
     ) -> None:
         self.name = name = recordings[0].axis
-        self.axis, self.period_s, self.loops = configuration.axes[name], configuration.period_s, loops
+        self.axis = uncompensated(configuration).axes[name]  # neither was the weight fed forward
+        self.period_s, self.loops = configuration.period_s, loops
         self.running = recordings[0].at(recordings[0]["state"] == LoopState.RUNNING)
         self.resolution = facts_of(recordings[0].metadata, recordings[0]).position_resolution
         self.motions = [_recorded(each, self.axis, self.period_s) for each in recordings]
@@ -117,9 +124,11 @@ class ClosedLoop:
         correction = 1.0 - pole * pole, (1.0 - pole) ** 2 / self.period_s
         found = []
         for each in self.motions:
-            ahead = each.rehearsal.ahead(servo, model, each.demand, each.measured, correction) / self.resolution
+            ahead = each.rehearsal.ahead(servo, model, each.demand, each.measured, each.torque, correction)
             # a simulation that fails is no sample that is missing
-            ahead = np.nan_to_num(ahead, nan=th.FAILED_ERROR, posinf=th.FAILED_ERROR, neginf=-th.FAILED_ERROR)
+            ahead = np.nan_to_num(
+                ahead / self.resolution, nan=th.FAILED_ERROR, posinf=th.FAILED_ERROR, neginf=-th.FAILED_ERROR
+            )
             found.append(np.where(np.isnan(each.measured), 0.0, ahead)[round(th.SETTLED_S / self.period_s) :])
         return np.concatenate(found)
 
@@ -185,31 +194,59 @@ class _Search:
         first = self._errors(at)
         return np.column_stack([(each - first) / one for each, one in zip(in_parallel(jobs), steps, strict=True)])
 
-    def run(self) -> Fit:
-        """Search, and return the fit where the search has ended.
+    def _cost(self, at: Array, usual: float) -> float:
+        """Return what a search makes small where errors are usually that large."""
+        scale = th.LARGE_ERROR * usual
+        return scale**2 * float(np.sum(np.hypot(1.0, self._errors(at) / scale) - 1.0))
 
-        Raises `UsageError`: where it begins, there is nothing to simulate.
-        """
+    def _usual(self, at: Array) -> float:
+        return max(float(np.median(np.abs(self._errors(at)))), th.LEAST_ERROR)
+
+    def _searched(self, at: Array, steps: Sequence[float]) -> tuple[Array, Array, bool]:
+        """Return where searches end that differ by the steps of their derivatives, the errors, and if they converge."""
         from scipy.optimize import least_squares  # imported here: start-up time
 
-        at = self._at
-        self._errors_of(self._fit_of(at))
-        for step in th.SEARCH_STEPS:
-            usual = max(float(np.median(np.abs(self._errors(at)))), th.LEAST_ERROR)
+        for step in steps:
             found = least_squares(
                 self._errors,
                 at,
                 partial(self._jacobian, step=step),
                 (self._lower, self._upper),
                 loss="soft_l1",
-                f_scale=th.LARGE_ERROR * usual,
+                f_scale=th.LARGE_ERROR * self._usual(at),
                 ftol=th.TOLERANCE,
                 xtol=th.TOLERANCE,
                 max_nfev=th.EVALUATIONS,
             )
             at = found.x
+        return at, found.fun, bool(found.status > 0)
+
+    def _beyond_a_step(self, at: Array) -> Array | None:
+        """Return coordinates that are better than these, changed one by one by more than a search looks; None: none."""
+        usual, start = self._usual(at), at
+        lowest = self._cost(at, usual)
+        for i in range(len(self._start.structure.coordinates)):
+            points = np.clip(at + np.outer(th.PROBES, np.eye(len(at))[i]), self._lower, self._upper)
+            costs = in_parallel([partial(self._cost, each, usual) for each in points])
+            if min(costs) < th.BETTER * lowest:
+                lowest = min(costs)
+                at = points[costs.index(lowest)]
+        return None if at is start else at
+
+    def run(self) -> Fit:
+        """Search, and return the fit where the search has ended.
+
+        Raises `UsageError`: where it begins, there is nothing to simulate.
+        """
+        self._errors_of(self._fit_of(self._at))
+        at, errors, is_converged = self._searched(self._at, th.SEARCH_STEPS)
+        if (other := self._beyond_a_step(at)) is not None:
+            found = self._searched(other, th.LAST_STEPS)
+            usual = self._usual(at)
+            if self._cost(found[0], usual) < self._cost(at, usual):
+                at, errors, is_converged = found
         derivatives = self._jacobian(at, th.SEARCH_STEPS[-1])
-        return self._fit(at, found.fun, derivatives, is_converged=bool(found.status > 0))
+        return self._fit(at, errors, derivatives, is_converged=is_converged)
 
     def _fit(self, at: Array, errors: Array, derivatives: Array, *, is_converged: bool) -> Fit:
         """Return the fit at coordinates, with the errors of the motion that it predicts and their derivatives."""

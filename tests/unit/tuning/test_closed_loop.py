@@ -18,6 +18,7 @@ from friction_hil.identification.structures import build
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.servo.config import ServoConfig
+from friction_hil.tuning.candidates import ExperimentPart, closed_loop_starts, slow_sweeps
 from friction_hil.tuning.closed_loop import ClosedLoop, Start, closed_loop_fits
 from tests.servo_drives import PERIOD_S, axis_dict, configuration, run
 
@@ -43,12 +44,14 @@ def model(**changes):
     )
 
 
+SERVO = {"friction": friction(), "mechanics": {"inertia": INERTIA}, "encoder": {"counts": 2**17}}
+
+
 @cache
-def recorded():
-    """The experiment of `tune`, recorded by the daemon's loop."""
-    loops = {"position_gain": 60.0, "velocity_gain": 0.06, "integral_hz": 4.8}
-    parts = {"friction": friction(), "mechanics": {"inertia": INERTIA}, "encoder": {"counts": 2**17}}
-    servo = ServoConfig.model_validate({**parts, "loops": loops})
+def recorded(stiffer=1.0):
+    """The experiment of `tune`, recorded by the daemon's loop; ``stiffer``: factor of all gains of the drive."""
+    gains = {"position_gain": 60.0, "velocity_gain": 0.06, "integral_hz": 4.8}
+    servo = ServoConfig.model_validate({**SERVO, "loops": {name: stiffer * each for name, each in gains.items()}})
     moving = axis_dict(trajectory={"kind": "experiment", **BOUNDS}, compensation={"enabled": False})
     _, rows, _ = run(configuration(x=moving), servo=servo, duration_s=12.5)
     columns = {name: np.array(rows.column("x", name)) for name in NAMES}
@@ -78,6 +81,21 @@ def test_the_motion_of_the_true_model_is_predicted_to_a_count_and_that_of_others
         for factor in (0.95, 1.05):
             assert usual(loop.errors(model(**{name: factor * TRUE[name]}), INERTIA)) > 1.2 * true
     assert usual(loop.errors(model(), 1.2 * INERTIA)) > 1.2 * true
+
+
+def test_the_drive_begins_with_the_torque_by_which_it_holds_the_axis() -> None:
+    whole, held = recorded(), 0.8 * TRUE["static"]  # that is left of a motion before
+    before = replace(whole, columns={**whole.columns, "torque": whole["torque"] + held})
+    motion, begun = (closed_loop(each).motions[0] for each in (whole, before))
+    assert begun.torque == pytest.approx(motion.torque + held)
+    servo = ServoConfig.model_validate({**SERVO, "loops": {"position_gain": 0.0, "velocity_gain": 0.06}})
+    rest = np.zeros((500, 7))
+    stays, moves = (
+        np.max(np.abs(motion.rehearsal.ahead(servo, model(), rest, rest[:, 0], factor * held, (0.0, 0.0))))
+        for factor in (1.0, 1.5)
+    )
+    assert stays < held / TRUE["sigma0"]  # friction holds it already, as a spring
+    assert moves > 10.0 * stays
 
 
 def test_where_no_sample_was_recorded_nothing_is_corrected_and_nothing_counts() -> None:
@@ -137,6 +155,21 @@ def test_its_standard_errors_hold_and_its_errors_are_those_of_the_position() -> 
     assert fit.train.relative_error == pytest.approx(fit.train.rmse / (COUNT * rms(closed_loop().following)), rel=0.05)
     assert fit.held_out.rmse >= fit.train.rmse
     assert not fit.flags
+
+
+def test_without_presliding_searches_begin_at_all_and_at_half_of_the_hump() -> None:
+    """Of the deflection no more is known than that it is of the order of a count, and it is damped."""
+    axes = configuration(x=axis_dict(experiment=BOUNDS))
+    parts = [ExperimentPart(recorded(stiffer=4.0), BOUNDS["duration_s"])]
+    found = identify(*slow_sweeps(parts, axes, ("coulomb",)))
+    whole, half = closed_loop_starts([found], parts, axes, ())
+    assert whole.structure == half.structure
+    hump = whole.values["static"] - whole.values["coulomb"]
+    assert hump > 0.0
+    assert half.values == {**whole.values, "static": pytest.approx(whole.values["static"] - 0.5 * hump)}
+    assert whole.values["sigma0"] * COUNT == pytest.approx(TRUE["coulomb"], rel=0.3)
+    damping = whole.values["sigma1"] / math.sqrt(whole.values["sigma0"] * whole.values["inertia"])
+    assert damping == pytest.approx(1.0)
 
 
 def test_a_friction_that_is_too_stiff_is_refused_and_a_search_that_begins_there_costs_no_other() -> None:
