@@ -57,7 +57,7 @@ class Recorder:
         self._events: deque[tuple[float, str, str]] = deque(maxlen=1000)
         self._journal = journal.make_journal()
         self._companion = Companion.start(job, self._journal, ring=ring, adopts=False)
-        self._is_closed = False
+        self._is_closed, self._owner = False, os.getpid()
 
     def begin(self) -> None:
         """Do nothing: the file has begun."""
@@ -96,7 +96,7 @@ class Recorder:
 
     def close(self) -> list[str]:
         """End the recording; return what is wrong with it. The loop may go on."""
-        if self._is_closed:
+        if self._is_closed or os.getpid() != self._owner:  # a forked process that ends takes no recording with it
             return []
         self.tend()
         self._is_closed = True

@@ -67,10 +67,14 @@ def test_a_file_is_verified_with_every_change_and_whoever_records_dies(tmp_path)
             one.set("j0", model={"axis": "rotary", "friction": STRIBECK})
         elif begin % 500 == 0:
             one.set(f"j{begin // 500 % 3}", gain=0.9 - 1e-4 * begin)
+        if begin == 250 and not (child := os.fork()):
+            one.close()
+            os._exit(0)
         if begin == 1500:
             os.kill(one._recorder._companion.worker_pid, signal.SIGKILL)
         moved(one, inputs, begin, begin + 250)
     one.close()
+    assert os.waitpid(child, 0)[1] == 0
     assert sum("died" in each for each in one.notices) == 1
     assert not any("lost" in each for each in one.notices)
     assert len(list(tmp_path.glob("run-*.mcap"))) >= 2, "one for the death, one for rotate_s"
