@@ -132,12 +132,14 @@ def static_torque_note(config: "AxisConfig", weight: float | None = None) -> str
     ``weight``: of an axis of an arm, the largest one there, N m or N.
     """
     largest = static_torque(config).largest + (weight or 0.0)
-    if not _is_fed(config) or (largest <= _NOTEWORTHY * config.limits.torque and weight is None):
+    has_weight = largest > _NOTEWORTHY * config.limits.torque
+    if not _is_fed(config) or not (has_weight or weight is not None):
         return ""
-    what = f"gravity and offset of the model, up to {largest:.3g} {_unit(config)}, are"
+    what, size = "gravity and offset of the model", f"up to {largest:.3g} {_unit(config)}"
     if weight is not None:
-        what = f"weight, inertia and coupling of the arm, at rest up to {largest:.3g} {_unit(config)}, are"
-    text = f"{what} fed forward as soon as the axis is enabled (compensation.gravity: false turns this off)"
+        what = "inertia and coupling of the arm" + ", and its weight" * has_weight
+    what += f", {size}," * has_weight
+    text = f"{what} are fed forward as soon as the axis is enabled (compensation.gravity: false turns this off)"
     shortage = static_torque_shortage(config, weight)
     return f"{text}; limits.torque {shortage}" if shortage else text
 

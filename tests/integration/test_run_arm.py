@@ -43,7 +43,7 @@ def test_an_arm_lowers_the_following_error_and_is_repeated_bit_for_bit(tmp_path)
         error = (columns(found, "position_demand") - columns(found, "position"))[running]
         errors.append(np.sqrt(np.mean(error[-PERIOD:] ** 2, axis=0)))
     assert (errors[1] < np.array([0.7, 0.4]) * errors[0]).all()
-    assert "elbow: weight, inertia and coupling of the arm, at rest up to 6.24 N m, are fed forward" in done.stderr
+    assert "elbow: inertia and coupling of the arm, and its weight, up to 6.24 N m, are fed forward" in done.stderr
     (tmp_path / "arm.urdf").unlink()
     verified = json.loads(run("replay", "--verify", record, "--json").stdout)
     assert verified, "both joints"
