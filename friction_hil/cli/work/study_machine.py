@@ -27,7 +27,10 @@ _SIMULATING = 0.9  # fraction of the time
 
 def run_machine_study(*, machine: Path, output: Path, as_json: bool) -> int:
     """Simulate a machine, write the report and print the errors; return 1 if a simulation diverged."""
-    machines = simulated_machines(load(machine))
+    configuration = load(machine)
+    machines = simulated_machines(configuration)
+    if configuration.arm is not None:
+        say("note: nothing of arm is fed forward here, as `run` does: the errors are those of the compensation alone")
     try:
         runs = {name: axis_runs for each in machines for name, axis_runs in _runs(each).items()}
     except OptionError as error:

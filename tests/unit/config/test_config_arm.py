@@ -6,6 +6,7 @@ import pytest
 import friction_hil as fh
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.work.config import check_files
+from friction_hil.cli.work.study_machine import run_machine_study
 from friction_hil.config import from_dict, load, self_contained
 from friction_hil.daemon.static_torque import largest_weights
 from friction_hil.errors import ConfigurationError, UsageError
@@ -165,3 +166,24 @@ def test_the_largest_weight_is_that_within_the_position_limits(tmp_path):
     found = largest_weights(machine(tmp_path, **near))
     assert found["shoulder"] == pytest.approx(gravity(0.6, 0.5 * np.pi - 0.6)[0], abs=0.3)
     assert largest_weights(machine(tmp_path))["shoulder"] == pytest.approx(28.5, abs=0.1)
+
+
+def test_a_prismatic_joint_is_a_linear_axis(tmp_path):
+    """Of the forearm's weight it carries what lies along it; without position limits it is looked at where it is 0."""
+    slide = URDF.replace('name="joint2" type="continuous"', 'name="joint2" type="prismatic"')
+    slide = slide.replace('-0.4"/><axis xyz="0 -1 0"', '-0.4"/><axis xyz="0 0 -1"')
+    changes = {"simulation": None, "axes__elbow__simulation": None, "axes__elbow__model__axis": "linear"}
+    changes |= {"axes__elbow__counts_per_unit": 1e6, "axes__elbow__rated_torque": 40.0}
+    config = load(write(tmp_path, urdf=slide, **changes, axes__elbow__limits__position=None))
+    assert config.arm.dynamics.is_linear == (False, True)
+    assert config.arm.dynamics.gravity([0.0, 0.1]) == pytest.approx([0.0, -3.2 * 9.81])
+    assert largest_weights(config)["elbow"] == pytest.approx(3.2 * 9.81, rel=1e-3)
+
+
+def test_study_says_that_it_feeds_no_arm_forward(tmp_path, capsys):
+    taken = tmp_path / "report"
+    taken.mkdir()
+    (taken / "report.html").write_text("of somebody else")
+    with pytest.raises(UsageError):
+        run_machine_study(machine=write(tmp_path), output=taken, as_json=True)
+    assert "nothing of arm" in capsys.readouterr().err
