@@ -148,3 +148,19 @@ def test_nothing_is_compiled_in_the_loop(tmp_path):
     before = [len(ready(each).signatures) for each in (kernel.step, kernel.find_loads)]
     steps(comp, 50, **given)
     assert before == [len(ready(each).signatures) for each in (kernel.step, kernel.find_loads)]
+
+
+def test_whatever_it_is_given_nothing_raises_and_the_output_and_the_loads_are_numbers(tmp_path):
+    comp, given, random = loop(tmp_path), swing(), np.random.default_rng(4)
+    steps(comp, 60, **given)
+    odd = (math.nan, math.inf, -1e300, 1e9, 0.0)
+    for k in range(300):
+        row = {name: value[60 + k].copy() for name, value in given.items()} | {"load": np.full(3, math.nan)}
+        for name in random.choice(list(row), 3):
+            row[name] = random.choice(odd, 3) if random.random() < 0.9 else [None, "x", [1.0]][k % 3]
+        out = comp.step(**row, dt=PERIOD_S)
+        assert np.isfinite(out).all()
+        assert (np.abs(out) <= LIMITS["torque"]).all()
+    loads = recorded(comp)[:360, 1:]
+    assert not np.isinf(loads).any()
+    assert np.abs(np.nan_to_num(loads)).max() <= 1e7  # `MOST_TORQUE`
