@@ -39,15 +39,38 @@ class ArmPayload(Section):
     link: str | None = key("link or body that carries it; by default that of the last joint", default=None)
 
 
-class ArmConfig(Section):
-    """The arm whose joints are axes: its gravity, inertia and coupling are fed forward, and load the friction."""
+class ArmFile(Section):
+    """An arm from its file."""
 
     file: Path = key("URDF or MJCF of the arm: a path relative to this file")
-    joints: dict[Name, str] = key("joint of the file by axis; joints that are left out are locked", min_length=1)
     signs: dict[Name, Literal[1, -1]] = key("-1 for an axis that counts against its joint", default={})
     locked: dict[str, Coordinate] = key(
         "position of joints that are left out, by default as the file draws them", POSITION, default={}
     )
+    payload: ArmPayload | None = key("what the arm carries", default=None)
+    gravity: tuple[Coordinate, Coordinate, Coordinate] | None = key(
+        "acceleration of gravity in the frame of the base; by default that of the file, or [0, 0, -9.81]",
+        "m/s^2",
+        default=None,
+    )
+
+    def loaded(self, joints: Mapping[str, str], payload: ArmPayload | None, **rotors: Mapping[str, float]) -> Arm:
+        """Return the dynamics of joints by axis; ``rotors`` and errors are those of `friction_hil.dynamics.load`."""
+        return dynamics.load(
+            self.file,
+            list(joints.values()),
+            signs=[self.signs.get(name, 1) for name in joints],
+            locked=self.locked,
+            payload=None if payload is None else dynamics.Payload(**dict(payload)),
+            gravity=self.gravity,
+            **rotors,
+        )
+
+
+class ArmConfig(ArmFile):
+    """The arm whose joints are axes: its gravity, inertia and coupling are fed forward, and load the friction."""
+
+    joints: dict[Name, str] = key("joint of the file by axis; joints that are left out are locked", min_length=1)
     rotor_inertia: dict[Name, Inertia] = key(
         "inertia of the motor's rotor by axis, at the motor; by default the file's armature", "kg m^2", default={}
     )
@@ -59,12 +82,6 @@ class ArmConfig(Section):
         "does not. The arm's goes without it; by default the joint's own is left to the drive",
         "kg m^2 or kg",
         default={},
-    )
-    payload: ArmPayload | None = key("what the arm carries", default=None)
-    gravity: tuple[Coordinate, Coordinate, Coordinate] | None = key(
-        "acceleration of gravity in the frame of the base; by default that of the file, or [0, 0, -9.81]",
-        "m/s^2",
-        default=None,
     )
 
     _dynamics: Arm | None = PrivateAttr(default=None)
@@ -85,18 +102,9 @@ class ArmConfig(Section):
 
     def read(self) -> None:
         """Read the file; errors are those of `friction_hil.dynamics.load`."""
-        axes = list(self.joints)
-        payload = None if self.payload is None else dynamics.Payload(**dict(self.payload))
-        self._dynamics = dynamics.load(
-            self.file,
-            [self.joints[name] for name in axes],
-            signs=[self.signs.get(name, 1) for name in axes],
-            locked=self.locked,
-            gear={self.joints[name]: ratio for name, ratio in self.gear.items()},
-            rotor_inertia={self.joints[name]: inertia for name, inertia in self.rotor_inertia.items()},
-            payload=payload,
-            gravity=self.gravity,
-        )
+        by_axis = {"gear": self.gear, "rotor_inertia": self.rotor_inertia}
+        rotors = {key: {self.joints[name]: each for name, each in given.items()} for key, given in by_axis.items()}
+        self._dynamics = self.loaded(self.joints, self.payload, **rotors)
 
 
 def arm_mistakes(arm: ArmConfig, axes: "Mapping[str, AxisConfig]") -> Iterator[Mistake]:

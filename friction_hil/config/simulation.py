@@ -1,18 +1,16 @@
 """What the simulated drives of several axes share: the mechanism that they move."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
 from friction_hil.checked_yaml.messages import Mistake
-from friction_hil.checked_yaml.section import POSITION, Section, key
-from friction_hil.config.arm import ArmConfig, ArmPayload, Coordinate
+from friction_hil.checked_yaml.section import Section, key
+from friction_hil.config.arm import ArmFile, ArmPayload, Coordinate
 from friction_hil.config.axis import Name
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
 from friction_hil.config.external_torque import external_content, simulated_servo
-from friction_hil.dynamics import Arm
 from friction_hil.errors import ConfigurationError, Problem, UsageError, choices
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.mechanisms import Gantry, Linkage, ToolForces, TwoLinkArm, axis_mistakes
@@ -32,37 +30,21 @@ class Tool(Section):
     link: str | None = key("link or body that has it; by default that of the last axis", default=None)
 
 
-class UrdfArm(Section):
-    """An arm of any number of joints from a file; keys that `ArmConfig` has too mean the same."""
+class UrdfArm(ArmFile):
+    """An arm of any number of joints from a file."""
 
     kind: Literal["urdf"] = key("urdf: an arm of any number of joints, from a URDF or MJCF file")
-    file: Path = key("URDF or MJCF of the arm: a path relative to this file")
     axes: dict[Name, str] = key("joint of the file by axis; joints that are left out are locked", min_length=1)
-    signs: dict[Name, Literal[1, -1]] = key("-1 for an axis that counts against its joint", default={})
-    locked: dict[str, Coordinate] = key(
-        "position of joints that are left out, by default as the file draws them", POSITION, default={}
-    )
-    payload: ArmPayload | None = key("what the arm carries besides what the file states", default=None)
-    gravity: tuple[Coordinate, Coordinate, Coordinate] | None = key(
-        "acceleration of gravity in the frame of the base; by default that of the file, or [0, 0, -9.81]",
-        "m/s^2",
-        default=None,
-    )
     tool: Tool = key("point at which tool_force acts", default=Tool())
     tool_force: ToolForces = ()
 
     def linkage(self) -> Linkage:
         """Read the file and return the arm; errors are those of `friction_hil.dynamics.load`."""
-        arm, tool = self._loaded(self.payload), ArmPayload(mass=1.0, center=self.tool.position, link=self.tool.link)
-        alone = self._loaded(tool).parameters - self._loaded(None).parameters
+        none = dict.fromkeys(self.axes.values(), 0.0)  # inertia of rotors: `mechanics.inertia` of the axes has theirs
+        arm = self.loaded(self.axes, self.payload, rotor_inertia=none)
+        tool = ArmPayload(mass=1.0, center=self.tool.position, link=self.tool.link)
+        alone = self.loaded(self.axes, tool).parameters - self.loaded(self.axes, None).parameters
         return Linkage(tuple(self.axes), arm, arm.with_parameters(alone), self.tool_force)
-
-    def _loaded(self, payload: ArmPayload | None) -> Arm:
-        rotors = dict.fromkeys(self.axes, 0.0)  # in place of those of the file: `mechanics.inertia` has the motor's
-        given = {name: getattr(self, name) for name in ("file", "signs", "locked", "gravity")}
-        arm = ArmConfig(joints=self.axes, payload=payload, rotor_inertia=rotors, **given)
-        arm.read()
-        return arm.dynamics
 
 
 Mechanism = Annotated[Gantry | TwoLinkArm | UrdfArm, Field(discriminator="kind")]

@@ -62,13 +62,14 @@ class Coupled(NamedTuple):
 
 @inlined
 def _set_gantry_torques(c: Coupled) -> None:
-    """Set N of a gantry."""
-    k, j, dt = c.mechanism[0], c.joints, c.plants[0].step_s
-    yaw = (c.states[1].position - c.states[0].position + 0.5 * dt * (j[1].mean_velocity - j[0].mean_velocity)) / k.span
-    turning = (k.yaw_stiffness * yaw + k.yaw_damping * (j[1].mean_velocity - j[0].mean_velocity) / k.span) / k.span
+    """Set N of a gantry: what there is of it without a change of velocity, and the rest."""
+    k, (one, other) = c.mechanism[0], (c.states[0], c.states[1])
+    rate = (other.velocity - one.velocity) / k.span
+    yaw = (other.position - one.position) / k.span + 0.5 * c.plants[0].step_s * rate
+    c.joints[1].torque = (k.yaw_stiffness * yaw + k.yaw_damping * rate) / k.span
+    c.joints[0].torque = -c.joints[1].torque
     for i in range(2):
-        j[i].torque = k.inertia[2 * i] * j[0].acceleration + k.inertia[2 * i + 1] * j[1].acceleration
-        j[i].torque += turning if i == 1 else -turning
+        c.joints[i].torque += c.matrix[i, 0] * c.joints[0].half + c.matrix[i, 1] * c.joints[1].half
 
 
 @inlined
@@ -96,12 +97,8 @@ def _set_torques(c: Coupled) -> None:
     dt = c.plants[0].step_s
     for i in range(len(c.joints)):
         j, r = c.joints[i], c.states[i]
-        j.mean_velocity, j.end_velocity, j.acceleration = (
-            r.velocity + j.half,
-            r.velocity + 2.0 * j.half,
-            2.0 / dt * j.half,
-        )
-        j.way = 0.5 * dt * j.mean_velocity
+        j.mean_velocity, j.end_velocity = r.velocity + j.half, r.velocity + 2.0 * j.half
+        j.acceleration, j.way = 2.0 / dt * j.half, 0.5 * dt * j.mean_velocity
         j.middle, j.end = r.position + j.way, r.position + 2.0 * j.way
     if c.mechanism[0].kind == GANTRY:
         _set_gantry_torques(c)
@@ -220,31 +217,21 @@ def _correct(c: Coupled) -> float:
     It is weighted by the inertia of each joint, and relative to the velocities.
     """
     rate, n = 2.0 / c.plants[0].step_s, len(c.joints)
-    for i in range(n):
-        j = c.joints[i]
-        if j.is_held > 0.0:
-            j.step = -0.5 * c.states[i].velocity - j.half
-    for i in range(n):
-        j = c.joints[i]
-        if j.is_held == 0.0:
-            j.step = j.push - j.torque - j.friction - rate * c.plants[i].inertia * j.half
-            for k in range(n):
-                if c.joints[k].is_held > 0.0:
-                    j.step -= c.matrix[i, k] * c.joints[k].step
-            for k in range(i):
-                j.step -= c.factor[i, k] * c.joints[k].step
-            j.step /= c.factor[i, i]
     size = whole = 0.0
+    for i in range(n):
+        j, inertia = c.joints[i], rate * c.plants[i].inertia
+        j.step = 0.0 if j.is_held > 0.0 else j.push - j.torque - j.friction - inertia * j.half
+        for k in range(i):
+            j.step -= c.factor[i, k] * c.joints[k].step
+        j.step /= c.factor[i, i]
     for i in range(n - 1, -1, -1):
-        j = c.joints[i]
-        if j.is_held == 0.0:
-            for k in range(i + 1, n):
-                j.step -= c.factor[k, i] * c.joints[k].step
-            j.step /= c.factor[i, i]
-        weight = c.matrix[i, i] + rate * c.plants[i].inertia
+        j, inertia = c.joints[i], rate * c.plants[i].inertia
+        for k in range(i + 1, n):
+            j.step -= c.factor[k, i] * c.joints[k].step
+        j.step /= c.factor[i, i]
         j.half += j.step
-        size += weight * j.step * j.step
-        whole += weight * (c.states[i].velocity * c.states[i].velocity + j.half * j.half)
+        size += (c.matrix[i, i] + inertia) * j.step**2
+        whole += (c.matrix[i, i] + inertia) * (c.states[i].velocity ** 2 + j.half**2)
     for i in range(n):
         c.total[0].kinetic_after += 2.0 * c.joints[i].momentum * c.joints[i].step
         for k in range(n):
@@ -255,6 +242,11 @@ def _correct(c: Coupled) -> float:
 @inlined
 def _solve(c: Coupled) -> None:
     """Set ``half`` and N for the joints that are held and their friction."""
+    for i in range(len(c.joints)):
+        if c.joints[i].is_held > 0.0:  # at the end of the step it is at rest
+            for k in range(len(c.joints)):
+                c.joints[k].torque -= c.matrix[k, i] * (0.5 * c.states[i].velocity + c.joints[i].half)
+            c.joints[i].half = -0.5 * c.states[i].velocity
     _factorise(c)
     _correct(c)
     last = 0.0

@@ -180,9 +180,9 @@ def test_tune_refuses_to_twist_a_gantry(tmp_path: Path) -> None:
 
 
 @pytest.mark.deep
-@pytest.mark.parametrize("machine", ["gantry", "two_link_arm"])
+@pytest.mark.parametrize("machine", ["gantry", "two_link_arm", "six_joint_arm"])
 def test_the_compensator_helps_each_axis_of_a_mechanism(machine: str) -> None:
-    """One period before and one after the compensation begins, both axes in motion; and the rehearsal agrees."""
+    """One period before and one after the compensation begins, all axes in motion; and the rehearsal agrees."""
     data = edited(machine, bus={"interface": "virtual", "channel": f"coupled-{next(_channels)}"})
     for axis in data["axes"].values():
         axis["compensation"]["baseline_s"] = 4.0
