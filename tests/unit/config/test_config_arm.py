@@ -5,7 +5,7 @@ import pytest
 
 import friction_hil as fh
 from friction_hil.checked_yaml.text import dump
-from friction_hil.cli.work.config import check_files
+from friction_hil.cli.work.config import check_files, show_file
 from friction_hil.cli.work.study_machine import run_machine_study
 from friction_hil.config import from_dict, load, self_contained
 from friction_hil.daemon.static_torque import largest_weights
@@ -187,3 +187,10 @@ def test_study_says_that_it_feeds_no_arm_forward(tmp_path, capsys):
     with pytest.raises(UsageError):
         run_machine_study(machine=write(tmp_path), output=taken, as_json=True)
     assert "nothing of arm" in capsys.readouterr().err
+
+
+def test_a_configuration_is_shown_with_the_place_of_its_arm(tmp_path, capsys):
+    show_file(str(write(tmp_path)))
+    shown = tmp_path / "shown.yaml"
+    shown.write_text(capsys.readouterr().out)
+    assert load(shown).arm.model_dump() == machine(tmp_path).arm.model_dump()
