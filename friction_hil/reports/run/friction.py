@@ -12,7 +12,7 @@ from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import TIME
-from friction_hil.replay.comparison import mechanics_torque
+from friction_hil.replay.comparison import is_own, mechanics_torque
 from friction_hil.replay.preparation import replay_segments
 
 _MOST_POINTS = 6000
@@ -57,6 +57,9 @@ def _measured(
         return None, False
     if "position" in recording and not np.any(recording["torque"]):
         notes.append("no measured friction: the drive does not report its torque")
+        return None, False
+    if "load_torque" in recording and is_own(recording):
+        notes.append("no measured friction: weight and inertia of the arm that loads the axis are in the torque")
         return None, False
     if model is not None and "position" in recording:
         try:

@@ -16,6 +16,7 @@ from friction_hil.config import self_contained
 from friction_hil.daemon.safety import LoopState
 from friction_hil.recordings import columns
 from friction_hil.recordings.mcap_writer import McapWriter
+from friction_hil.reports.run.friction import friction_over_velocity
 from friction_hil.reports.run.picture import comparison_text
 from friction_hil.reports.run.view import make_view
 from tests.browser import PROGRAM, browser
@@ -159,6 +160,15 @@ def test_columns_of_nothing_but_nan_cost_their_panels_and_are_named(runs, tmp_pa
 
 
 @pytest.mark.deep
+def test_the_weight_of_an_arm_is_not_drawn_as_friction(runs, csp, tmp_path):
+    loaded = recordings.read(write(tmp_path / "run.mcap", runs["csp"], load_torque=2.0))
+    config, notes = runs["csp"].config.axes["x"], []
+    assert friction_over_velocity(recordings.read(csp), config, notes).measured is not None
+    assert not notes
+    assert friction_over_velocity(loaded, config, notes).measured is None
+    assert "weight and inertia of the arm" in notes[0]
+
+
 def test_a_recording_without_model_says_how_to_name_one(runs, csp, tmp_path, capsys):
     path = write(tmp_path / "bare.mcap", runs["csp"], metadata=False)
     facts = plotted(capsys, path)["axes"]["x"]
