@@ -124,8 +124,8 @@ def arm_mistakes(arm: ArmConfig, axes: "Mapping[str, AxisConfig]") -> Iterator[M
             ("transmission", compensation.transmission is not None),
         ):
             if is_given:
-                what = "kalman" if field == "velocity" else "it"
-                yield ("axes", name, "compensation", field), f"must be off, because {what} {_FOLLOWS_MODEL}"
+                text = "must not be kalman, which" if field == "velocity" else "must be off, because it"
+                yield ("axes", name, "compensation", field), f"{text} {_FOLLOWS_MODEL}"
         if name in arm.drive_inertia and axes[name].mode == "cst":
             yield ("arm", "drive_inertia", name), "is not for mode cst, in which the drive gets no set-point: remove it"
     for group in _BY_AXIS:

@@ -33,7 +33,6 @@ class ArmTorques:
         self._find: Any = ready(torques.find_torques)
         self._arguments = dynamics.links, dynamics.gravity_vector, work, known
         self._cells = cast("memoryview[float]", work.data)
-        self._has_failed = False
         self._find(*self._arguments)
 
     def update(self, cycle: int, state: LoopState, feedback: Sequence[Feedback]) -> str | None:
@@ -41,14 +40,15 @@ class ArmTorques:
 
         After an exception the torques stay what they were: the arm is stopped, and must not fall.
         """
-        if self._has_failed:
+        if self._axes[0].is_arm_lost:
             return None
         try:
             self._update(cycle, state, feedback)
         except MemoryError:
             raise
         except Exception as error:  # noqa: BLE001 - whatever it is, the machine must come to rest
-            self._has_failed = True
+            for axis in self._axes:
+                axis.is_arm_lost = True
             text = f"arm: the computation failed: {type(error).__name__}: {error}"
             return FaultCode.COMPUTATION_FAILED.append_to(text)
         return None

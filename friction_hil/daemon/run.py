@@ -80,7 +80,7 @@ class RunControl:
             return "it is still stopping: start it when it has stopped"
         if self._log.has_fault:
             return "it has a fault: remove the cause and reset it first"
-        if broken := [axis.name for axis in self._axes if axis.is_broken]:
+        if broken := [axis.name for axis in self._axes if axis.is_broken or axis.is_arm_lost]:
             return f"{broken[0]}: its computation has failed: start the daemon again"
         if not self._settings.is_follower and (obstacle := self._obstacle(feedback)):
             return obstacle

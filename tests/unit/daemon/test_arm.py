@@ -13,7 +13,7 @@ from friction_hil.daemon.control.prepare import prepare
 from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.safety import MOVING, LoopState
 from friction_hil.daemon.static_torque import StaticTorque, static_torque, static_torque_note
-from friction_hil.drive import DriveState
+from friction_hil.drive import DriveState, Feedback
 from friction_hil.errors import UsageError
 from friction_hil.tuning import TuneSettings, tune
 from tests.arm_machine import ARM, DRIVE_INERTIA, MACHINE, NAMES, Arm, gravity, machine
@@ -302,10 +302,31 @@ def test_where_the_computation_of_the_arm_itself_fails_its_weight_stays(tmp_path
 
     run = Arm(machine(tmp_path, **edits()), duration_s=2.0, on_loop=breaks, power_off_cycles=200)
     assert codes_in(run.result.faults) == ["arm FH-111"]
+    assert all(axis.is_arm_lost for axis in run.axes)
     disabling = run.states == LoopState.DISABLING
     assert np.abs(run.sent()[np.flatnonzero(disabling)[20:100]] - weights(run)[disabling][20:100]).max() < 3.0
     assert (run.sent()[-1] == 0.0).all()
     assert_safe(run)
+
+
+def test_after_such_a_failure_nothing_is_started_again(tmp_path):
+    """As after that of an axis: what is fed would be that of another pose."""
+    said = []
+
+    def starts(loop):
+        run = loop._run
+        run._machine.state, run._is_paused = LoopState.WAITING, True
+        heard = [Feedback(position=0.8, is_fresh=True), Feedback(position=0.7, is_fresh=True)]
+        for axis, one in zip(loop._axes, heard, strict=True):
+            axis.supervisor.take(one)
+        loop._axes[1].is_arm_lost = True
+        said.append(run.start(heard))
+        loop._axes[1].is_arm_lost = False
+        said.append(run.start(heard))
+        run._machine.state = LoopState.IDLE
+
+    Arm(machine(tmp_path, **edits()), duration_s=0.01, on_loop=starts)
+    assert said == ["elbow: its computation has failed: start the daemon again", ""]
 
 
 def test_a_torque_that_is_no_number_stays_what_it_was(tmp_path):
