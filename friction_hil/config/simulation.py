@@ -60,12 +60,8 @@ def mechanism_mistakes(mechanism: Mechanism, axes: "Mapping[str, AxisConfig]") -
     """Check the axes of a mechanism."""
     here = ("simulation", "mechanism", "axes")
     servos: dict[str, ServoConfig] = {}
-    is_urdf = isinstance(mechanism, UrdfArm)
-    for name in mechanism.signs if isinstance(mechanism, UrdfArm) else ():
-        if name not in mechanism.axes:
-            yield (*here[:2], "signs", name), f"is no axis of the mechanism; {choices(name, mechanism.axes)}"
     for position, name in enumerate(mechanism.axes):
-        axis, index = axes.get(name), name if is_urdf else position
+        axis, index = axes.get(name), name if isinstance(mechanism, UrdfArm) else position
         if axis is None:
             yield (*here, index), f"there is no axis {name!r}; {choices(name, axes)}"
         elif not isinstance(axis.simulation, ServoConfig):
@@ -78,9 +74,12 @@ def mechanism_mistakes(mechanism: Mechanism, axes: "Mapping[str, AxisConfig]") -
             )
         else:
             servos[name] = axis.simulation
-            for field, text in (
-                () if isinstance(mechanism, UrdfArm) else axis_mistakes(mechanism, name, axis.simulation)
-            ):
+    if isinstance(mechanism, UrdfArm):  # `check_joints` has the rest, for which its file is needed
+        for name in sorted(mechanism.signs.keys() - mechanism.axes.keys()):
+            yield (*here[:2], "signs", name), f"is no axis of the mechanism; {choices(name, mechanism.axes)}"
+    else:
+        for name, servo in servos.items():
+            for field, text in axis_mistakes(mechanism, name, servo):
                 yield ("axes", name, "simulation", *field.split(".")), text
     rates = {name: servo.integration_hz for name, servo in servos.items()}
     for name, rate in rates.items():
