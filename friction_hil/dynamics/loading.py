@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from friction_hil.dynamics import bodies, inertial, mjcf, urdf
+from friction_hil.dynamics import bodies, inertial
 from friction_hil.dynamics.arm import Arm
 from friction_hil.dynamics.bodies import Stated
 from friction_hil.dynamics.newton_euler import PARAMETERS
-from friction_hil.dynamics.xml_input import parse_with_lines
 from friction_hil.errors import UsageError, choices
 from friction_hil.numerics.jit import Array
 
@@ -115,6 +114,9 @@ def load(
 
 
 def _read(path: Path) -> Stated:
+    from friction_hil.dynamics import mjcf, urdf  # imported here: each command loads this module, few read an arm
+    from friction_hil.dynamics.xml_input import parse_with_lines
+
     try:
         with path.open("rb") as file:
             content = file.read(_MOST_BYTES + 1)
