@@ -1,8 +1,8 @@
-"""The result of a tuning as JSON, and what it recommends for the configuration."""
+"""The result of a tuning, the same as JSON, and what it recommends for the configuration."""
 
 import os
 from collections.abc import Collection, Iterable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,33 @@ from friction_hil.config import Configuration, file_problems, load
 from friction_hil.errors import ConfigurationError
 from friction_hil.numerics.readable import named_constants
 from friction_hil.tuning import thresholds
+from friction_hil.tuning.arm import JointCheck
 from friction_hil.tuning.choice import AxisTuning
 from friction_hil.tuning.cogging import position_share
-from friction_hil.tuning.tune import Tuning
+from friction_hil.tuning.rehearsed import RehearsedFit
+from friction_hil.tuning.runs import Seconds
+from friction_hil.tuning.sequential import ExperimentResult
+from friction_hil.tuning.torque_lag import TorqueLag
+from friction_hil.tuning.torque_ratio import TorqueRatio
+
+
+@dataclass(slots=True, eq=False)
+class Tuning:
+    """Result of tuning a machine."""
+
+    axes: dict[str, AxisTuning] = field(default_factory=dict)
+    recordings: list[Path] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)  # of the daemon and of the tuning
+    report: Path | None = None  # if one was written
+    torque_lags: dict[str, TorqueLag] = field(default_factory=dict)  # by axis
+    torque_ratios: dict[str, TorqueRatio] = field(default_factory=dict)  # by axis
+    # how long the experiment took and why it ended, by axis
+    experiments: dict[str, ExperimentResult] = field(default_factory=dict)
+    leftovers: list[str] = field(default_factory=list)  # what drives were left with after some run
+    # models with what they do in simulation, best first, by axis; empty for an axis that could not be simulated
+    rehearsed: dict[str, tuple[RehearsedFit, ...]] = field(default_factory=dict)
+    joints: dict[str, JointCheck] = field(default_factory=dict)  # axes of an arm: what the experiment says of its file
+    seconds: Seconds = field(default_factory=Seconds)  # of motion, and of computing while nothing moves
 
 
 def checked(config: Path) -> Configuration:
@@ -64,6 +88,7 @@ def _axis(name: str, tuning: Tuning) -> dict[str, Any]:
         "experiment": tuning.experiments[name].figures if name in tuning.experiments else None,
         "torque_lag": None if lag is None else lag.figures,
         "torque_ratio": None if ratio is None else ratio.figures,
+        "arm": asdict(tuning.joints[name]) if name in tuning.joints else None,
         "position_torque": None if share is None else asdict(share),
         "left": {
             "rms": share_left(own.compensated.rms, own.uncompensated.rms),

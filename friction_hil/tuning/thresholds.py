@@ -40,6 +40,13 @@ CLOSED_LOOP_ROWS_HZ = 200.0  # of what standard errors are computed from
 # torque over the position
 AS_LARGE = 0.3  # of the friction level: root mean square of harmonics without which friction is not identified either
 
+# a joint of an arm
+ARM_OFF = 0.3  # of the larger one: a weight or an inertia that differs more contradicts the arm's file, the weight
+ARM_NOTED = 0.5  # only if it differs by more than this part of the friction level, too
+ARM_DOUBT = 0.1  # of the friction level: standard error up to which an offset is told from the weight
+ARM_LIGHT = 0.05  # of the friction level: no weight that an offset could be
+ARM_SURE = 3.0  # standard errors of an offset that is told from the weight
+
 # checks of a recorded experiment
 SPEED_WINDOW_S = 0.02  # over which a speed is averaged, so that single counts of an encoder do not matter
 TOO_FAST = 2.0  # times the highest speed of the experiment

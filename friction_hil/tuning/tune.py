@@ -4,7 +4,6 @@ import contextlib
 import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,10 @@ from friction_hil.recordings import Recording, read, read_all
 from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.analysis import Analysis, analysed, compile_ahead
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text, once_more_text, shaken_text, trial_text
+from friction_hil.tuning.arm import JointCheck, check_joint, refuse_torque_loops, without_weight
 from friction_hil.tuning.beside import Worker
 from friction_hil.tuning.candidates import CandidateFit, ExperimentPart, candidates, slow_sweeps
-from friction_hil.tuning.choice import SCALED, AxisTuning, TriedModel, Turn, best_of, keep_best
+from friction_hil.tuning.choice import SCALED, TriedModel, Turn, best_of, keep_best
 from friction_hil.tuning.cogging import large_position_torque
 from friction_hil.tuning.experiment import refuse_limit_cycle, with_torque
 from friction_hil.tuning.gains import Gains, GainTrial
@@ -36,6 +36,7 @@ from friction_hil.tuning.motions import (
     trial_run,
     uncompensated,
 )
+from friction_hil.tuning.outcome import Tuning
 from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, to_try
 from friction_hil.tuning.runs import Seconds, TuningRuns
 from friction_hil.tuning.sequential import ExperimentResult, Observer, part_durations
@@ -44,24 +45,6 @@ from friction_hil.tuning.torque_lag import TorqueLag, find_torque_lag, with_torq
 from friction_hil.tuning.torque_ratio import TorqueRatio, find_torque_ratio, refuse_turned_torque, with_torque_ratio
 
 _WITHOUT = "trial_without.mcap"
-
-
-@dataclass(slots=True, eq=False)
-class Tuning:
-    """Result of tuning a machine."""
-
-    axes: dict[str, AxisTuning] = field(default_factory=dict)
-    recordings: list[Path] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)  # of the daemon and of the tuning
-    report: Path | None = None  # if one was written
-    torque_lags: dict[str, TorqueLag] = field(default_factory=dict)  # by axis
-    torque_ratios: dict[str, TorqueRatio] = field(default_factory=dict)  # by axis
-    # how long the experiment took and why it ended, by axis
-    experiments: dict[str, ExperimentResult] = field(default_factory=dict)
-    leftovers: list[str] = field(default_factory=list)  # what drives were left with after some run
-    # models with what they do in simulation, best first, by axis; empty for an axis that could not be simulated
-    rehearsed: dict[str, tuple[RehearsedFit, ...]] = field(default_factory=dict)
-    seconds: Seconds = field(default_factory=Seconds)  # of motion, and of computing while nothing moves
 
 
 def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -> Tuning:
@@ -97,15 +80,10 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
         )
     names = chosen_axes(configuration, settings.names)
     chosen_families(settings.families)
+    refuse_torque_loops(configuration)
     for name in names:
         refuse_shared_beam(name, configuration)
         experiment_of(name, configuration.axes[name])
-        if configuration.arm is not None and name in configuration.arm.joints:
-            raise UsageError(
-                f"{name} is a joint of arm, and 'tune' finds a weight of its own for each axis, which would stand "
-                "beside the arm's: record the arm with 'run', and find the friction of all joints with "
-                "'friction-hil identify RUN.mcap --joints all --urdf FILE'"
-            )
         if not settings.is_simulated:
             refuse_unwritable_model(name, configuration.axes[name])
     claim(settings.folder)
@@ -136,6 +114,7 @@ class _Tuner:
         self._runs, self._worker, self._seconds = TuningRuns(settings, dialog), worker, Seconds()
         self._warnings: list[str] = []
         self._mechanics: dict[str, Mechanics] = {}
+        self._joints: dict[str, JointCheck] = {}
         self._resolutions: dict[str, float] = {}  # of the encoders, found in the experiments
         self._timings: dict[str, TorqueTiming] = {}
         self._torque_lags: dict[str, TorqueLag] = {}
@@ -190,6 +169,7 @@ class _Tuner:
             experiments=self._experiments,
             leftovers=self._runs.leftovers,
             rehearsed=self._all_rehearsed,
+            joints=self._joints,
             seconds=self._seconds,
         )
 
@@ -303,7 +283,6 @@ class _Tuner:
 
     def _candidates(self, name: str, job: int) -> list[CandidateFit]:
         """Return the models to try on an axis by its analysis, and write the first of them."""
-        axis = self._configuration.axes[name]
         with self._dialog.working(f"{name}: identifying friction and inertia") as show:
             analysis: Analysis = self._worker.result(job, show)
         for problem in analysis.problems:
@@ -324,8 +303,24 @@ class _Tuner:
         for _, fit in chosen:
             if problem := inertia_problem(fit):
                 self._dialog.report(f"{name}: {fit.label}: {problem}; the model file keeps the former one")
-        write_model(self._file(name), model_content(*chosen[0], axis, mechanics))
+        self._check_joint(name, chosen[0])
+        write_model(self._file(name), self._content(name, chosen[0]))
         return chosen
+
+    def _check_joint(self, name: str, best: CandidateFit) -> None:
+        """Compare what the experiment shows of a joint of the arm with the arm's file."""
+        if self._configuration.arm is None or name not in self._configuration.arm.joints:
+            return
+        model = model_content(*best, self._configuration.axes[name], self._mechanics[name])
+        recorded = read_all(self._recorded[name][-1])
+        self._joints[name] = found = check_joint(self._configuration, recorded, model, best[1], name)
+        self._dialog.report(f"{name}: {found.text}")
+        self._warnings += (f"{name}: {text}" for text in found.contradictions)
+
+    def _content(self, name: str, pair: CandidateFit) -> dict[str, Any]:
+        """Return the model file of a fit as it is tried; a joint of the arm has its weight from there."""
+        model = model_content(*pair, self._configuration.axes[name], self._mechanics[name])
+        return without_weight(model, pair[1], self._joints[name]) if name in self._joints else model
 
     def _chosen(self, name: str, analysis: Analysis) -> list[CandidateFit]:
         """Return the models to try: the best ones of the rehearsal, or where there was none, the best fits."""
@@ -481,10 +476,7 @@ class _Tuner:
         turns: list[Turn] = []
         for k in range(max(map(len, chosen.values()))):
             fits = {name: each[min(k, len(each) - 1)] for name, each in chosen.items()}
-            files = {
-                name: model_content(*each, self._configuration.axes[name], self._mechanics[name])
-                for name, each in fits.items()
-            }
+            files = {name: self._content(name, each) for name, each in fits.items()}
             try:
                 turns.append(Turn(fits, files, *self._run_with(files)))
             except FrictionHilError as error:

@@ -17,6 +17,7 @@ import friction_hil as fh
 from friction_hil.config import load
 from friction_hil.daemon.safety import LoopState
 from friction_hil.models.files import load_model_file
+from tests import arm_machine
 from tests.launcher import COMMAND
 from tests.peers.serial_processes import write_serial_configuration
 from tests.processes import (
@@ -385,3 +386,29 @@ def test_check_and_doctor_do_without_the_model_that_tuning_makes(tmp_path) -> No
     assert (checked.returncode, checked.stderr) == (0, "")
     assert "learned.yaml; 'friction-hil tune' identifies" in checked.stdout
     assert load(configuration, needs_models=False).axes["x"].model.source_path == tmp_path / "learned.yaml"
+
+
+def test_joints_of_an_arm_learn_their_friction_beside_its_weight(tmp_path):
+    """The shoulder hangs down and its experiment shows little weight; the trial bends the arm."""
+    changes = {}
+    for name, speed, radius in (("shoulder", 1.5, 0.4), ("elbow", 2.5, 0.6)):
+        changes[f"axes__{name}__model"] = f"{name}.yaml"
+        changes[f"axes__{name}__experiment"] = {"velocity": speed, "travel": 1.2, "duration_s": 10.0, "ramp_s": 0.25}
+        motion = {"kind": "circle", "radius": radius, "frequency": 1.0, "ramp_s": 0.25}
+        changes[f"axes__{name}__trajectory"] = motion
+        changes[f"axes__{name}__compensation"] = {"gain": 1.0, "fade_s": 0.1}
+    path, folder = arm_machine.write(tmp_path, **changes), tmp_path / "tuned"
+    done = run("tune", path, "--simulate", *UNASKED, "--models", "coulomb", "--output", folder, "--json")
+    result = json.loads(done.stdout)
+    for name in arm_machine.NAMES:
+        found = result["axes"][name]
+        assert found["tried"][0]["reduction"]["rms"] > 2.0
+        assert found["mechanics"]["gravity"] == {"constant": 0.0, "sine": 0.0, "cosine": 0.0}
+        assert found["arm"]["inertia"] == pytest.approx(found["arm"]["inertia_of_file"], rel=0.2)
+        assert not found["arm"]["contradictions"]
+        experiment = fh.recordings.read(folder / f"{name}_experiment.mcap", name)
+        assert not experiment["command"].any()
+        trial = fh.recordings.read(folder / "trial_1.mcap", name)
+        assert np.abs(trial["feedforward"] - trial["compensation"]).max() > 0.5, "the arm's torque"
+        without = fh.recordings.read(folder / "trial_without.mcap", name)
+        assert not without["command"].any()

@@ -156,7 +156,8 @@ def _print_summary(
         click.echo("This is the friction of the simulated drive, not that of the machine.")
     for name, axis in tuning.axes.items():
         say(f"{name}: {_recommendation(axis, config, applied.get(name))}", stderr=False)
-        for text in (_positions(axis), _uncertainty(name, axis, tuning), _clipped(axis)):
+        joint = tuning.joints[name].text if name in tuning.joints else ""
+        for text in (joint, _positions(axis), _uncertainty(name, axis, tuning), _clipped(axis)):
             if text:
                 say(f"{name}: {text}", stderr=False)
     if tuning.report is not None:

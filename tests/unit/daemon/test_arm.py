@@ -15,7 +15,6 @@ from friction_hil.daemon.safety import MOVING, LoopState
 from friction_hil.daemon.static_torque import StaticTorque, static_torque, static_torque_note
 from friction_hil.drive import DriveState, Feedback
 from friction_hil.errors import UsageError
-from friction_hil.tuning import TuneSettings, tune
 from tests.arm_machine import ARM, DRIVE_INERTIA, MACHINE, NAMES, Arm, gravity, machine
 from tests.loop_run import Fails, heard
 from tests.messages import codes_in
@@ -408,10 +407,3 @@ def test_the_bound_shrinks_with_the_load_and_never_turns_round():
     assert [static.at(0.0, each, each) for each in (2.0, 8.0, -8.0, 30.0)] == [2.0, 6.0, -6.0, 0.0]
     assert static.at(math.nan, 2.0, 2.0) == 0.0
     assert static._replace(bound=0.0).at(0.0, 2.0, 2.0) == 0.0
-
-
-def test_tune_refuses_a_joint_of_an_arm(tmp_path):
-    settings = TuneSettings(folder=tmp_path / "results", names=("elbow",), is_simulated=True)
-    with pytest.raises(UsageError, match=r"elbow is a joint of arm.*identify RUN\.mcap --joints all --urdf"):
-        tune(machine(tmp_path), settings, None)
-    assert not settings.folder.exists()
