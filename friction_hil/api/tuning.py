@@ -1,6 +1,7 @@
 """`tune`: commissioning on the drive; the work of ``friction-hil tune`` too."""
 
 import html
+import json
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
@@ -9,12 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from friction_hil.api.arguments import Progress, check_choice, families, shown_by
+from friction_hil.api.joints import IdentifiedJoints, identify_joints
 from friction_hil.checked_yaml.output import check_model_path
 from friction_hil.checked_yaml.text import dump
 from friction_hil.config import located
+from friction_hil.config.arm import ArmConfig
 from friction_hil.daemon.companion import free_path
 from friction_hil.daemon.simulated_drives import simulated_drives
-from friction_hil.errors import FrictionHilError, OptionError, UsageError, choices
+from friction_hil.errors import FrictionHilError, OptionError, UsageError, choices, internal_error
+from friction_hil.friction import describe
+from friction_hil.identification import thresholds as th
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.json_values import to_json
 from friction_hil.tuning import AxisTuning, TuneSettings, Tuning
@@ -265,9 +270,64 @@ def tuned(config: Path, settings: TuneSettings, dialog: Dialog, pace: str, *, is
     is_simulated = settings.is_simulated
     try:
         with simulated_drives(configuration, pace, dialog.tell) if is_simulated else nullcontext(configuration) as own:
-            return tuned_by(own, settings, dialog)
+            found = tuned_by(own, settings, dialog)
     except OptionError as error:
         raise located(config, error) from None
+    if configuration.arm is not None:
+        _identify_arm(found, configuration.arm, settings, dialog)
+    return found
+
+
+def _identify_arm(found: Tuning, arm: ArmConfig, settings: TuneSettings, dialog: Dialog) -> None:
+    """Identify all joints of an arm from the runs of the trial, in which they move at once; a failure is a warning."""
+    runs = [path for path in found.recordings if path.name.startswith("trial_")]
+    static = [name for name in settings.families if describe(name).is_static]
+    try:
+        with dialog.working("arm: identifying all joints at once") as show:
+            joints = identify_joints(
+                runs,
+                ",".join(arm.joints),
+                arm=arm.dynamics,
+                models=static or "all",
+                progress=lambda text, share: show(f"arm: {text}"),
+            )
+        joints.save(settings.folder / "arm.yaml")
+        found.arm = joints.to_dict()
+        text = json.dumps(found.arm, indent=2, ensure_ascii=False)
+        (settings.folder / "arm_identified.json").write_text(text, encoding="utf-8")
+    except (FrictionHilError, OSError) as error:
+        found.warnings.append(f"arm: not identified from the trial: {error}")
+    except Exception as error:  # noqa: BLE001  hours on a machine are not lost with it
+        found.warnings.append(f"arm: not identified from the trial, because of {internal_error(error)}")
+    else:
+        found.arm_text, flags = _of_arm(joints, settings.folder)
+        found.warnings += flags
+
+
+def _of_arm(found: IdentifiedJoints, folder: Path) -> tuple[str, list[str]]:
+    """Return what was found of an arm in a line, and what was not."""
+    fit = found.fit
+    assert fit is not None
+    said, flags = [], [f"arm: {name}: {reason}" for name, reason in found.failures.items()]
+    for name, joint, off in zip(found.names, fit.joints, fit.error_of_file, strict=True):
+        keys = {"coulomb": "coulomb", "load": "per load"}
+        known = [
+            f"{text} {joint.values[key]:.3g} ({joint.errors[key]:.1g})"
+            for key, text in keys.items()
+            if key in joint.values
+        ]
+        said.append(f"{name} {', '.join(known) or 'not determined'}, torque of the file off by {100.0 * off:.2g} %")
+        flags += [f"arm: {name}: {flag}" for flag in joint.flags if name not in found.failures]
+    text = (
+        f"all joints at once, SI (standard errors): {'; '.join(said)}; the trial determines {fit.determined} of "
+        f"{fit.combinations} combinations of weight and inertia better than the file; {folder / 'arm_identified.json'} "
+        f"and {folder / 'arm_JOINT.yaml'}"
+    )
+    if fit.determined < fit.combinations:
+        text += "; a run in which all joints move further and at several speeds shows more (identify --urdf)"
+    if fit.contradiction > th.ARM_CONTRADICTED:
+        flags.append(f"arm: the trial contradicts the file, {fit.contradiction:.1f} times what is usual")
+    return text, flags
 
 
 class _Told:

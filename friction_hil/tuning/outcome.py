@@ -39,6 +39,8 @@ class Tuning:
     # models with what they do in simulation, best first, by axis; empty for an axis that could not be simulated
     rehearsed: dict[str, tuple[RehearsedFit, ...]] = field(default_factory=dict)
     joints: dict[str, JointCheck] = field(default_factory=dict)  # axes of an arm: what the experiment says of its file
+    arm: dict[str, Any] | None = None  # all joints from the trial, as JSON of `friction_hil.identify_joints`
+    arm_text: str = ""  # the same in a line
     seconds: Seconds = field(default_factory=Seconds)  # of motion, and of computing while nothing moves
 
 
@@ -64,6 +66,7 @@ def as_dict(tuning: Tuning, config: Path = Path(), applied: Collection[str] = ()
             }
             for name, axis in tuning.axes.items()
         },
+        "arm": tuning.arm,
         "seconds": tuning.seconds.figures,
         "thresholds": named_constants(thresholds),
         "recordings": tuning.recordings,

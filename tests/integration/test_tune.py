@@ -400,7 +400,13 @@ def test_joints_of_an_arm_learn_their_friction_beside_its_weight(tmp_path):
     path, folder = arm_machine.write(tmp_path, **changes), tmp_path / "tuned"
     done = run("tune", path, "--simulate", *UNASKED, "--models", "coulomb", "--output", folder, "--json")
     result = json.loads(done.stdout)
-    for name in arm_machine.NAMES:
+    truth = load(arm_machine.MACHINE).axes
+    for name, joint in zip(arm_machine.NAMES, result["arm"]["arm"]["joints"], strict=True):
+        friction, gear = truth[name].simulation.friction.parameters, truth[name].simulation.gear
+        assert joint["values"]["coulomb"] == pytest.approx(friction["coulomb"], rel=0.05)
+        losses = 0.5 * (1.0 / gear.forward_efficiency - gear.backward_efficiency)
+        assert joint["values"]["load"] == pytest.approx(losses, rel=0.15)
+        assert (folder / f"arm_{name}.yaml").exists()
         found = result["axes"][name]
         assert found["tried"][0]["reduction"]["rms"] > 2.0
         assert found["mechanics"]["gravity"] == {"constant": 0.0, "sine": 0.0, "cosine": 0.0}

@@ -160,6 +160,8 @@ def _print_summary(
         for text in (joint, _positions(axis), _uncertainty(name, axis, tuning), _clipped(axis)):
             if text:
                 say(f"{name}: {text}", stderr=False)
+    if tuning.arm_text:
+        say(f"arm: {tuning.arm_text}", stderr=False)
     if tuning.report is not None:
         click.echo(f"report: {tuning.report}")
     helped = [name for name, axis in tuning.axes.items() if axis.recommended.trial.has_helped]

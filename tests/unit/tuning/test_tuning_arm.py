@@ -2,17 +2,20 @@
 
 import dataclasses
 import math
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from friction_hil.api.tuning import _identify_arm
 from friction_hil.config import Hold
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import OptionError
 from friction_hil.identification import IdentificationSettings, identify
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
-from friction_hil.tuning import TuneSettings, tune
+from friction_hil.tuning import TuneSettings, Tuning, tune
 from friction_hil.tuning.arm import check_joint, without_weight
 from friction_hil.tuning.model_files import model_content
 from tests.arm_machine import ARM, NAMES, gravity, machine
@@ -118,3 +121,13 @@ def test_a_joint_in_cst_is_refused_before_anything_moves(tmp_path):
         tune(configuration, dataclasses.replace(TuneSettings(folder), names=(NAMES[0],)), dialog=None)
     assert (error.value.axis, error.value.key) == ("elbow", "mode")
     assert not folder.exists()
+
+
+def test_an_arm_that_the_trial_does_not_show_costs_a_warning(tmp_path):
+    found = Tuning(recordings=[tmp_path / "trial_without.mcap"])
+    told = SimpleNamespace(working=lambda text: nullcontext(lambda *step: None))
+    _identify_arm(found, machine(tmp_path).arm, TuneSettings(tmp_path), told)
+    assert found.arm is None
+    [warning] = found.warnings
+    assert warning.startswith("arm: not identified from the trial: ")
+    assert "trial_without.mcap" in warning
