@@ -20,6 +20,8 @@ from friction_hil.own_loop.memory import COLUMNS, STATE_S, WIDTH, metadata
 from friction_hil.recordings import columns
 from friction_hil.recordings.recording import CHANGE
 
+_FORKED = "recording: nothing of this process, which was forked: load the compensator in the process of the loop"
+
 
 class Recorder:
     """What `Memory` is, for a file; `push` and `tend` belong to the thread of the loop, and never wait.
@@ -59,12 +61,17 @@ class Recorder:
         self._companion = Companion.start(job, self._journal, ring=ring, adopts=False)
         self._is_closed, self._owner = False, os.getpid()
 
+    @property
+    def _is_over(self) -> bool:
+        """True when it is closed, and in a forked process, whose rows would take the place of the loop's own."""
+        return self._is_closed or os.getpid() != self._owner
+
     def begin(self) -> None:
         """Do nothing: the file has begun."""
 
     def push(self) -> None:
         """Hand on the row of this cycle, if there is one."""
-        if (cycle := self._cells[0]) != self._cycle:
+        if (cycle := self._cells[0]) != self._cycle and not self._is_over:
             self._cycle = cycle
             self._companion.push(self._row)
 
@@ -74,6 +81,8 @@ class Recorder:
 
     def note_change(self, entry: dict[str, Any]) -> None:
         """Keep the settings after a change as long as rows that were computed with them may have to be written."""
+        if self._is_over:  # the descriptor of the journal may be another file's by now
+            return
         now_s = self._joints.loop["cycle"].item() * self._joints.configuration.period_s
         known, before = journal.entries(self._journal), entry["number"] - 1
         kept = journal.needed(known, before, now_s)
@@ -84,8 +93,8 @@ class Recorder:
 
     def tend(self) -> list[str]:
         """Hand on events; return what the process that records has to say."""
-        if self._is_closed:
-            return []
+        if self._is_over:
+            return [] if self._is_closed else [_FORKED]
         while self._events:
             self._companion.push_event(*self._events.popleft())
         return [text for _, text in self._companion.tend()]
@@ -96,7 +105,7 @@ class Recorder:
 
     def close(self) -> list[str]:
         """End the recording; return what is wrong with it. The loop may go on."""
-        if self._is_closed or os.getpid() != self._owner:  # a forked process that ends takes no recording with it
+        if self._is_over:
             return []
         self.tend()
         self._is_closed = True

@@ -68,13 +68,16 @@ def test_a_file_is_verified_with_every_change_and_whoever_records_dies(tmp_path)
         elif begin % 500 == 0:
             one.set(f"j{begin // 500 % 3}", gain=0.9 - 1e-4 * begin)
         if begin == 250 and not (child := os.fork()):
+            one.set("j1", gain=0.1)
+            moved(one, inputs, 2 * begin, 3 * begin + 7)
             one.close()
-            os._exit(0)
+            os._exit(not any("forked" in each for each in one.notices))
         if begin == 1500:
             os.kill(one._recorder._companion.worker_pid, signal.SIGKILL)
+        if begin == 250:
+            assert os.waitpid(child, 0)[1] == 0, "what a forked process computes and sets is no part of it"
         moved(one, inputs, begin, begin + 250)
     one.close()
-    assert os.waitpid(child, 0)[1] == 0
     assert sum("died" in each for each in one.notices) == 1
     assert not any("lost" in each for each in one.notices)
     assert len(list(tmp_path.glob("run-*.mcap"))) >= 2, "one for the death, one for rotate_s"
@@ -82,8 +85,10 @@ def test_a_file_is_verified_with_every_change_and_whoever_records_dies(tmp_path)
     assert len(whole) == CYCLES
     assert {event.name for event in whole.events} >= {"change", "notice"}
     before = one.notices
+    one.set("j0", gain=0.5)  # whose descriptors are closed
     one.step(inputs["q"][0], dt=PERIOD_S)
     one.close()
+    assert np.array_equal(whole["position"], inputs["q"][:, 0])
     assert one.notices == before, "a loop goes on without its recording"
 
 
