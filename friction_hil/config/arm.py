@@ -18,8 +18,10 @@ from friction_hil.errors import ConfigurationError, Problem, UsageError, choices
 if TYPE_CHECKING:
     from friction_hil.checked_yaml.text import FieldPath
     from friction_hil.config.axis import AxisConfig
+    from friction_hil.numerics.jit import Array
 
 Coordinate = Annotated[float, Field(ge=-MOST_POSITION, le=MOST_POSITION)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
 Inertia = Annotated[float, Field(ge=0, le=1e9)]
 Ratio = Annotated[float, Field(gt=0, le=1e6)]
 _BY_AXIS = ("signs", "rotor_inertia", "gear", "drive_inertia")
@@ -66,6 +68,11 @@ class ArmFile(Section):
             **rotors,
         )
 
+    def point_mass(self, joints: Mapping[str, str], center: Point, link: str | None) -> "Array":
+        """Return the inertial parameters of the joints if there were nothing but 1 kg at a point of a link."""
+        one = ArmPayload(mass=1.0, center=center, link=link)
+        return self.loaded(joints, one).parameters - self.loaded(joints, None).parameters
+
 
 class ArmConfig(ArmFile):
     """The arm whose joints are axes: its gravity, inertia and coupling are fed forward, and load the friction."""
@@ -82,6 +89,12 @@ class ArmConfig(ArmFile):
         "does not. The arm's goes without it; by default the joint's own is left to the drive",
         "kg m^2 or kg",
         default={},
+    )
+    box: tuple[Point, Point] | None = key(
+        "space that 'tune' does not leave with the origin of a joint or the centre of the payload: its lower and its "
+        "upper corner in the frame of the base",
+        "m",
+        default=None,
     )
 
     _dynamics: Arm | None = PrivateAttr(default=None)
@@ -128,6 +141,8 @@ def arm_mistakes(arm: ArmConfig, axes: "Mapping[str, AxisConfig]") -> Iterator[M
                 yield ("axes", name, "compensation", field), f"{text} {_FOLLOWS_MODEL}"
         if name in arm.drive_inertia and axes[name].mode == "cst":
             yield ("arm", "drive_inertia", name), "is not for mode cst, in which the drive gets no set-point: remove it"
+    if arm.box is not None and not all(low < high for low, high in zip(*arm.box, strict=True)):
+        yield ("arm", "box"), "the first corner must be below the second one in x, y and z"
     for group in _BY_AXIS:
         for name in getattr(arm, group):
             if name not in arm.joints:

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from friction_hil.checked_yaml.messages import Mistake
 from friction_hil.checked_yaml.section import Section, key
-from friction_hil.config.arm import ArmFile, ArmPayload, Coordinate
+from friction_hil.config.arm import ArmFile, Coordinate
 from friction_hil.config.axis import Name
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
 from friction_hil.config.external_torque import external_content, simulated_servo
@@ -42,8 +42,7 @@ class UrdfArm(ArmFile):
         """Read the file and return the arm; errors are those of `friction_hil.dynamics.load`."""
         none = dict.fromkeys(self.axes.values(), 0.0)  # inertia of rotors: `mechanics.inertia` of the axes has theirs
         arm = self.loaded(self.axes, self.payload, rotor_inertia=none)
-        tool = ArmPayload(mass=1.0, center=self.tool.position, link=self.tool.link)
-        alone = self.loaded(self.axes, tool).parameters - self.loaded(self.axes, None).parameters
+        alone = self.point_mass(self.axes, self.tool.position, self.tool.link)
         return Linkage(tuple(self.axes), arm, arm.with_parameters(alone), self.tool_force)
 
 

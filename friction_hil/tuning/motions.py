@@ -84,9 +84,8 @@ def experiment_run(configuration: Configuration, name: str, part_s: float | None
     """
     bounds = part_bounds(configuration, name, part_s)
     motion = Experiment(kind="experiment", **{key: getattr(bounds, key) for key in ExperimentBounds.model_fields})
-    axes = {each: _held(axis) for each, axis in configuration.axes.items()}
-    axes[name] = axes[name].model_copy(update={"trajectory": motion})
-    run = configuration.model_copy(update={"axes": axes})
+    run = held(configuration, {name: motion})
+    axes = run.axes
     return run, motion.duration_s + ramp_s(axes.values()) + th.REST_S
 
 
@@ -100,10 +99,17 @@ def shaken_run(configuration: Configuration, name: str) -> tuple[Configuration, 
     duration_s = min(max(bounds.duration_s, multisine.LEAST_S), multisine.DURATION_S)
     motion = Multisine(kind="multisine", duration_s=duration_s, **given)
     plan = multisine_plan(motion, configuration.period_s)
-    axes = {each: _held(axis) for each, axis in configuration.axes.items()}
-    axes[name] = axes[name].model_copy(update={"trajectory": motion})
-    run = configuration.model_copy(update={"axes": axes})
+    run = held(configuration, {name: motion})
+    axes = run.axes
     return run, plan.duration_s + motion.ramp_s + ramp_s(axes.values()) + th.REST_S
+
+
+def held(configuration: Configuration, motions: Mapping[str, Experiment | Multisine] | None = None) -> Configuration:
+    """Return the run in which axes make these motions and the others are held, uncompensated."""
+    axes = {each: _held(axis) for each, axis in configuration.axes.items()}
+    for name, motion in (motions or {}).items():
+        axes[name] = axes[name].model_copy(update={"trajectory": motion})
+    return configuration.model_copy(update={"axes": axes})
 
 
 def part_bounds(configuration: Configuration, name: str, part_s: float | None = None) -> ExperimentBounds:

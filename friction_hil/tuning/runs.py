@@ -16,8 +16,11 @@ from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import Recording, read_all
-from friction_hil.tuning.motions import TuningError
+from friction_hil.tuning.arm_box import has_box, refuse_outside
+from friction_hil.tuning.motions import TuningError, held
 from friction_hil.tuning.settings import Dialog, TuneSettings
+
+_LOOK_S = 0.1
 
 
 class Seconds:
@@ -73,10 +76,12 @@ class TuningRuns:
 
         ``speeds`` are those that the axes may reach, by axis: one that is clearly faster ends the run.
 
-        Raises `TuningError`: the run met a fault, or rows of its recording were lost; `KeyboardInterrupt`: the user
-        stopped the run, and the axes are at rest.
+        Raises `TuningError`: the run met a fault, or rows of its recording were lost; `UsageError`: the arm would leave
+        its box, and nothing has moved; `KeyboardInterrupt`: the user stopped the run, and the axes are at rest.
         """
         path = self._settings.folder / file
+        if has_box(configuration):
+            refuse_outside(configuration, duration_s, self.look(configuration), path.stem.replace("_", " "))
         session = SessionSettings(
             duration_s=duration_s,
             record=path,
@@ -94,6 +99,19 @@ class TuningRuns:
             self._dialog.tell(f"stopped, the axes are at rest; the results so far are in {self._settings.folder}")
             raise KeyboardInterrupt
         return path
+
+    def look(self, configuration: Configuration) -> dict[str, Recording]:
+        """Return what the drives report while none is enabled."""
+        path = self._settings.folder / "start.mcap"
+        session = SessionSettings(
+            _LOOK_S, record=path, dry_run=True, is_paced_by_sync=self._settings.is_paced_by_sync, has_black_box=False
+        )
+        try:
+            with stop_on_signals() as stop:
+                run_session(held(configuration), session, stop, self._report_once)
+            return read_all(path)
+        finally:
+            path.unlink(missing_ok=True)
 
     def _check(self, result: SessionResult, path: Path, names: Sequence[str], speeds: Mapping[str, float]) -> None:
         report = result.report

@@ -20,6 +20,7 @@ from friction_hil.tuning import thresholds as th
 from friction_hil.tuning.analysis import Analysis, analysed, compile_ahead
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text, once_more_text, shaken_text, trial_text
 from friction_hil.tuning.arm import JointCheck, check_joint, refuse_torque_loops, without_weight
+from friction_hil.tuning.arm_box import has_box, refuse_plan
 from friction_hil.tuning.beside import Worker
 from friction_hil.tuning.candidates import CandidateFit, ExperimentPart, candidates, slow_sweeps
 from friction_hil.tuning.choice import SCALED, TriedModel, Turn, best_of, keep_best
@@ -138,6 +139,8 @@ class _Tuner:
     def tune(self) -> Tuning:
         """Carry out all steps; see `tune`."""
         recorded, jobs, is_shaken = {}, {}, self._settings.is_shaken
+        if has_box(self._configuration):
+            refuse_plan(self._configuration, self._names, self._runs.look(self._configuration), is_shaken=is_shaken)
         for name in self._names:
             recorded[name] = self._experiment(name)
             if not is_shaken:

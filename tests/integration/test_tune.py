@@ -397,7 +397,13 @@ def test_joints_of_an_arm_learn_their_friction_beside_its_weight(tmp_path):
         motion = {"kind": "circle", "radius": radius, "frequency": 1.0, "ramp_s": 0.25}
         changes[f"axes__{name}__trajectory"] = motion
         changes[f"axes__{name}__compensation"] = {"gain": 1.0, "fade_s": 0.1}
-    path, folder = arm_machine.write(tmp_path, **changes), tmp_path / "tuned"
+    box, folder = [[-0.6, -0.1, -0.8], [0.6, 0.1, 0.1]], tmp_path / "tuned"
+    path = arm_machine.write(tmp_path, arm_machine.ARM | {"box": [[-0.1, *box[0][1:]], box[1]]}, **changes)
+    refused = run("tune", path, "--simulate", *UNASKED, "--models", "coulomb", "--output", folder, check=False)
+    assert refused.returncode == 2
+    assert "the trial: the origin of joint2 would be at" in refused.stderr
+    assert not folder.exists(), "nothing has moved"
+    path = arm_machine.write(tmp_path, arm_machine.ARM | {"box": box}, **changes)
     done = run("tune", path, "--simulate", *UNASKED, "--models", "coulomb", "--output", folder, "--json")
     result = json.loads(done.stdout)
     truth = load(arm_machine.MACHINE).axes

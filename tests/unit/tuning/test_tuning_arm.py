@@ -3,21 +3,32 @@
 import dataclasses
 import math
 from contextlib import nullcontext
+from dataclasses import MISSING
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from friction_hil.api.tuning import _identify_arm
 from friction_hil.config import Hold
+from friction_hil.config.arm import ArmConfig
+from friction_hil.daemon.assembly import make_path
 from friction_hil.daemon.safety import LoopState
-from friction_hil.errors import OptionError
+from friction_hil.drive import AxisFacts
+from friction_hil.errors import ConfigurationError, OptionError, UsageError
 from friction_hil.identification import IdentificationSettings, identify
 from friction_hil.models.model_file import ModelFile
+from friction_hil.motion.trajectory import extent
 from friction_hil.recordings import Recording
 from friction_hil.tuning import TuneSettings, Tuning, tune
 from friction_hil.tuning.arm import check_joint, without_weight
+from friction_hil.tuning.arm_box import _points, refuse_outside, refuse_plan
 from friction_hil.tuning.model_files import model_content
+from friction_hil.tuning.motions import experiment_run
+from tests import random_arms
 from tests.arm_machine import ARM, NAMES, gravity, machine
 
 ELBOW = 0.7  # rad, where it is held
@@ -131,3 +142,81 @@ def test_an_arm_that_the_trial_does_not_show_costs_a_warning(tmp_path):
     [warning] = found.warnings
     assert warning.startswith("arm: not identified from the trial: ")
     assert "trial_without.mcap" in warning
+
+
+TOOL = {"mass": 0.0, "center": [0.0, 0.0, -0.35], "link": "fore"}
+
+
+def standing(**positions):
+    """What the drives report before anything moves."""
+    zero = dict.fromkeys([field.name for field in dataclasses.fields(AxisFacts) if field.default is MISSING], 0.0)
+    facts = [{**zero, "name": name, "position_resolution": 1e-6} for name in positions]
+    return {
+        name: Recording("start.mcap", name, {"position": np.array([q, math.nan])}, metadata={"facts": facts})
+        for name, q in positions.items()
+    }
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
+def test_points_of_an_arm_are_those_in_closed_form(tmp_path_factory, shoulder, elbow):
+    arm = machine(tmp_path_factory.mktemp("arm"), ARM | {"payload": TOOL, "signs": {"elbow": -1}}).arm
+    found = dict(_points(arm, np.array([[shoulder, elbow]])))
+    x, z = 0.4 * math.sin(shoulder), -0.4 * math.cos(shoulder)
+    assert found["the origin of joint1"][0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+    assert found["the origin of joint2"][0] == pytest.approx([x, 0.0, z], abs=1e-12)
+    x, z = x + 0.35 * math.sin(shoulder - elbow), z - 0.35 * math.cos(shoulder - elbow)
+    assert found["the centre of the payload"][0] == pytest.approx([x, 0.0, z], abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_origins_are_where_mujoco_has_the_bodies(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    text = random_arms.urdf(rng, 5)
+    model, data = random_arms.compiled(text)
+    (tmp_path / "arm.urdf").write_text(text)
+    joints = random_arms.names(model)
+    arm = ArmConfig(file=tmp_path / "arm.urdf", joints={f"x{k}": joint for k, joint in enumerate(joints)})
+    arm.read()
+    data.qpos[:] = pose = rng.normal(size=model.nq)
+    mujoco.mj_kinematics(model, data)
+    places = [place[0] for _, place in _points(arm, pose[np.newaxis])]
+    assert np.array(places) == pytest.approx(data.xpos[model.jnt_bodyid], abs=1e-9)
+
+
+def test_an_experiment_that_leaves_the_box_is_refused(tmp_path):
+    """The shoulder swings about 0.3 rad, and the elbow, its origin 0.4 m away, with it."""
+    bounds = {"velocity": 1.5, "travel": 1.0, "duration_s": 20.0}
+    run, duration_s = experiment_run(machine(tmp_path, axes__shoulder__experiment=bounds), "shoulder")
+    high = extent(make_path(run.axes["shoulder"], 1e-6, 1e-3), duration_s, 20_000)[1]
+    seen = standing(shoulder=0.3, elbow=0.0)
+    for free in (1.01, 0.99):
+        box = [[-1.0, -0.1, -1.0], [free * 0.4 * math.sin(0.3 + high), 0.1, 0.1]]
+        configuration = machine(tmp_path, ARM | {"box": box}, axes__shoulder__experiment=bounds)
+        run, _ = experiment_run(configuration, "shoulder")
+        if free > 1.0:
+            refuse_outside(run, duration_s, seen, "x")
+            continue
+        with pytest.raises(UsageError, match=r"the experiment of shoulder: the origin of joint2 would be .*arm\.box"):
+            refuse_plan(configuration, ("shoulder",), seen, is_shaken=False)
+
+
+def test_a_trial_in_which_all_joints_move_is_refused_though_no_experiment_is(tmp_path):
+    """Each joint alone keeps the tool within 0.59 m of the base, both together do not."""
+    short = {"velocity": 0.5, "travel": 0.2, "duration_s": 10.0}
+    changes = {f"axes__{name}__experiment": short for name in NAMES}
+    for name in NAMES:
+        changes[f"axes__{name}__trajectory"] = {"kind": "sine", "amplitude": 0.9, "frequency": 0.1}
+    box = [[-0.62, -0.1, -1.0], [0.62, 0.1, 0.1]]
+    configuration = machine(tmp_path, ARM | {"box": box, "payload": TOOL}, **changes)
+    seen = standing(shoulder=0.0, elbow=0.0)
+    for name in NAMES:
+        refuse_plan(configuration, (name,), seen, is_shaken=False)
+    with pytest.raises(UsageError, match=r"the trial: the centre of the payload would be at \[0\.62"):
+        refuse_plan(configuration, NAMES, seen, is_shaken=False)
+
+
+def test_corners_of_a_box_are_in_order(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"arm\.box: the first corner must be below") as error:
+        machine(tmp_path, ARM | {"box": [[0.0, 0.0, 1.0], [1.0, 1.0, 1.0]]})
+    assert ".yaml:" in str(error.value)
