@@ -197,11 +197,11 @@ class AxisLoop:
         """Return position, velocity and acceleration that count for the arm when this cycle's torque acts, SI.
 
         They are those that are demanded; else the axis counts as at rest where it was in the cycle before, or, once its
-        computation has failed, where its drive says.
+        computation has failed, where its drive says, if that can be.
         """
-        if self.is_broken:
-            is_known = feedback.is_fresh and math.isfinite(feedback.position)
-            return (feedback.position if is_known else self.supervisor.position), 0.0, 0.0
+        if self.is_broken:  # which nothing else has checked
+            self.supervisor.take(feedback)
+            return self.supervisor.position, 0.0, 0.0
         position, velocity, acceleration, ahead_s = self._demand_of_arm(cycle, state)
         if math.isfinite(position + velocity + acceleration):
             return position + ahead_s * velocity, velocity, acceleration

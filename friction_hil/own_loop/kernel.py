@@ -196,7 +196,7 @@ def find_loads(
             work[torques.DQ, i] = work[torques.DDQ, i] = 0.0
     torques.find_loads(links, gravity, work, known)
     for k in range(n):
-        found[k] = given[k]
+        found[k] = _within(given[k], MOST_TORQUE)
         if places[k] >= 0 and not math.isfinite(found[k]):
             found[k] = work[torques.LOAD, places[k]]
     return True

@@ -281,7 +281,8 @@ def test_a_joint_whose_computation_fails_counts_where_its_drive_is(tmp_path):
     def breaks(loop):
         loop._axes[1].compensator = Fails(loop._axes[1].compensator, begin=600)
 
-    run = Arm(machine(tmp_path, **edits()), duration_s=2.0, on_loop=breaks, power_off_cycles=200)
+    wrong = heard(640, 660, k=1, position=-2.0)
+    run = Arm(machine(tmp_path, **edits()), duration_s=2.0, on_loop=breaks, disturb=wrong, power_off_cycles=200)
     assert codes_in(run.result.faults) == ["elbow FH-111"]
     after = np.isin(run.states, (LoopState.FAULT_STOPPING, LoopState.DISABLING))
     where = run.columns("position")[:, 0]
@@ -290,6 +291,7 @@ def test_a_joint_whose_computation_fails_counts_where_its_drive_is(tmp_path):
     elbow = run.drives.servos[1].position
     weight = gravity(where[after][5:-5], elbow)[0]
     assert fed[-50:] == pytest.approx(weight[-50:], abs=0.05)
+    assert np.abs(np.diff(fed)).max() < 0.5, "what its drive says has to be possible"
     assert_safe(run)
 
 
