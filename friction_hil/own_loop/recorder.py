@@ -3,6 +3,7 @@
 import math
 import os
 import time
+import weakref
 from collections import deque
 from pathlib import Path
 from typing import Any, cast
@@ -60,6 +61,13 @@ class Recorder:
         self._journal = journal.make_journal()
         self._companion = Companion.start(job, self._journal, ring=ring, adopts=False)
         self._is_closed, self._owner = False, os.getpid()
+        here = weakref.ref(self._companion)
+
+        def leave() -> None:  # a forked process must not keep alive what ends with this one
+            if (companion := here()) is not None:
+                companion.leave()
+
+        os.register_at_fork(after_in_child=leave)
 
     @property
     def _is_over(self) -> bool:

@@ -92,6 +92,22 @@ def test_a_file_is_verified_with_every_change_and_whoever_records_dies(tmp_path)
     assert one.notices == before, "a loop goes on without its recording"
 
 
+def test_a_forked_process_that_lives_on_keeps_nothing_alive(tmp_path):
+    one = fh.Compensator(configuration(), record=tmp_path / "run.mcap")
+    inside, outside = os.pipe()
+    if not (child := os.fork()):
+        os.close(outside)
+        os.read(inside, 1)
+        os._exit(0)
+    try:
+        one.close()
+    finally:
+        os.close(outside)
+        os.close(inside)
+    assert os.waitpid(child, 0)[1] == 0
+    assert one._recorder._companion.process.returncode == 0, "it ended by itself, and was not killed"
+
+
 def test_a_killed_program_leaves_a_file_with_all_its_cycles(tmp_path):
     path = tmp_path / "run.mcap"
     program = subprocess.Popen([sys.executable, "-c", LOOP, path], cwd=ROOT, stdout=subprocess.PIPE)

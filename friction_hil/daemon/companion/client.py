@@ -176,6 +176,12 @@ class Companion:
         self._report = CompanionReport(files, rows, lost, tuple(self._problems), pending, black_boxes)
         return self._report
 
+    def leave(self) -> None:
+        """Let go, in a forked process, of the end of the pipe whose hang-up ends all processes."""
+        if self._end >= 0:
+            os.close(self._end)
+            self._end = -1
+
     def __enter__(self) -> "Companion":
         return self
 
