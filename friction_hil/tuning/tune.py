@@ -116,6 +116,7 @@ class _Tuner:
         self._warnings: list[str] = []
         self._mechanics: dict[str, Mechanics] = {}
         self._joints: dict[str, JointCheck] = {}
+        self._of_arm = frozenset(() if configuration.arm is None else configuration.arm.joints)
         self._resolutions: dict[str, float] = {}  # of the encoders, found in the experiments
         self._timings: dict[str, TorqueTiming] = {}
         self._torque_lags: dict[str, TorqueLag] = {}
@@ -194,6 +195,8 @@ class _Tuner:
     def _look_over_positions(self, job: int, parts: Sequence[ExperimentPart], without: Recording) -> None:
         """Have an axis identified over the positions of its own motion, if they change its torque by much."""
         name, configuration = without.axis, self._configuration
+        if name in self._of_arm:  # the others move too: weight and coupling that they change look like such a torque
+            return
         try:
             own = with_torque(without, configuration.axes[name].mode)
             with self._dialog.working(f"{name}: looking for a torque that depends on the position"):
@@ -312,7 +315,7 @@ class _Tuner:
 
     def _check_joint(self, name: str, best: CandidateFit) -> None:
         """Compare what the experiment shows of a joint of the arm with the arm's file."""
-        if self._configuration.arm is None or name not in self._configuration.arm.joints:
+        if name not in self._of_arm:
             return
         model = model_content(*best, self._configuration.axes[name], self._mechanics[name])
         recorded = read_all(self._recorded[name][-1])

@@ -416,6 +416,8 @@ def test_joints_of_an_arm_learn_their_friction_beside_its_weight(tmp_path):
         found = result["axes"][name]
         assert found["tried"][0]["reduction"]["rms"] > 2.0
         assert found["mechanics"]["gravity"] == {"constant": 0.0, "sine": 0.0, "cosine": 0.0}
+        fitted = load_model_file(folder / f"{name}.yaml").fit["recordings"]
+        assert [each["path"] for each in fitted] == [str(folder / f"{name}_experiment.mcap")], "alone, not the trial"
         assert found["arm"]["inertia"] == pytest.approx(found["arm"]["inertia_of_file"], rel=0.2)
         assert not found["arm"]["contradictions"]
         experiment = fh.recordings.read(folder / f"{name}_experiment.mcap", name)
