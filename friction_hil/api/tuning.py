@@ -3,7 +3,7 @@
 import html
 import json
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -300,16 +300,18 @@ def _identify_arm(found: Tuning, arm: ArmConfig, settings: TuneSettings, dialog:
     except Exception as error:  # noqa: BLE001  hours on a machine are not lost with it
         found.warnings.append(f"arm: not identified from the trial, because of {internal_error(error)}")
     else:
-        found.arm_text, flags = _of_arm(joints, settings.folder)
+        found.arm_text, flags = _of_arm(joints, found.axes, settings.folder)
         found.warnings += flags
 
 
-def _of_arm(found: IdentifiedJoints, folder: Path) -> tuple[str, list[str]]:
-    """Return what was found of an arm in a line, and what was not."""
+def _of_arm(found: IdentifiedJoints, moved: Collection[str], folder: Path) -> tuple[str, list[str]]:
+    """Return what was found of the joints that moved in a line, and what was not."""
     fit = found.fit
     assert fit is not None
-    said, flags = [], [f"arm: {name}: {reason}" for name, reason in found.failures.items()]
+    said, flags = [], [f"arm: {name}: {reason}" for name, reason in found.failures.items() if name in moved]
     for name, joint, off in zip(found.names, fit.joints, fit.error_of_file, strict=True):
+        if name not in moved:  # it was held: nothing of it can be determined
+            continue
         keys = {"coulomb": "coulomb", "load": "per load"}
         known = [
             f"{text} {joint.values[key]:.3g} ({joint.errors[key]:.1g})"

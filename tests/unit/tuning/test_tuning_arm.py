@@ -4,6 +4,7 @@ import dataclasses
 import math
 from contextlib import nullcontext
 from dataclasses import MISSING
+from pathlib import Path
 from types import SimpleNamespace
 
 import mujoco
@@ -12,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_hil.api.tuning import _identify_arm
+from friction_hil.api.tuning import _identify_arm, _of_arm
 from friction_hil.config import Hold
 from friction_hil.config.arm import ArmConfig
 from friction_hil.daemon.assembly import make_path
@@ -220,3 +221,21 @@ def test_corners_of_a_box_are_in_order(tmp_path):
     with pytest.raises(ConfigurationError, match=r"arm\.box: the first corner must be below") as error:
         machine(tmp_path, ARM | {"box": [[0.0, 0.0, 1.0], [1.0, 1.0, 1.0]]})
     assert ".yaml:" in str(error.value)
+
+
+def test_of_joints_that_were_held_nothing_is_said():
+    def joint(name, **values):
+        return SimpleNamespace(name=name, values=values, errors=dict.fromkeys(values, 0.01), flags=(f"{name} flagged",))
+
+    fit = SimpleNamespace(
+        joints=[joint("joint1"), joint("joint2", coulomb=2.5, load=0.19)],
+        **{"error_of_file": (0.98, 0.02), "determined": 2, "combinations": 6, "contradiction": 0.1},
+    )
+    found = SimpleNamespace(fit=fit, names=NAMES, failures={"shoulder": "it hardly slides"})
+    text, flags = _of_arm(found, ["elbow"], Path("out"))
+    assert "elbow coulomb 2.5 (0.01), per load 0.19 (0.01)" in text
+    assert "2 of 6 combinations" in text
+    assert "shoulder" not in text
+    assert flags == ["arm: elbow: joint2 flagged"]
+    _, flags = _of_arm(found, NAMES, Path("out"))
+    assert flags == ["arm: shoulder: it hardly slides", "arm: elbow: joint2 flagged"]
