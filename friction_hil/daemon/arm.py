@@ -1,6 +1,7 @@
 """The arm that axes move: load of their gears and torque to feed forward, of all joints before the first command."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -38,7 +39,7 @@ class ArmTorques:
     def update(self, cycle: int, state: LoopState, feedback: Sequence[Feedback]) -> str | None:
         """Give each axis its load and its torque of this cycle; return a fault, once.
 
-        After an exception the torques stay what they were: the arm is stopped, and must not fall.
+        After an exception the weight is left: the arm is stopped, and must not fall.
         """
         if self._axes[0].is_arm_lost:
             return None
@@ -49,6 +50,8 @@ class ArmTorques:
         except Exception as error:  # noqa: BLE001 - whatever it is, the machine must come to rest
             for axis in self._axes:
                 axis.is_arm_lost = True
+            with suppress(Exception):  # else the torques stay what they were
+                self._leave_weight()
             text = f"arm: the computation failed: {type(error).__name__}: {error}"
             return FaultCode.COMPUTATION_FAILED.append_to(text)
         return None
@@ -58,6 +61,17 @@ class ArmTorques:
         for k, axis in enumerate(self._axes):
             motion = axis.arm_motion(cycle, state, feedback[self._places[k]])
             cells[torques.Q, k], cells[torques.DQ, k], cells[torques.DDQ, k] = motion
+        self._give()
+
+    def _leave_weight(self) -> None:
+        """Give the torques that hold the arm where its joints were last."""
+        cells: Any = self._cells
+        for k in range(len(self._axes)):
+            cells[torques.DQ, k] = cells[torques.DDQ, k] = 0.0
+        self._give()
+
+    def _give(self) -> None:
+        cells: Any = self._cells
         self._find(*self._arguments)
         for k, axis in enumerate(self._axes):
             axis.take_arm(cells[torques.LOAD, k], cells[torques.FED, k])
