@@ -197,6 +197,7 @@ ELSEWHERE = (
     ("./tools/bench exchange", "test_the_benchmark_of_the_exchange_times_each_part"),
     ("./tools/bench own_loop", "test_the_benchmark_of_the_call_has_every_figure"),
     ("./tools/bench guiding --gain", "test_the_benchmark_of_guiding_prints_every_law"),
+    ("./tools/bench tune --truth --by --only", "test_the_truth_helps_by_other_inputs_than_the_torque_too"),
     ("./tools/bench loop", "test_the_benchmark_of_the_loop_starts_a_daemon"),
     ("./tools/bench neural", "test_the_benchmark_of_networks_measures_an_iteration"),
 )

@@ -1,15 +1,17 @@
 """The axes of ./tools/bench tune, and its figures for models that are known."""
 
+import json
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from friction_hil.checked_yaml.text import dump
 from friction_hil.config import load
 from friction_hil.errors import UsageError
-from tools.benchmarks.tune import OWN
+from tools.benchmarks.tune import OWN, command
 from tools.benchmarks.tune.axes import read_axes
-from tools.benchmarks.tune.judge import OTHERS, AxisResult, Rehearsals, judge_truth, judged_motions, truth
+from tools.benchmarks.tune.judge import OTHERS, AxisResult, Rehearsals, judged_motions, truth
 from tools.benchmarks.tune.judge import OWN as OWN_MOTION
 from tools.benchmarks.tune.report import summary
 
@@ -44,9 +46,12 @@ def test_the_truth_itself_has_a_ratio_of_one_and_no_model_one_of_zero(tmp_path) 
     assert (found["runs"], found["worse_than_none"], found["gain_cut"]) == (2, 0, 0)
 
 
-@pytest.mark.parametrize("by", ["velocity", "position"])
-def test_the_truth_helps_by_other_inputs_than_the_torque_too(by) -> None:
-    content = read_axes((OWN,), ("gms_17bit",))["gms_17bit"]
-    by_torque, found = (judge_truth("gms_17bit", content, 0.9, each).true for each in ("torque", by))
-    assert all(found[name].rms > 0.5 * by_torque[name].rms for name in found)
-    assert found[OWN_MOTION] != by_torque[OWN_MOTION]
+def test_the_truth_helps_by_other_inputs_than_the_torque_too() -> None:
+    found = {}
+    for by in ("torque", "velocity", "position"):
+        shown = CliRunner().invoke(command, ["--truth", "0.9", "--by", by, "--only", "gms_17bit", "--json"])
+        [axis] = json.loads(shown.stdout)["axes"]
+        found[by] = {name: each["rms"] for name, each in axis["true"].items()}
+    for by in ("velocity", "position"):
+        assert all(found[by][name] > 0.5 * found["torque"][name] for name in found[by])
+        assert found[by][OWN_MOTION] != found["torque"][OWN_MOTION]
