@@ -102,13 +102,13 @@ def test_the_model_has_the_torque_of_bam(law_of, tmp_path_factory, p):
     found = read(tmp_path_factory.mktemp("bam"), p)
     model, law = ModelFile.model_validate(found.content).friction_model, law_of(p)
     hump = p.get("dtheta_stribeck", 0.1)
-    for velocity in (1e-6, 0.3 * hump, hump, 2.0 * hump, 100.0 * hump):
+    for velocity in (1e-6, 0.3 * hump, hump, 2.0 * hump, 1000.0 * hump):
         bam = steady(law, velocity)
         ours = model.steady_state([velocity], load_torque=0.0)[0]
         assert ours == pytest.approx(bam, rel=1.01 * off_by(found) + 1e-9, abs=1e-12)
         loaded = model.steady_state([velocity], load_torque=2.0)[0]
         assert loaded <= steady(law, velocity, 2.0) * (1.01 * off_by(found) + 1.0 + 1e-9)
-    assert loaded == pytest.approx(steady(law, 100.0 * hump, 2.0), rel=1e-6)
+    assert loaded == pytest.approx(steady(law, 1000.0 * hump, 2.0), rel=1e-6)
     assert found.content["mechanics"]["inertia"] == 0.002
 
 
