@@ -2,6 +2,7 @@
 
 import math
 import os
+import sys
 import time
 import weakref
 from collections import deque
@@ -67,7 +68,8 @@ class Recorder:
             if (companion := here()) is not None:
                 companion.leave()
 
-        os.register_at_fork(after_in_child=leave)
+        if sys.platform != "win32":  # as the rest, which Linux alone has: for the type checker
+            os.register_at_fork(after_in_child=leave)
 
     @property
     def _is_over(self) -> bool:
