@@ -32,9 +32,7 @@ class ArmPayload(Section):
     """What the arm carries."""
 
     mass: float = key("mass", "kg", ge=0, le=1e6)
-    center: tuple[Coordinate, Coordinate, Coordinate] = key(
-        "centre of mass in the frame of the link", "m", default=(0.0, 0.0, 0.0)
-    )
+    center: Point = key("centre of mass in the frame of the link", "m", default=(0.0, 0.0, 0.0))
     inertia: tuple[float, float, float, float, float, float] = key(
         "Ixx, Ixy, Ixz, Iyy, Iyz, Izz about the centre of mass", "kg m^2", default=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     )
@@ -50,7 +48,7 @@ class ArmFile(Section):
         "position of joints that are left out, by default as the file draws them", POSITION, default={}
     )
     payload: ArmPayload | None = key("what the arm carries", default=None)
-    gravity: tuple[Coordinate, Coordinate, Coordinate] | None = key(
+    gravity: Point | None = key(
         "acceleration of gravity in the frame of the base; by default that of the file, or [0, 0, -9.81]",
         "m/s^2",
         default=None,

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from friction_hil.checked_yaml.messages import Mistake
 from friction_hil.checked_yaml.section import Section, key
-from friction_hil.config.arm import ArmFile, Coordinate
+from friction_hil.config.arm import ArmFile, Point
 from friction_hil.config.axis import Name
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
 from friction_hil.config.external_torque import external_content, simulated_servo
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class Tool(Section):
     """Point at which a force acts."""
 
-    position: tuple[Coordinate, Coordinate, Coordinate] = key("in the frame of the link", "m", default=(0.0, 0.0, 0.0))
+    position: Point = key("in the frame of the link", "m", default=(0.0, 0.0, 0.0))
     link: str | None = key("link or body that has it; by default that of the last axis", default=None)
 
 

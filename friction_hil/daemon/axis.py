@@ -116,7 +116,7 @@ class AxisLoop:
         self.gaps = FeedbackGaps()
         self.lacks_demand = False  # another controller moves the axis, and no demanded position was heard of it
         self.is_broken = False  # its computation has failed: it gets no torque any more
-        self.is_arm_lost = False  # that of its arm has failed: what it is fed stays what it was
+        self.is_arm_lost = False  # that of its arm has failed: its weight alone is left
         self._last_cycle = -1
         self._make_parts(config, unit, path_time.ramp_s, max_stale_cycles)
         parts: list[Compensator | VelocityOffset] = [self.compensator, *self.shadows.values()]

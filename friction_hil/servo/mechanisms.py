@@ -18,7 +18,6 @@ from friction_hil.servo.records import ARM, GANTRY, MECHANISM, MOST_TIMES
 __all__ = [
     "Gantry",
     "Linkage",
-    "Mechanism",
     "ToolForces",
     "TwoLinkArm",
     "axis_mistakes",
@@ -109,9 +108,6 @@ class TwoLinkArm(_Shared):
     payload: NotNegative = Field(0.0, description="point mass at the tool, kg")
     gravity: Finite = Field(9.81, description="m/s^2; 0: the arm moves in a horizontal plane")
     tool_force: ToolForces = ()
-
-
-Mechanism = Annotated[Gantry | TwoLinkArm, Field(discriminator="kind")]
 
 
 class Linkage(NamedTuple):

@@ -145,9 +145,9 @@ def closed_loop_starts(
         if family == _LUGRE and not fits:
             level = float(np.sqrt(np.mean(first.best.curves.friction**2)))
             values["sigma0"] = level / facts_of(parts[0].recording.metadata, parts[0].recording).position_resolution
-            values["sigma1"] = math.inf
         if "sigma1" in values:  # a fit to the torque makes up for a state that it does not resolve by damping
-            values["sigma1"] = min(values["sigma1"], math.sqrt(values["sigma0"] * values["inertia"]))
+            most = math.sqrt(values["sigma0"] * values["inertia"])
+            values["sigma1"] = min(values["sigma1"], most) if fits else most
         starts.append(Start(first, fits[0] if fits else first.best, structure, values))
         if not fits and family == _LUGRE:  # slow sweeps alone hardly show how high the hump is
             lower = {

@@ -85,8 +85,7 @@ def experiment_run(configuration: Configuration, name: str, part_s: float | None
     bounds = part_bounds(configuration, name, part_s)
     motion = Experiment(kind="experiment", **{key: getattr(bounds, key) for key in ExperimentBounds.model_fields})
     run = held(configuration, {name: motion})
-    axes = run.axes
-    return run, motion.duration_s + ramp_s(axes.values()) + th.REST_S
+    return run, motion.duration_s + ramp_s(run.axes.values()) + th.REST_S
 
 
 def shaken_run(configuration: Configuration, name: str) -> tuple[Configuration, float]:
@@ -100,8 +99,7 @@ def shaken_run(configuration: Configuration, name: str) -> tuple[Configuration, 
     motion = Multisine(kind="multisine", duration_s=duration_s, **given)
     plan = multisine_plan(motion, configuration.period_s)
     run = held(configuration, {name: motion})
-    axes = run.axes
-    return run, plan.duration_s + motion.ramp_s + ramp_s(axes.values()) + th.REST_S
+    return run, plan.duration_s + motion.ramp_s + ramp_s(run.axes.values()) + th.REST_S
 
 
 def held(configuration: Configuration, motions: Mapping[str, Experiment | Multisine] | None = None) -> Configuration:

@@ -26,9 +26,9 @@ TOLERANCE = 1e-3  # of a change, relative, that ends a search
 # Of a parameter, for its derivative, in one search after the other. Where sticks begin and end, the error has steps:
 # long differences see over them.
 SEARCH_STEPS = (0.15, 0.1, 0.05, 0.02)
-# Of a coordinate, where a search has ended in a valley of these steps: a change, the part of the errors that makes it
-# worth another search, and the differences of that one.
-PROBES, BETTER, LAST_STEPS = (-0.35, -0.15, 0.15, 0.35), 0.98, SEARCH_STEPS[-2:]
+PROBES = (-0.35, -0.15, 0.15, 0.35)  # of a coordinate, at the end of a search, which may be a valley of these steps
+BETTER = 0.98  # of the cost there: a lower one is worth another search
+LAST_STEPS = SEARCH_STEPS[-2:]  # of that search
 DAMPING = 0.01  # of columns of length 1: a block that alone shows a parameter is not extrapolated without bound
 LEAST_SCALE = 0.01  # of a coordinate, of its range
 SETTLED_S = 0.5  # until the loops have found their torque: errors count after it

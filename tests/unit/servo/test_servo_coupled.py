@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
+from friction_hil.config.simulation import Mechanism
 from friction_hil.errors import UsageError
 from friction_hil.friction import describe
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.coupled_servos import CoupledServos
-from friction_hil.servo.mechanisms import Mechanism
 from friction_hil.servo.servo import Servo
 from tests.unit.servo.test_servo_machine import coulomb
 
